@@ -91,10 +91,10 @@ def read_head(file: ArrayFile, where: str) -> StoredArray:
     text = file.read(length)
     if len(text) < length:
         raise ArrayError(f"{where} ends in its header")
-    return _parsed(text.decode("latin-1"), where, len(start) + width + length)
+    return _parsed_header(text.decode("latin-1"), where, len(start) + width + length)
 
 
-def _parsed(text: str, where: str, begin: int) -> StoredArray:
+def _parsed_header(text: str, where: str, begin: int) -> StoredArray:
     if _OBJECTS.search(text):
         raise ArrayError(f"{where} contains pickled Python objects")
     if _STRUCTURE.search(text):
@@ -145,7 +145,7 @@ SMALL_BYTES = 64_000_000
 MAX_LIST_BYTES = 8_000_000
 MAX_SHOWN = 12
 _METHODS = (0, 8)  # stored and deflated
-_ENCRYPTED = 0x1
+_ENCRYPTED_FLAG = 0x1
 # Exceptions that `zipfile` raises for damaged archives; MemoryError is none of them.
 _DAMAGE = (
     OSError,
@@ -195,7 +195,7 @@ class Archive:
                 message = f"{path.name} is a single array, as numpy.save writes, not "
                 message += "an archive of named ones, as numpy.savez does"
                 raise ArrayError(message)  # noqa: TRY301
-            bounded_file = _Bounded(self._file)
+            bounded_file = _BoundedFile(self._file)
             from zipfile import ZipFile
 
             self._zip = ZipFile(cast(Any, bounded_file))
@@ -229,10 +229,10 @@ class Archive:
                 raise ArrayError(f"{where} contains {header.dtype}, not numbers")
             # A dimension of 0 makes the size 0, however large the other dimensions are.
             limit = max(info.file_size, SMALL_BYTES)
-            empty = (
+            no_array = (
                 not header.count and math.prod(max(n, 1) for n in header.shape) > limit
             )
-            if header.begin + header.size > info.file_size or empty:
+            if header.begin + header.size > info.file_size or no_array:
                 raise ArrayError(f"{where} is shorter than its shape {header.shape}")
             self._headers[key] = header
         return self._headers[key]
@@ -272,9 +272,9 @@ class Archive:
             raise ArrayError(f"{self._path.name}#{key} is truncated")
         if not header.count:
             return np.zeros(header.shape, header.dtype)
-        flat = np.frombuffer(data, header.dtype, header.count)
+        numbers = np.frombuffer(data, header.dtype, header.count)
         return np.require(
-            flat.reshape(header.shape, order=header.order), requirements="A"
+            numbers.reshape(header.shape, order=header.order), requirements="A"
         )
 
     def _read_directory(self) -> tuple[dict[str, ZipInfo], set[str]]:
@@ -293,11 +293,13 @@ class Archive:
         name, info = self._path.name, self._members.get(key)
         if info is None:
             names = [name_[:40] for name_ in list(self._members)[:MAX_SHOWN]]
-            shown = ", ".join(names) or "nothing"
-            raise ArrayError(f"{name} has no array {key!r}; its arrays are {shown}")
+            names_text = ", ".join(names) or "nothing"
+            raise ArrayError(
+                f"{name} has no array {key!r}; its arrays are {names_text}"
+            )
         if key in self._duplicates:
             raise ArrayError(f"{name} contains {key!r} twice")
-        if info.flag_bits & _ENCRYPTED:
+        if info.flag_bits & _ENCRYPTED_FLAG:
             raise ArrayError(f"{name}#{key} is encrypted")
         if info.compress_type not in _METHODS:
             message = f"{name}#{key} is compressed by method {info.compress_type}, "
@@ -309,20 +311,22 @@ class Archive:
         other_arrays = self._total_size - self._sizes.get(key, 0)
         plausible = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
         if other_arrays + size > MAX_BYTES or not plausible:
-            configured = _configured_limit(self._path)
-            if configured is None or other_arrays + size > configured:
-                raise self._too_large(key, other_arrays + size, configured, plausible)
+            configured_limit = _configured_limit(self._path)
+            if configured_limit is None or other_arrays + size > configured_limit:
+                raise self._too_large(
+                    key, other_arrays + size, configured_limit, plausible
+                )
         self._sizes[key], self._total_size = size, other_arrays + size
 
     def _too_large(
-        self, key: str, size: int, configured: int | None, plausible: bool
+        self, key: str, size: int, configured_limit: int | None, plausible: bool
     ) -> ArrayError:
         needed_mb = math.ceil(size / 1e6)
         message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
-        if configured is None and not plausible:
+        if configured_limit is None and not plausible:
             message += f", more than {MAX_RATIO} times what it takes in the file"
         else:
-            limit = MAX_BYTES if configured is None else configured
+            limit = MAX_BYTES if configured_limit is None else configured_limit
             message += f" with what was read before, and {limit // 1_000_000} are "
             message += "allowed"
         return ArrayError(
@@ -346,7 +350,7 @@ def _configured_limit(path: Path) -> int | None:
     return None if configured is None else configured * 1_000_000
 
 
-class _Bounded:
+class _BoundedFile:
     """A file whose reads of the archive's directory are limited in size."""
 
     def __init__(self, file: InputFile) -> None:

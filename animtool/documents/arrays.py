@@ -56,8 +56,8 @@ class Archives:
             FormatError: The file changed while it was read (IO004).
         """
         with reading(path):
-            stored = self._archive(path).header(key)
-        return ArrayHeader(stored.shape, stored.dtype.kind)
+            stored_array = self._archive(path).header(key)
+        return ArrayHeader(stored_array.shape, stored_array.dtype.kind)
 
     def stored(self, path: Path, key: str) -> npt.NDArray[Any]:
         """Return an array in its stored type, read-only.

@@ -128,7 +128,7 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
 def unknown_options(
     options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> LocatedFaults:
-    """Return a fault for each option that its owner does not have."""
+    """Return a fault for each unknown option."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
@@ -139,11 +139,18 @@ def unknown_options(
 
 def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
     """Return a hint for an unknown key, and the key that was likely meant."""
-    plain = key.replace("_", "").lower()
-    other = next((one for one in OTHER_KEYS.get(plain, ()) if one in names), None)
-    if other is not None:
-        return f"the key is {other!r}", other
-    if plain in OTHER_KEYS:  # a word of its own, not a misspelling
+    normalized = key.replace("_", "").lower()
+    other_key = next(
+        (
+            candidate
+            for candidate in OTHER_KEYS.get(normalized, ())
+            if candidate in names
+        ),
+        None,
+    )
+    if other_key is not None:
+        return f"the key is {other_key!r}", other_key
+    if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(by_likeness(key, names))}", None
     return nearest(key, names), similar(key, names)
 
@@ -164,10 +171,10 @@ def record_of_options(
     try:
         return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
-        wrong = wrong_values(known_options, error)
+        wrong_options = wrong_values(known_options, error)
     return None, faults + [
         ((keys.get(str(at[0]), at[0]), *at[1:]) if at else at, fault)
-        for at, fault in wrong
+        for at, fault in wrong_options
     ]
 
 
@@ -252,10 +259,10 @@ class _Faults:
             return
         value = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
-        renamed = new_key(kind, location, value)
-        if renamed in names and renamed not in node:
-            node[renamed] = value
-            _note_renamed(self.document, location, renamed)
+        renamed_key = new_key(kind, location, value)
+        if renamed_key in names and renamed_key not in node:
+            node[renamed_key] = value
+            _note_renamed(self.document, location, renamed_key)
             return
         if self._depends_on_kind(location):
             return
@@ -263,20 +270,20 @@ class _Faults:
             self._tight_dash(location, node)
             return
         message = f"unknown key {excerpt(str(key))}"
-        hint, intended = _key_meant(str(key), names)
+        hint, meant_key = _key_meant(str(key), names)
         if hint.startswith("allowed"):
             hint = self._key_of_sibling(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
-        if intended and intended not in node:
+        if meant_key and meant_key not in node:
             # Its names may be referenced, but whether it was meant is unknown.
-            node[intended] = value
-            self.document.spellings[*mapping, intended] = str(key)
-            self.document.guesses.add((*mapping, intended))
+            node[meant_key] = value
+            self.document.spellings[*mapping, meant_key] = str(key)
+            self.document.guesses.add((*mapping, meant_key))
 
     def _key_of_sibling(
         self, mapping: Location, node: dict[str, Any], key: str
     ) -> str | None:
-        """Return a hint at the mapping beside an unknown key that has it."""
+        """Return a hint that names a sibling mapping where an unknown key is valid."""
         for sibling, value in node.items():
             within = value[0] if isinstance(value, list) and value else value
             inner = (0,) if within is not value else ()
@@ -287,7 +294,7 @@ class _Faults:
         return None
 
     def _no_known_key(self, mapping: Location) -> bool:
-        """Record once that a list's entry has no key that is allowed."""
+        """Record once that a list entry has no known key."""
         node = self.value
         for step in mapping:
             node = node[step]
@@ -305,7 +312,7 @@ class _Faults:
         return True
 
     def _tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
-        """Record an entry of a list that was read as a key."""
+        """Record a list entry that was parsed as a key."""
         *outer, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
         self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
@@ -314,7 +321,7 @@ class _Faults:
                 self._put_placeholder((*outer, other))
 
     def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
-        """Record an entry that pairs two names, such as {Hips: hips}, and mend it."""
+        """Record and correct an entry that pairs two names, such as {Hips: hips}."""
         models = models_of(annotation_at(self.model, self.value, mapping), node)
         entries = paired_entries(models, node) if len(mapping) > 1 else []
         if not entries:
@@ -338,7 +345,7 @@ class _Faults:
         self._put_placeholder(location)
 
     def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
-        """Record once that a list has another form than its entries show."""
+        """Record once that a list's entries have the wrong form."""
         *outer, last = location
         if not isinstance(last, int) or not outer or not expected_structures(faults):
             return False
@@ -425,11 +432,13 @@ def _by_location(
     groups: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
         missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        groups.setdefault((_within(value, fault), missing_key), []).append(fault)
+        groups.setdefault((_fault_location(value, fault), missing_key), []).append(
+            fault
+        )
     return groups
 
 
-def _within(value: Any, fault: Any) -> Location:
+def _fault_location(value: Any, fault: Any) -> Location:
     """Return the location of a fault, without names of union members."""
     node, steps = value, []
     for step in fault["loc"]:

@@ -154,7 +154,7 @@ class Document:
     def descents(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the entries of a list that are not in ascending order.
+        """Yield list entries that are out of ascending order.
 
         Args:
             location: Location of the list.
@@ -317,6 +317,6 @@ def read_text(path: Path) -> str:
 
 
 def _first_faults(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the first faults and one that counts the others."""
-    more = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
-    return first_faults(faults, MAX_FAULTS, faults[0].path, more)
+    """Return the first faults, and one that counts the rest."""
+    suffix = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
+    return first_faults(faults, MAX_FAULTS, faults[0].path, suffix)

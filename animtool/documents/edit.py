@@ -82,8 +82,8 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     page = _SourceText.of(text, json=path.suffix == ".json")
     splices = sorted((page.splice(edit) for edit in edits), key=lambda s: s[0])
     after = text
-    for start, end, new in reversed(splices):
-        after = after[:start] + new + after[end:]
+    for start, end, replacement in reversed(splices):
+        after = after[:start] + replacement + after[end:]
     value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(value, edit)
@@ -95,7 +95,7 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
 
 
 def _parses_to(text: str, path: Path, value: Any) -> bool:
-    """Return whether a text parses to some values; False if it is malformed."""
+    """Return whether a text parses to the given values; False if it is malformed."""
     try:
         return bool(document_of(text, path).value == value)
     except FormatError:
@@ -171,13 +171,17 @@ class _SourceText:
     def _written(self, node: Any, value: str) -> Splice:
         """Write a text in the quote style of the value that it replaces."""
         style = getattr(node, "style", None)
-        new = _unquoted(value)
+        new_text = _plain_or_quoted(value)
         if style == '"':
-            new = json.dumps(value, ensure_ascii=False) if self.json else _quoted(value)
+            new_text = (
+                json.dumps(value, ensure_ascii=False)
+                if self.json
+                else _quoted_text(value)
+            )
         elif style == "'" and value.isprintable():
             escaped = value.replace("'", "''")
-            new = f"'{escaped}'"
-        return node.start_mark.index, node.end_mark.index, new
+            new_text = f"'{escaped}'"
+        return node.start_mark.index, node.end_mark.index, new_text
 
     def _added(self, node: Any, key: str, value: Any) -> Splice:
         if not node.value:
@@ -236,7 +240,7 @@ def _entries(node: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _end(node: Any) -> int:
-    """Return where a value ends; block collections end with their last value."""
+    """Return the end of a value; a block collection ends with its last value."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last
@@ -250,15 +254,15 @@ def _flow(value: Any) -> str:
     return plain_text(value) if isinstance(value, str) else number(value)
 
 
-def _unquoted(value: str) -> str:
-    """Return a text unquoted if it parses back to itself, with its brackets."""
+def _plain_or_quoted(value: str) -> str:
+    """Return a text without quotes if it still parses to itself inside brackets."""
     try:
-        parsed = document_of(f"a: [{value}]", Path("a.yaml")).value
+        parsed_value = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:
         return plain_text(value)
-    return value if parsed == {"a": [value]} else plain_text(value)
+    return value if parsed_value == {"a": [value]} else plain_text(value)
 
 
-def _quoted(value: str) -> str:
-    quoted = plain_text(value)
-    return quoted if quoted.startswith('"') else f'"{quoted}"'
+def _quoted_text(value: str) -> str:
+    plain = plain_text(value)
+    return plain if plain.startswith('"') else f'"{plain}"'

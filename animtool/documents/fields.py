@@ -92,9 +92,11 @@ def check_numbers(value: Any) -> Any:
         limit = MAX_NUMBER if isinstance(number, float) else MAX_SEED
         if not -limit <= number <= limit:
             name = ".".join(keys)
-            shown = f"{number:g}" if isinstance(number, float) else _digits(number)
-            allowed = f"a finite number up to {limit:g}"
-            raise ValueError(f"{name} is {shown}, not {allowed}")
+            number_text = (
+                f"{number:g}" if isinstance(number, float) else _digits(number)
+            )
+            range_text = f"a finite number up to {limit:g}"
+            raise ValueError(f"{name} is {number_text}, not {range_text}")
     return value
 
 
@@ -191,12 +193,12 @@ def with_fields(
     """
 
     def decorate(model: type[Model]) -> type[Model]:
-        declared: dict[str, Any] = {
+        declared_keys: dict[str, Any] = {
             name: (model.model_fields[name].annotation, model.model_fields[name])
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        at = list(declared).index(before) if before else len(declared)
+        at = list(declared_keys).index(before) if before else len(declared_keys)
         keys = keys_of(record, file_kind)
         new_fields = {}
         for name in names or keys:
@@ -204,9 +206,9 @@ def with_fields(
             if names or key not in model.model_fields:
                 new_fields[key] = _definition(record, name, keys[name], ranges)
         definitions = [
-            *list(declared.items())[:at],
+            *list(declared_keys.items())[:at],
             *new_fields.items(),
-            *list(declared.items())[at:],
+            *list(declared_keys.items())[at:],
         ]
         if order:
             definitions.sort(
@@ -250,11 +252,13 @@ def _is_infinite(default: Any) -> bool:
 
 def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     """Return the type and the documentation of a key."""
-    type_, default = _typed(record, name, key, ranges)
+    type_, default = _type_and_default(record, name, key, ranges)
     return type_, model_field(key, default)
 
 
-def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
+def _type_and_default(
+    record: Any, name: str, key: Key, ranges: Ranges
+) -> tuple[Any, Any]:
     """Return the type and the default of a key."""
     option = options_of(record).get(name)
     if option is not None:

@@ -56,13 +56,13 @@ def form_hint(
     examples = info.examples or [None]
     example, inner_steps = examples[0], location[depth:]
     is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
-    if is_mapping and not _converted(entry, example):
+    if is_mapping and not _converted_value(entry, example):
         entries = _list_entries(annotation_of(info), entry)
         for shown in (entries, entries[:1]):
             text = flow_text(str(location[depth - 1]), shown)
             if shown and len(text) <= MAX_EXAMPLE:
                 return f"{'write' if shown is entries else 'for example'} {text}"
-    forms = _forms(annotation_of(info))
+    forms = _forms_of(annotation_of(info))
     name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
@@ -73,15 +73,15 @@ def form_hint(
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    converted = None if inner_steps else _converted(entry, example)
+    converted = None if inner_steps else _converted_value(entry, example)
     if converted is not None:
-        return f"write {_short(key, converted)}"
+        return f"write {_shortened_flow(key, converted)}"
     text = flow_text(key, example)
     word = "write" if _contains(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
 
 
-def _short(key: str, entries: Sequence[Any]) -> str:
+def _shortened_flow(key: str, entries: Sequence[Any]) -> str:
     """Return a key with its list on one line, cut after the first entries."""
     for count in range(len(entries), 0, -1):
         text = flow_text(key, list(entries[:count]))
@@ -112,19 +112,21 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
 def paired_entries(
     models: Sequence[type[BaseModel]], value: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the entries meant by pairs of the two keys that one needs; or none."""
-    if not value or not all(isinstance(one, str) for one in value.values()):
+    """Return the entries that a mapping of name pairs means; empty if unclear."""
+    if not value or not all(isinstance(entry, str) for entry in value.values()):
         return []
     for fields in map(fields_of, models):
-        required = [key for key, info in fields.items() if info.is_required()]
-        is_pair = len(required) == 2 and "type" not in fields
+        required_keys = [key for key, info in fields.items() if info.is_required()]
+        is_pair = len(required_keys) == 2 and "type" not in fields
         if is_pair and fields.keys().isdisjoint(value):
-            return [dict(zip(required, pair, strict=True)) for pair in value.items()]
+            return [
+                dict(zip(required_keys, pair, strict=True)) for pair in value.items()
+            ]
     return []
 
 
 def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the entries of a list that a mapping stands for; empty if none fit."""
+    """Convert a mapping to the list of entries it means; empty if none fit."""
     models = models_of(annotation_inside(annotation, None, 0))
     keys = {key for model in models for key in fields_of(model)}
     if not keys:  # entries that are named by their only key, such as passes
@@ -140,12 +142,12 @@ def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, A
 _ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
 
 
-def _converted(value: Any, example: Any) -> list[Any] | None:
+def _converted_value(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple) or not example:
         return None
     if isinstance(value, str):
-        return _listed(value.strip(), example)
+        return _list_of_text(value.strip(), example)
     if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
         bounds = [value.get(key) for key in _ENDS if key in value]
         return bounds if len(bounds) == len(value) == _RANGE_LENGTH else None
@@ -156,12 +158,12 @@ def _converted(value: Any, example: Any) -> list[Any] | None:
             sign = -1 if example[axes[0]] < 0 < value else 1
             return [sign * value if i in axes else 0 for i in range(len(example))]
     if isinstance(value, list):
-        return _nested(value, example)
+        return _nested_list(value, example)
     return None
 
 
-def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
-    """Return a list as an entry of the list that is meant, or without a step."""
+def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
+    """Wrap a list as the entry of a list, or drop the step of a range."""
     if isinstance(example[0], list):
         return [value] if len(value) == len(example[0]) else None
     keys = list(example[0]) if isinstance(example[0], dict) else []
@@ -174,14 +176,14 @@ def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
     return value[:_RANGE_LENGTH] if is_range and value[0] < value[1] else None
 
 
-def _listed(text: str, example: Sequence[Any]) -> list[Any] | None:
-    """Return a text of numbers, or of one name, as the list that is meant."""
-    if all(isinstance(one, str) for one in example):
+def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
+    """Convert a text of numbers, or one name, to a list."""
+    if all(isinstance(entry, str) for entry in example):
         return [text]
     ends = _PAIR.fullmatch(text)
     parts = re.split(r"[\s,;]+", text.strip("()[] ")) if ends is None else ends.groups()
     numbers = [plain_scalar(part) for part in parts if part]
-    are_numbers = all(isinstance(one, int | float) for one in numbers)
+    are_numbers = all(isinstance(entry, int | float) for entry in numbers)
     return numbers if are_numbers and len(numbers) == len(example) else None
 
 
@@ -194,12 +196,12 @@ def _contains(example: Any, value: Any) -> bool:
     return bool(example == value)
 
 
-def _forms(annotation: Any) -> Forms | None:
+def _forms_of(annotation: Any) -> Forms | None:
     """Return the `Forms` annotation of a type or of a union's member."""
     for constraint in getattr(annotation, "__metadata__", ()):
         if isinstance(constraint, Forms):
             return constraint
-    member_forms = (_forms(member) for member in get_args(annotation))
+    member_forms = (_forms_of(member) for member in get_args(annotation))
     return next((member for member in member_forms if member is not None), None)
 
 

@@ -100,16 +100,16 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
         return _with_new_keys(
             Migration(path, kind, version, newest_version, before, before)
         )
-    old = document.value
-    new = copy.deepcopy(old)
+    old_value = document.value
+    new_value = copy.deepcopy(old_value)
     for step in range(version, newest_version):
-        new = table[kind][step](new)
-    new[kind] = f"animtool/{newest_version}"
-    if {**new, kind: old[kind]} == old:
-        after = _renamed(document, before, kind, f"animtool/{newest_version}")
+        new_value = table[kind][step](new_value)
+    new_value[kind] = f"animtool/{newest_version}"
+    if {**new_value, kind: old_value[kind]} == old_value:
+        after = _with_version(document, before, kind, f"animtool/{newest_version}")
         return Migration(path, kind, version, newest_version, before, after)
     # The kind comes first in a file, in whatever order the steps left the keys.
-    kind_first = {kind: new.pop(kind), **new}
+    kind_first = {kind: new_value.pop(kind), **new_value}
     if path.suffix == ".json":
         return Migration(
             path, kind, version, newest_version, before, json_text(kind_first)
@@ -183,8 +183,8 @@ def migrate(
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
     # A file and links to it are migrated once.
     by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
-    outdated = list(reversed(by_path.values()))
-    if check or not outdated:
+    outdated_documents = list(reversed(by_path.values()))
+    if check or not outdated_documents:
         return plans
     if not overwrite:
         hint = (
@@ -193,11 +193,14 @@ def migrate(
         )
         message = "would be replaced"
         raise OptionError(
-            [Fault("OUT001", message, str(plan.path), (), hint) for plan in outdated]
+            [
+                Fault("OUT001", message, str(plan.path), (), hint)
+                for plan in outdated_documents
+            ]
         )
-    check_outputs([plan.path for plan in outdated], [], overwrite=True)
+    check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
-        for plan in outdated:
+        for plan in outdated_documents:
             write_parts(plan.path, [plan.after.encode()])
     return [replace(plan, written=plan.needed) for plan in plans]
 
@@ -215,7 +218,7 @@ def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migr
     return plans
 
 
-def _renamed(document: Document, text: str, kind: str, version: str) -> str:
+def _with_version(document: Document, text: str, kind: str, version: str) -> str:
     """Return a text with only its version changed."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)

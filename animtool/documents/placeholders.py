@@ -90,7 +90,7 @@ def placeholder_of(annotation: Any) -> Any:
         number = min([1.0, *(bound for bound in bounds if bound is not None)])
     models = models_of(annotation)
     if models:
-        return _empty(min(models, key=lambda model: len(model.model_fields)))
+        return _empty_values(min(models, key=lambda model: len(model.model_fields)))
     first_type = _alternatives(annotation)[0]
     if get_origin(first_type) is Annotated:
         return placeholder_of(first_type)
@@ -124,7 +124,7 @@ def replaced(value: Any, location: Location, new: Any) -> None:
     value[last_step] = new
 
 
-def _empty(model: type[BaseModel]) -> dict[str, Any]:
+def _empty_values(model: type[BaseModel]) -> dict[str, Any]:
     return {
         key: placeholder_of(annotation_of(field))
         for key, field in fields_of(model).items()
@@ -163,13 +163,13 @@ def annotation_inside(annotation: Any, node: Any, step: str | int) -> Any:
 
 def _alternatives(annotation: Any) -> list[Any]:
     """Return the members of a union, or the type itself."""
-    unwrapped = annotation
-    if get_origin(unwrapped) is Annotated:
-        unwrapped = get_args(unwrapped)[0]
-    if get_origin(unwrapped) in {Union, UnionType}:
+    inner_type = annotation
+    if get_origin(inner_type) is Annotated:
+        inner_type = get_args(inner_type)[0]
+    if get_origin(inner_type) in {Union, UnionType}:
         alternatives = [
             member
-            for argument in get_args(unwrapped)
+            for argument in get_args(inner_type)
             for member in _alternatives(argument)
         ]
         return [member for member in alternatives if member is not NoneType]

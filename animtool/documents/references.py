@@ -32,8 +32,8 @@ def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
     except (OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"{name!r} cannot be resolved: {error}") from error
     if not any(path.is_relative_to(root.resolve()) for root in roots):
-        shown = ", ".join(str(root) for root in roots)
-        raise ValueError(f"{name!r} leads outside {shown}")
+        roots_text = ", ".join(str(root) for root in roots)
+        raise ValueError(f"{name!r} leads outside {roots_text}")
     return path
 
 

@@ -22,7 +22,7 @@ _BOUNDS = {
     "less_than": ("lt", "not below {}"),
     "greater_than": ("gt", "not above {}"),
 }
-_KINDS = {
+_EXPECTED_NOUNS = {
     "float_type": "a number",
     "float_parsing": "a number",
     "finite_number": "a finite number",
@@ -44,11 +44,11 @@ _KINDS = {
 
 # Faults of values of the right type: what else a union takes was not meant.
 _SIZES = {"too_short", "too_long"}
-_FITTING = (_SIZES, _BOUNDS.keys())
+_FIT_PRIORITY = (_SIZES, _BOUNDS.keys())
 # Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}
 _LONGEST_NUMBER = 40
-_UNITED = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))\s*([A-Za-z%°]+)")
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))\s*([A-Za-z%°]+)")
 _SECONDS = {"s": 1, "sec": 1, "m": 60, "min": 60, "h": 3600}
 _SWITCHES = {
     **dict.fromkeys(("yes", "on", "y", "1", "true"), "true"),
@@ -57,8 +57,8 @@ _SWITCHES = {
 
 
 def fitting(faults: Sequence[Any]) -> list[Any]:
-    """Return the faults of the type that was meant, of those of a union."""
-    for kinds in _FITTING:
+    """Return the faults of the union member that was most likely intended."""
+    for kinds in _FIT_PRIORITY:
         meant = [fault for fault in faults if fault["type"] in kinds]
         if meant:
             return meant
@@ -68,7 +68,7 @@ def fitting(faults: Sequence[Any]) -> list[Any]:
 def expected_structures(faults: Sequence[Any]) -> set[str]:
     """Return which of a list and a mapping the faults ask for."""
     meant = fitting(faults)
-    kinds = {_KINDS.get(fault["type"], "") for fault in meant}
+    kinds = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in meant}
     if any(fault["type"] in _SIZES for fault in meant):
         kinds.add("a list")
     return kinds & _STRUCTURES
@@ -83,7 +83,7 @@ def is_angles(faults: Sequence[Any]) -> bool:
 
 def type_fault(faults: Iterable[Any]) -> bool:
     """Return whether a value has the wrong type, and not another fault."""
-    return any(fault["type"] in _KINDS for fault in faults)
+    return any(fault["type"] in _EXPECTED_NOUNS for fault in faults)
 
 
 def values_message(faults: Sequence[Any]) -> str:
@@ -94,9 +94,9 @@ def values_message(faults: Sequence[Any]) -> str:
 
 
 def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
-    """Return a hint that shows the value as it was meant."""
+    """Return a hint that shows the intended value."""
     value = faults[0]["input"]
-    kinds = {_KINDS.get(fault["type"]) for fault in faults}
+    kinds = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
     if kinds & {"a number", "a whole number"}:
         return number_hint(key, value)
     if "true or false" in kinds:
@@ -116,7 +116,7 @@ def number_hint(key: str | int, value: Any) -> str | None:
         return f"remove the quotes: {text}"
     if re.fullmatch(r"[-+]?\d*,\d+", text):
         return f"write {text.replace(',', '.')}, with a decimal point"
-    match = _UNITED.fullmatch(text)
+    match = _NUMBER_WITH_UNIT.fullmatch(text)
     return match and _unit_hint(key, float(match[1]), match[2].lower())
 
 
@@ -157,7 +157,7 @@ _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 def _value_message(fault: Any) -> str:
     """Return the message of a fault, with the value."""
     value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    shown = excerpt(value) if isinstance(value, str) else _shown(value)
+    value_text = excerpt(value) if isinstance(value, str) else _shown_value(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(value, str) else "item"
@@ -168,14 +168,14 @@ def _value_message(fault: Any) -> str:
         return f"key {context['discriminator']} is missing"
     if kind in _CHOICES:
         allowed = context.get("expected", context.get("expected_tags"))
-        tag = excerpt(str(context["tag"])) if "tag" in context else shown
+        tag = excerpt(str(context["tag"])) if "tag" in context else value_text
         return f"{tag} is not one of {allowed}"
-    if kind in _KINDS:
-        return f"{shown} is not {_KINDS[kind]}"
-    return _value_fault(shown, fault)
+    if kind in _EXPECTED_NOUNS:
+        return f"{value_text} is not {_EXPECTED_NOUNS[kind]}"
+    return _value_fault(value_text, fault)
 
 
-def _value_fault(shown: str, fault: Any) -> str:
+def _value_fault(value_text: str, fault: Any) -> str:
     """Return the message for a value of the right type but out of range."""
     context, kind = fault.get("ctx", {}), fault["type"]
     if kind == "extra_forbidden":
@@ -183,15 +183,19 @@ def _value_fault(shown: str, fault: Any) -> str:
     key, side = _BOUNDS.get(kind, ("", ""))
     bound = context.get(key)
     if bound is not None and abs(bound) >= LARGE:
-        return f"{shown} is beyond {bound:g}"
+        return f"{value_text} is beyond {bound:g}"
     if bound is not None and 0 < bound <= SMALL:
-        above = fault["input"] > 0
-        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
+        is_positive = fault["input"] > 0
+        return (
+            f"{value_text} is below {bound:g}"
+            if is_positive
+            else f"{value_text} is not above 0"
+        )
     if bound is not None:
-        return f"{shown} is {side.format(f'{bound:g}')}"
+        return f"{value_text} is {side.format(f'{bound:g}')}"
     if kind == "value_error":
         return str(context["error"])
-    return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+    return f"{value_text}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
 def _choice_hint(faults: Sequence[Any]) -> str | None:
@@ -204,12 +208,12 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"
-            folded = next((n for n in names if n.lower() == value.lower()), None)
-            if folded is not None:
-                return f"write {folded}"
-            other = OTHER_VALUES.get(value.lower().replace("_", ""))
-            if other in names:
-                return f"{value!r} is called {other!r} here"
+            ignoring_case = next((n for n in names if n.lower() == value.lower()), None)
+            if ignoring_case is not None:
+                return f"write {ignoring_case}"
+            replacement = OTHER_VALUES.get(value.lower().replace("_", ""))
+            if replacement in names:
+                return f"{value!r} is called {replacement!r} here"
             meant = similar(value, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"
@@ -226,8 +230,8 @@ def _are(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 
-def _shown(value: Any) -> str:
-    """Return a value as a message shows it."""
+def _shown_value(value: Any) -> str:
+    """Return a value as text for a message."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

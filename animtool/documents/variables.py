@@ -107,16 +107,18 @@ def with_variables(schema: Any) -> Any:
         return [with_variables(entry) for entry in schema]
     if not isinstance(schema, dict):
         return schema
-    extended = {key: _inside(key, value) for key, value in schema.items()}
+    extended_schema = {key: _inner_schema(key, value) for key, value in schema.items()}
     if "anyOf" not in schema and _is_other(schema):
         type_keywords = {
-            key: extended.pop(key) for key in list(extended) if key in _TYPE_KEYWORDS
+            key: extended_schema.pop(key)
+            for key in list(extended_schema)
+            if key in _TYPE_KEYWORDS
         }
-        extended["anyOf"] = [type_keywords, _TEXT]
-    return extended
+        extended_schema["anyOf"] = [type_keywords, _TEXT]
+    return extended_schema
 
 
-def _inside(key: str, value: Any) -> Any:
+def _inner_schema(key: str, value: Any) -> Any:
     if key in {"properties", "$defs"}:
         return {name: with_variables(entry) for name, entry in value.items()}
     return value if key in {"default", "examples"} else with_variables(value)
@@ -158,7 +160,7 @@ class _Resolver:
     parts: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
-        """Read the document's default values; each may use those above it."""
+        """Read the document's default values; each may use earlier ones."""
         default_values = self.document.value.get(DEFAULTS)
         for name, value in (
             default_values if isinstance(default_values, dict) else {}
@@ -172,8 +174,10 @@ class _Resolver:
             self.with_default.add(name)
             if name in self.values:
                 continue
-            written = self.document.written(location)
-            text = self.resolved(location, str(value) if written is None else written)
+            written_values = self.document.written(location)
+            text = self.resolved(
+                location, str(value) if written_values is None else written_values
+            )
             if text is None or isinstance(value, dict | list) or value is None:
                 self.faulty.add(name)
             else:
@@ -198,17 +202,17 @@ class _Resolver:
 
     def put(self, location: Location, text: str) -> None:
         """Substitute variables in one text of the document."""
-        resolved = self.resolved(location, text)
-        if resolved is not None and (location[0], location[-1]) in WRITTEN:
-            resolved = self.output_name(location, text, resolved)
-        value: Any = resolved
-        if resolved is not None and self.is_typed(location, text):
+        resolved_text = self.resolved(location, text)
+        if resolved_text is not None and (location[0], location[-1]) in WRITTEN:
+            resolved_text = self.output_name(location, text, resolved_text)
+        value: Any = resolved_text
+        if resolved_text is not None and self.is_typed(location, text):
             try:
-                value = plain_scalar(resolved)
+                value = plain_scalar(resolved_text)
             except OverflowError:
                 self.document.add("DOC001", location, "a number with too many digits")
-                resolved = None
-        if resolved is None:
+                resolved_text = None
+        if resolved_text is None:
             annotation = annotation_at(self.model, self.document.value, location)
             value = placeholder_of(annotation)
             self.document.doubts.add(location)
@@ -276,7 +280,7 @@ class _Resolver:
             message = f"unknown variable {name!r}"
             hint = f"give it a value under {DEFAULTS}:"
             hint += clause(f", or with {argument('set', f'{name}=VALUE')}")
-            near = similar(name, sorted(self.values))
-            hint = f"did you mean {near!r}?" if near else hint
+            similar_names = similar(name, sorted(self.values))
+            hint = f"did you mean {similar_names!r}?" if similar_names else hint
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

@@ -104,8 +104,8 @@ def version_of(
         if other is not None:
             raise FormatError(other)
         message = "the first line is missing"
-        expected = kind_named(document.path, kind or "rig")
-        hint = f"write `{expected}: animtool/1` above line 1"
+        expected_kind = kind_named(document.path, kind or "rig")
+        hint = f"write `{expected_kind}: animtool/1` above line 1"
         # A clip and a scene name their rig.
         names_rig = kind == path_kind and kinds_in_file == ["rig"]
         if kinds_in_file and not names_rig:

@@ -52,7 +52,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
         _tab(lines, line)
         or find_slip(text, line)
         or _no_colon(lines, problem, line)
-        or _scanned(lines, problem, line, column)
+        or _scanner_fault(lines, problem, line, column)
     )
 
 
@@ -69,32 +69,38 @@ def _tab(lines: list[str], line: int) -> YamlFault | None:
 
 def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
     """Return the fault of a key without a colon above the scanner's position."""
-    here = lines[min(line, len(lines)) - 1]
-    above = _above(lines, line)
-    bare = _bare_key(lines[above - 1]) if above else None
-    if bare is None or not (
+    line_text = lines[min(line, len(lines)) - 1]
+    line_before = _line_above(lines, line)
+    bare_key = _bare_key(lines[line_before - 1]) if line_before else None
+    if bare_key is None or not (
         "could not find expected ':'" in problem
-        or ("mapping values" in problem and _indent(here) >= _indent(lines[above - 1]))
+        or (
+            "mapping values" in problem
+            and _indent(line_text) >= _indent(lines[line_before - 1])
+        )
     ):
         return None
-    name, _, rest = bare.partition(" ")
+    name, _, rest = bare_key.partition(" ")
     hint = f"write '{name}: {rest.strip(' =') or 'value'}'"
-    at = lines[above - 1].index(bare) + 1
-    return YamlFault("a key has no colon", hint, above, at)
+    at = lines[line_before - 1].index(bare_key) + 1
+    return YamlFault("a key has no colon", hint, line_before, at)
 
 
-def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
+def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
     """Return the fault at the scanner's position."""
     if "mapping values are not allowed" in problem:
-        here, above = lines[min(line, len(lines)) - 1], _above(lines, line)
-        if above and _indent(here) > _indent(lines[above - 1]):
-            message = f"line {line} is indented further than line {above}"
-            hint = f"start it in column {_indent(lines[above - 1]) + 1}"
+        line_text, line_before = (
+            lines[min(line, len(lines)) - 1],
+            _line_above(lines, line),
+        )
+        if line_before and _indent(line_text) > _indent(lines[line_before - 1]):
+            message = f"line {line} is indented further than line {line_before}"
+            hint = f"start it in column {_indent(lines[line_before - 1]) + 1}"
             return YamlFault(message, hint, line, column)
         hint = "put the value in quotes"
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
-        return _misaligned(lines, line, column)
+        return _indentation_fault(lines, line, column)
     closed_fault = next(
         (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
     )
@@ -102,7 +108,7 @@ def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFaul
     return YamlFault(message, advice, line, column)
 
 
-def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
+def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
     """Return the fault of a line whose indentation matches no line above it."""
     line_text = lines[min(line, len(lines)) - 1]
     indent, is_entry = _indent(line_text), line_text.lstrip().startswith("-")
@@ -125,12 +131,12 @@ def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
 
 
 def _bare_key(line: str) -> str | None:
-    """Return the text of a line that may lack a colon behind its first word."""
+    """Return the text of a line that may lack a colon after its first word."""
     match = re.fullmatch(r"[ -]*([A-Za-z_][^:#]*?)\s*(#.*)?", line)
     return match[1] if match else None
 
 
-def _above(lines: list[str], line: int) -> int:
+def _line_above(lines: list[str], line: int) -> int:
     """Return the number of the nearest nonblank line above; 0 for none."""
     for number in range(min(line, len(lines)) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[number - 1]):

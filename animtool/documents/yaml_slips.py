@@ -1,4 +1,4 @@
-"""Slips of the hand that make a text invalid YAML, found where they were made.
+"""Locate typing mistakes that make a text invalid YAML.
 
 The YAML scanner reports what it could not read next, often a line later. These checks
 read the lines up to there for what the author most likely mistyped.
@@ -22,7 +22,7 @@ _TIGHT_KEY = re.compile(rf"(?:- )*({_KEY}):(?![\s/\\])(\S.*)")
 _AFTER_VALUE = re.compile(r"\s*(?:[,\]}:]|#|$)")
 _FLOW_TEXT = re.compile(r"(?:[^,\[\]{}#:]|:(?=\S)|(?<=\S)#)*")
 # An alias with a name is reported as such by the parser.
-_RESERVED = re.compile(r"[@`%]|\*(?![\w-]+\s*(?:[,\]}]|$))")
+_RESERVED_CHARACTER = re.compile(r"[@`%]|\*(?![\w-]+\s*(?:[,\]}]|$))")
 
 
 class YamlFault(NamedTuple):
@@ -35,7 +35,7 @@ class YamlFault(NamedTuple):
 
 
 def find_slip(text: str, stop: int) -> YamlFault | None:
-    r"""Return the first slip of a text that is not YAML; None if none is known.
+    r"""Return the first mistake in invalid YAML; None if it is not recognised.
 
     Args:
         text: The text.
@@ -105,13 +105,13 @@ class _Slips:
         """Return the slip before a line that starts within brackets."""
         if indent <= self.open[0][3] and _ENTRY.match(rest):
             return self._unclosed(self.number - 1)
-        above = self.number - 1
-        before = re.sub(r"\s#.*", "", self.lines[above - 1]).rstrip()
+        line_above = self.number - 1
+        before = re.sub(r"\s#.*", "", self.lines[line_above - 1]).rstrip()
         is_key = self.open[-1][0] == "{" and _FLOW_KEY.match(rest)
         if not is_key or not before or before[-1] in ",{":
             return None
         message, hint = "no comma at the end of this line", f"write '{before[-1]},'"
-        return YamlFault(message, hint, above, len(before) + 1)
+        return YamlFault(message, hint, line_above, len(before) + 1)
 
     def _is_last(self) -> bool:
         """Return whether the scanner stopped at this line or the next with text."""
@@ -133,7 +133,7 @@ class _Slips:
         return YamlFault(f"'{bracket}' is not closed", hint, start, column)
 
     def _rest(self, indent: int) -> YamlFault | None:
-        """Return the first slip within a line; update what is open."""
+        """Return the first mistake in a line; update the open brackets and quotes."""
         line = self.line
         at = self._quoted(0) if self.quote else 0
         fresh = True  # whether a value may start
@@ -157,7 +157,7 @@ class _Slips:
             elif letter in "\"'" and fresh:
                 start, at = at, self._quoted(at)
                 fresh, slip = False, self._after_quote(start, at)
-            elif fresh and _RESERVED.match(line[at:]):
+            elif fresh and _RESERVED_CHARACTER.match(line[at:]):
                 slip = self._reserved(at)
             else:
                 slip = self._flow_key(at) if fresh and self.open else None
@@ -198,10 +198,10 @@ class _Slips:
     def _closing(self, letter: str, at: int) -> YamlFault | None:
         bracket, line, column, _ = self.open[-1]
         if letter != _CLOSER[bracket]:
-            other = _CLOSER[bracket]
+            closer = _CLOSER[bracket]
             place = "this line" if line == self.number else f"line {line}"
             message = f"'{bracket}' in column {column} of {place} is not closed"
-            return self._slip(message, f"add '{other}' before this '{letter}'", at)
+            return self._slip(message, f"add '{closer}' before this '{letter}'", at)
         self.open.pop()
         rest = self.line[at + 1 :]
         if not self.open and re.match(r"\s*[\]}]", rest):
@@ -219,7 +219,7 @@ class _Slips:
         return self._slip(message, hint, column - 1)
 
     def _scalar(self, at: int) -> str:
-        """Return the text from a column to the end of what looks like one value."""
+        """Return the text from a column to the likely end of its value."""
         rest = re.sub(r"\s+#.*", "", self.line[at:]).rstrip()
         if not self.open:
             return rest

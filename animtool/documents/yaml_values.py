@@ -104,7 +104,7 @@ def read_values(text: str, path: Path) -> ReadValues:
 
 def _read_yaml(text: str, path: Path) -> ReadValues:
     if path.suffix == ".json":
-        text = _PAIRS.sub(_joined, text)
+        text = _PAIRS.sub(_yaml_escape, text)
         # Ends of lines in YAML, but letters like others in JSON's strings.
         for letter in "\x85\u2028\u2029":
             text = text.replace(letter, f"\\u{ord(letter):04x}")
@@ -174,7 +174,7 @@ def _is_variable(text: str, mark: Any) -> bool:
     return bool(line) and line[0][max(0, mark.column - 1) :].startswith("${")
 
 
-def _joined(escape: re.Match[str]) -> str:
+def _yaml_escape(escape: re.Match[str]) -> str:
     """Convert a JSON escape to YAML: one code point for a surrogate pair."""
     high, low = escape.groups()
     if high is None:
@@ -235,7 +235,7 @@ class _YamlReader:
 
     def read(self, text: str) -> Any:
         masked_text = masked_variables(text)
-        masked = masked_text is not text
+        is_masked = masked_text is not text
         parser = cast("Any", yaml.CSafeLoader(masked_text))
         root: list[Any] = []
         stack: list[_Open] = [_Open(root)]
@@ -244,7 +244,7 @@ class _YamlReader:
             kind = type(event)
             if kind is yaml.ScalarEvent:
                 position = self._node_position(event)
-                if masked:
+                if is_masked:
                     event.value = event.value.translate(_UNMASK)
                 unquoted = event.value if event.implicit[0] else ""
                 if unquoted:
@@ -264,7 +264,7 @@ class _YamlReader:
             elif kind is yaml.AliasEvent:
                 position = self._event_position(event)
                 self.positions.append(position)
-                message = f"alias *{_shortened(event.anchor)} is not allowed"
+                message = f"alias *{_shortened_name(event.anchor)} is not allowed"
                 self.fault("DOC002", message, position, "write the value itself")
                 stack[-1].put(None, position, self)
             elif kind is yaml.DocumentStartEvent:
@@ -287,10 +287,10 @@ class _YamlReader:
         position = self._event_position(event)
         self.positions.append(position)
         if event.anchor is not None:
-            message = f"anchor &{_shortened(event.anchor)} is not allowed"
+            message = f"anchor &{_shortened_name(event.anchor)} is not allowed"
             self.fault("DOC002", message, position, "write the value itself")
         if event.tag is not None:
-            message = f"tag {_shortened(event.tag)} is not allowed"
+            message = f"tag {_shortened_name(event.tag)} is not allowed"
             self.fault("DOC003", message, position, "remove it")
         return position
 
@@ -355,8 +355,12 @@ class _Open:
             reader.fault("DOC010", message, spot, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
-            shown = "a collection" if isinstance(value, dict | list) else repr(value)
-            reader.fault("DOC010", f"a key is {shown}, not text", position, "quote it")
+            value_text = (
+                "a collection" if isinstance(value, dict | list) else repr(value)
+            )
+            reader.fault(
+                "DOC010", f"a key is {value_text}, not text", position, "quote it"
+            )
             value = f"\0{position}"
         elif len(value) > LONGEST_KEY:
             message = f"a key of {len(value)} characters; the limit is {LONGEST_KEY}"
@@ -378,7 +382,7 @@ class _Open:
             self.brackets += _open_brackets(unquoted)
 
     def _tight_key(self, reader: _YamlReader) -> None:
-        """Report a key that contains its value, for want of a space."""
+        """Report a key that contains its value because a space is missing."""
         key, position = reader.before()
         match = _TIGHT_KEY.fullmatch(key)
         if match is not None:
@@ -423,7 +427,7 @@ class _Open:
             self.pieces = []
 
 
-def _shortened(name: str) -> str:
+def _shortened_name(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
 
 

@@ -117,7 +117,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most decimals in a column; 15 for exponents."""
+        """Return the maximum number of decimals in a column; 15 for exponents."""
         max_decimals = 0
         for text in self.texts:
             begin = text[: MAX_CELL * (column + 1)]
@@ -175,16 +175,16 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
             if not line.strip(BLANK):
                 continue
             line = line.strip()
-            cell_count = used = len(line.split())
+            cell_count = used_count = len(line.split())
         else:
-            cell_count = used = line.count(separator) + 1
+            cell_count = used_count = line.count(separator) + 1
             if b" " in line:
                 line = separator.join([c.strip() for c in line.split(separator)])
             if line[-1:] == separator:
                 line = line.rstrip(separator)
                 if not line:
                     continue
-                used = line.count(separator) + 1
+                used_count = line.count(separator) + 1
             length = len(line)
             line = line.replace(double_separator, filled_gap)
             if len(line) > length:
@@ -197,7 +197,7 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
                 line = line.replace(separator, b" ")
         texts.append(line)
         numbers.append(i + 1)
-        cell_counts.append(used)
+        cell_counts.append(used_count)
         cells.append(cell_count)
     commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
     commas = commas and not any(b"." in text for text in texts)

@@ -71,7 +71,7 @@ def median_step(times: FloatArray) -> float:
 
 
 def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | None:
-    """Return times fitted to frames of about a step, some without a row.
+    """Return times fitted to frames of about ``step``; frames may lack a row.
 
     Returns None if two rows are in one frame, or there are too many frames.
 

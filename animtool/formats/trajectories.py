@@ -135,7 +135,9 @@ class MarkerFile:
         ]
         unique = distinct(label_names)
         renamed = [
-            new for old, new in zip(label_names, unique, strict=True) if old != new
+            unique_name
+            for source_name, unique_name in zip(label_names, unique, strict=True)
+            if source_name != unique_name
         ]
         if renamed:
             warning = naming(
@@ -174,8 +176,8 @@ def _unit(text: str) -> LengthUnit | None:
     """Return the unit of a text; some writers truncate it."""
     if text in _UNITS or len(text) < 4:
         return _UNITS.get(text)
-    matching = {unit for name, unit in _UNITS.items() if name.startswith(text)}
-    return matching.pop() if len(matching) == 1 else None
+    matching_units = {unit for name, unit in _UNITS.items() if name.startswith(text)}
+    return matching_units.pop() if len(matching_units) == 1 else None
 
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)

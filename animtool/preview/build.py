@@ -241,10 +241,12 @@ def _draft_page(
     return draft, notices
 
 
-def _add_timed_take(draft: PageDraft, timed: TimelineTake) -> PageTake:
-    first = draft.timeline.index(timed.first)
-    page_take = add_take(draft, timed.take.name, timed.stream, timed.motion, first)
-    page_take.entry["file"] = timed.file
+def _add_timed_take(draft: PageDraft, timed_take: TimelineTake) -> PageTake:
+    first = draft.timeline.index(timed_take.first)
+    page_take = add_take(
+        draft, timed_take.take.name, timed_take.stream, timed_take.motion, first
+    )
+    page_take.entry["file"] = timed_take.file
     return page_take
 
 
@@ -283,5 +285,5 @@ def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
         takes.setdefault(path, (number, entry["skeleton"]["names"]))
     draft.findings += [finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
     if len(faults) > MAX_FINDINGS:
-        omitted = counted(len(faults) - MAX_FINDINGS, "finding")
-        draft.note(f"{omitted} more: animtool validate lists them")
+        omitted_text = counted(len(faults) - MAX_FINDINGS, "finding")
+        draft.note(f"{omitted_text} more: animtool validate lists them")

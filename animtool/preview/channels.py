@@ -45,7 +45,7 @@ def add_channels(
         origin: Page frame of the clip's first frame.
     """
     curves = [
-        *_keyed(draft, page_take, clip, float(origin)),
+        *_clip_curves(draft, page_take, clip, float(origin)),
         *_controls(page_take, clip),
     ]
     if not curves or not page_take.frames:
@@ -53,8 +53,8 @@ def add_channels(
     total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
     if total > MAX_KEYS:
         draft.note(f"{total} keys: curves are drawn without them")
-    stacked = np.stack([curve.values for curve in curves], axis=1)
-    stream = draft.packer.add(Quantized(stacked.astype("<f4"), "f32"))
+    stacked_values = np.stack([curve.values for curve in curves], axis=1)
+    stream = draft.packer.add(Quantized(stacked_values.astype("<f4"), "f32"))
     size = rest_size(page_take.rig) or 1.0
     for column, curve in enumerate(curves):
         keys = curve.keys if total <= MAX_KEYS else None
@@ -82,7 +82,7 @@ def _amplitude(curve: ChannelCurve, size: float) -> float:
     return float(np.ptp(values)) / scale if len(values) else 0.0
 
 
-def _keyed(
+def _clip_curves(
     draft: PageDraft, page_take: PageTake, clip: Clip | None, origin: float
 ) -> list[ChannelCurve]:
     """Return the curves of a clip's channels at the frames of the page."""
@@ -128,7 +128,9 @@ def _unit(target: str, width: int) -> tuple[str, float]:
 
 def _controls(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve]:
     """Return curves of controls and shape weights that the clip does not key."""
-    keyed = set() if clip is None else {channel.target for channel in clip.channels}
+    keyed_targets = (
+        set() if clip is None else {channel.target for channel in clip.channels}
+    )
     rig = page_take.rig
     curves = []
     for kind, names, rows in (
@@ -138,6 +140,6 @@ def _controls(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve]:
         for i, name in enumerate(names if rows is not None else ()):
             assert rows is not None
             target = f"{kind}/{name}"
-            if target not in keyed and (rows[:, i] != 0).any():
+            if target not in keyed_targets and (rows[:, i] != 0).any():
                 curves.append(ChannelCurve(target, "", rows[:, i]))
     return curves

@@ -129,8 +129,10 @@ def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
     try:
         yield
     except AnimtoolError as error:
-        more = len(error.faults) - 1
-        more_faults = f", and {counted(more, 'more fault')}" if more else ""
+        other_count = len(error.faults) - 1
+        more_faults = (
+            f", and {counted(other_count, 'more fault')}" if other_count else ""
+        )
         fault = error.faults[0]
         draft.note(f"{name} is skipped: {fault.code} {fault.message}{more_faults}")
 

@@ -11,7 +11,7 @@ from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import validate_files
 
-_QUOTED = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
+_QUOTED_TEXT = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
 # Maximum number of findings listed on a page; the others are only counted.
 MAX_FINDINGS = 500
 
@@ -40,8 +40,8 @@ def finding_entry(
     joint = fault.joint
     if joint is None:
         # Rules quote the joints concerned in their messages.
-        quoted = [a or b for a, b in _QUOTED.findall(fault.message)]
-        joint = next((name for name in quoted if name in set(joints)), None)
+        quoted_texts = [a or b for a, b in _QUOTED_TEXT.findall(fault.message)]
+        joint = next((name for name in quoted_texts if name in set(joints)), None)
     hint = f"; {fault.hint}" if fault.hint else ""
     return {
         "code": fault.code,

@@ -159,13 +159,13 @@ def open_file(
     if is_marker_file(path) and source.template is None:
         return _open_markers(path, source)
     if is_usd(path):
-        readable = path
+        readable_path = path
         if options.over:
             folder = Path(
                 context.enter_context(tempfile.TemporaryDirectory("animtool"))
             )
-            readable = _view(folder, path, options)
-        file = _open_stage(readable, path.name, source)
+            readable_path = _view(folder, path, options)
+        file = _open_stage(readable_path, path.name, source)
         file.path = path
         return file
     stream = open_source(path, source)
@@ -240,17 +240,21 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
     file = OpenFile(path, contents.unit, contents.up, contents=contents)
     characters = open_characters(path)
     root_path = source.prim_path
-    selected = [
+    selected_skeletons = [
         prim
         for prim in characters
         if root_path is None or f"{prim}/".startswith(f"{root_path.rstrip('/')}/")
     ]
-    if len(selected) <= 1 and (selected or contents.is_animation()):
-        streams = {selected[0] if selected else "": open_source(path, source)}
+    if len(selected_skeletons) <= 1 and (selected_skeletons or contents.is_animation()):
+        streams = {
+            selected_skeletons[0] if selected_skeletons else "": open_source(
+                path, source
+            )
+        }
         if source.take is None:
             file.notices += _other_takes(path, next(iter(streams.values())))
     else:
-        streams = _read_characters(file, {p: characters[p] for p in selected})
+        streams = _read_characters(file, {p: characters[p] for p in selected_skeletons})
     for prim, stream in streams.items():
         label = source_stem(Path(name)) if len(streams) == 1 else prim
         y_up = reorient(stream, UpAxis.Y)

@@ -15,7 +15,7 @@ from animtool.preview.streams import deflated
 VIEWER = Path(__file__).parent / "viewer"
 ENTRY = "main.js"
 _IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
-_REMOVED = tuple(
+_STRIP_PATTERNS = tuple(
     re.compile(pattern, re.M | re.S)
     for pattern in (
         r"^[ \t]*/\*.*?\*/[ \t]*\n",
@@ -136,7 +136,7 @@ def compact(text: str) -> str:
     >>> compact("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
     """
-    for pattern in _REMOVED:
+    for pattern in _STRIP_PATTERNS:
         text = pattern.sub("", text)
     return text
 

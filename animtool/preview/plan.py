@@ -16,7 +16,7 @@ from animtool.scene.bake.outline import outlined
 from animtool.scene.bake.steps import PlanStep, StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 
-_KINDS = {
+_KIND_NOUNS = {
     "mesh": ("mesh", "meshes"),
     "curves": ("set of curves", "sets of curves"),
     "points": ("set of points", "sets of points"),
@@ -81,7 +81,7 @@ def _contents(file: OpenFile) -> Iterator[str]:
     if contents is not None:
         counts = Counter(prim.kind for prim in contents.prims)
         yield from (
-            counted(counts[k], *words) for k, words in _KINDS.items() if counts[k]
+            counted(counts[k], *words) for k, words in _KIND_NOUNS.items() if counts[k]
         )
         if cameras := contents.cameras():
             yield counted(len(cameras), "camera")

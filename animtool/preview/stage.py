@@ -126,7 +126,7 @@ def _instance_streams(
 def _point_stream(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int
 ) -> int:
-    """Return the stream of animated points; wrong lengths repeat the last sample."""
+    """Return the stream of animated points; wrong sizes repeat the last sample."""
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
@@ -218,11 +218,11 @@ class Slots:
             range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
         )
         previous, self._of = self._of, {}
-        continued = {name: previous[name] for name in names if name in previous}
-        used = set(continued.values())
+        previous_ids = {name: previous[name] for name in names if name in previous}
+        used = set(previous_ids.values())
         free = (slot for slot in range(self.count + len(rows)) if slot not in used)
         for name in names:
-            self._of[name] = continued[name] if name in continued else next(free)
+            self._of[name] = previous_ids[name] if name in previous_ids else next(free)
         columns = np.array([self._of[name] for name in names], np.int64)
         self.count = max(self.count, int(columns.max(initial=-1)) + 1)
         return columns

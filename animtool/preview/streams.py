@@ -106,13 +106,13 @@ def quantized_range(
     per_column = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
         per_column = scale[:1].tolist(), offset[:1].tolist()
-    scale_and_offset = _unrepeated(per_column[0]), _unrepeated(per_column[1])
+    scale_and_offset = _single_or_list(per_column[0]), _single_or_list(per_column[1])
     return Quantized(
         integers.reshape(values.shape), "i16", *scale_and_offset, gaps, error
     )
 
 
-def _unrepeated(values: list[float]) -> float | list[float]:
+def _single_or_list(values: list[float]) -> float | list[float]:
     return values[0] if len(values) == 1 else values
 
 
@@ -193,7 +193,9 @@ class Packer:
             count = len(group[0].data.stored)
             for first in range(0, count, samples):
                 frames = slice(first, min(first + samples, count))
-                encoded = [_encoded(s.data.stored[frames], s.data.kind) for s in group]
+                encoded = [
+                    _encoded_samples(s.data.stored[frames], s.data.kind) for s in group
+                ]
                 for stream in group:
                     stream.blocks.append([len(blocks), first, frames.stop - first])
                 blocks.append(deflated(encoded))
@@ -225,7 +227,7 @@ class Packer:
 def _split_by_size(
     streams: Sequence[_Stream], max_bytes: int, samples: int
 ) -> list[list[_Stream]]:
-    """Return streams up to a total size; a larger one is alone."""
+    """Group streams up to a total size; a larger stream gets its own group."""
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:
@@ -238,7 +240,7 @@ def _split_by_size(
     return groups
 
 
-def _encoded(stored: Array, kind: str) -> bytes:
+def _encoded_samples(stored: Array, kind: str) -> bytes:
     """Return samples column-major, delta-coded, as byte planes."""
     width = _WIDTHS[kind]
     columns = stored.reshape(1, -1) if len(stored) == 1 else stored.T

@@ -37,16 +37,16 @@ def plot_svg(panel: Panel) -> str:
             f'<text x="{LEFT}" y="{HEIGHT / 2}">nothing to draw</text></svg>'
         )
         return "".join(elements)
-    every = [point for _, points in curves for point in points]
+    all_points = [point for _, points in curves for point in points]
     floor = [panel.floor] if panel.floor > 0 else []
-    x = _Axis.spanning([point.cost for point in every], LEFT, WIDTH - RIGHT)
-    y = _Axis.spanning([p.error for p in every] + floor, HEIGHT - BOTTOM, TOP)
+    x = _Axis.spanning([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
+    y = _Axis.spanning([p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP)
     elements += _grid(x, y, panel)
     if floor:
         elements.append(
             f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
         )
-    front = sorted((p.cost, p.error) for p in every if p.best)
+    front = sorted((p.cost, p.error) for p in all_points if p.best)
     if len(front) > 1:
         path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in front)
         elements.append(f'<path class="front" d="M{path}"/>')

@@ -156,13 +156,13 @@ def add_take(
     scales = motion.track("scales")
     kinds = {"t": translations, "r": rotations, "s": scales}
     quantized = {kind: _stored(kind, track) for kind, track in kinds.items()}
-    decoded = {
-        kind: None if track is None else _decoded(track, quantized[kind])
+    decoded_tracks = {
+        kind: None if track is None else _decoded_track(track, quantized[kind])
         for kind, track in kinds.items()
     }
 
     def world(
-        cut: slice, tracks: dict[str, QuantizedTrack | None] = decoded
+        cut: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
     ) -> WorldTransforms:
         t, r, s = (
             None if track is None else track.dense(cut) for track in tracks.values()
@@ -227,7 +227,7 @@ def _stored(kind: str, track: QuantizedTrack | None) -> Quantized | None:
     return quantized_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
 
 
-def _decoded(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
+def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
     if data is None:
         return track
     values = data.stored * np.asarray(data.scale) + np.asarray(data.offset)

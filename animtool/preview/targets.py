@@ -21,7 +21,7 @@ from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Joint, Rig
 
 # Per kind of goal: column of the weights, sRGB color, and marker radius [m].
-_KINDS = {
+_GOAL_STYLES = {
     "position": ("positions", 0, (0.70, 0.04, 0.10), 0.024),
     "aim": ("aims", 2, (0.75, 0.30, 0.02), 0.018),
     "pole": ("poles", 3, (0.10, 0.20, 0.62), 0.018),
@@ -45,7 +45,7 @@ def add_targets(
             draft.note(f"targets {tracks.path.name!r} have other frames")
             return
         up_rotation = up_from_up(UpAxis.Y, UpAxis(up))
-        rig, world = _posed(tracks, page_take, frames, up_rotation)
+        rig, world = _posed_targets(tracks, page_take, frames, up_rotation)
         rig = replace(rig, up=UpAxis(up))
         if page_take is not None:
             tracks = load_targets(tracks.path, rig)
@@ -74,13 +74,13 @@ def _clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
     return Clock(fps, first, timeline.step * ratio, len(frames))
 
 
-def _posed(
+def _posed_targets(
     tracks: TargetTracks,
     page_take: PageTake | None,
     frames: IntArray,
     up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
-    """Return the rig of targets and its joints, in the axes of its file."""
+    """Return the rig of the targets and its world transforms, in the file's axes."""
     if page_take is None or not page_take.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
@@ -104,7 +104,7 @@ def _add_markers(
     up_rotation: object,
 ) -> None:
     weights = np.asarray(targets.weights)
-    for kind, (values, column, color, radius) in _KINDS.items():
+    for kind, (values, column, color, radius) in _GOAL_STYLES.items():
         columns = [
             e for e, track in enumerate(tracks.goals) if track.goal.weights[column] > 0
         ]

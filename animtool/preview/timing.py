@@ -142,7 +142,7 @@ def timeline_of(
             frames (PRV003).
     """
     spans = [
-        _within(timed, _authored_range(files[timed.file], fps))
+        _range_in_stage(timed, _authored_range(files[timed.file], fps))
         for timed in timed_takes
         if timed.motion.frames > 1
     ]
@@ -182,15 +182,15 @@ def timeline_of(
     return Timeline(fps, first, step, count)
 
 
-def _within(
-    timed: TimelineTake, authored: tuple[Fraction, Fraction] | None
+def _range_in_stage(
+    timed: TimelineTake, stage_range: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""
-    if authored is None or timed.shift:
+    if stage_range is None or timed.shift:
         return timed.first, timed.last
     first, last = (
-        max(timed.first, authored[0]),
-        min(timed.last, authored[1]),
+        max(timed.first, stage_range[0]),
+        min(timed.last, stage_range[1]),
     )
     return (first, last) if first <= last else (timed.first, timed.last)
 
@@ -206,5 +206,5 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
-    moving = any(prim.deforms or prim.travels for prim in contents.prims)
-    return contents.span if moving or contents.cameras() else None
+    is_moving = any(prim.deforms or prim.travels for prim in contents.prims)
+    return contents.span if is_moving or contents.cameras() else None

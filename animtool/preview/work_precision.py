@@ -96,11 +96,11 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         with (
             matplotlib.rc_context({"svg.hashsalt": "animtool"}),
             warnings.catch_warnings(),
-            replacing(path) as new,
+            replacing(path) as temporary,
         ):
             # Characters missing in a font are drawn as boxes, without a warning.
             warnings.filterwarnings("ignore", "Glyph", UserWarning)
-            figure.savefig(new, format=kind, metadata=dates[kind])
+            figure.savefig(temporary, format=kind, metadata=dates[kind])
     except OSError as error:
         raise output_error(path, error) from error
 
@@ -163,18 +163,18 @@ def _ring(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
 
 
 def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
-    drawable = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
-    if not drawable:
+    visible_points = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
+    if not visible_points:
         return
-    x, y = [p.cost for p in drawable], [p.error for p in drawable]
+    x, y = [p.cost for p in visible_points], [p.error for p in visible_points]
     marker = MARKERS[i % len(MARKERS)]
     (line,) = frame.plot(
         x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
     )
-    best = [p for p in drawable if p.best]
+    best_points = [p for p in visible_points if p.best]
     frame.plot(
-        [p.cost for p in best],
-        [p.error for p in best],
+        [p.cost for p in best_points],
+        [p.error for p in best_points],
         linestyle="none",
         marker=marker,
         markersize=7,

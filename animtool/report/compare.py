@@ -55,10 +55,14 @@ def compare_weights(
     pairs = _pairs(*names)
     mismatches = []
     for column, (weights, other) in enumerate(((a, "second"), (b, "first"))):
-        unmatched = set(range(weights.shape[1])) - {pair[column] for pair in pairs}
-        missing = [names[column][s] for s in sorted(unmatched) if weights[:, s].any()]
-        if missing:
-            mismatches.append(missing_text("shape", missing, other))
+        unmatched_columns = set(range(weights.shape[1])) - {
+            pair[column] for pair in pairs
+        }
+        missing_names = [
+            names[column][s] for s in sorted(unmatched_columns) if weights[:, s].any()
+        ]
+        if missing_names:
+            mismatches.append(missing_text("shape", missing_names, other))
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(a[:frames, first_columns] - b[:frames, second_columns])
     if not difference.size:
@@ -73,7 +77,7 @@ def compare_weights(
 
 
 def missing_text(noun: str, missing: Sequence[str], other: str) -> str:
-    """Return text that lists what the other of two files or takes lacks."""
+    """Return text that lists names missing from the other file or take."""
     are = "is" if len(missing) == 1 else "are"
     return f"{counted(len(missing), noun)} {are} not in the {other}: {listed(missing)}"
 
@@ -241,7 +245,7 @@ def _character_difference(first: _TakeReaders, second: _TakeReaders) -> TakeDiff
     )
     for first_path, second_path in pairs:
         difference = _stream_difference(first[first_path](), second[second_path]())
-        total = _merged(total, difference, first_path)
+        total = _merged_difference(total, difference, first_path)
     return total
 
 
@@ -269,10 +273,10 @@ def _skeleton_pairs(
     return pairs or list(zip(first_left, second_left, strict=False))
 
 
-def _merged(
+def _merged_difference(
     total: TakeDifference, added: TakeDifference, skeleton: str
 ) -> TakeDifference:
-    """Return the differences of several skeletons merged with one more."""
+    """Merge the difference of another skeleton into the total."""
     quantities = ("world", "translation", "rotation", "scale", "weight")
     larger = {
         quantity: replace(difference, skeleton=skeleton)
@@ -380,10 +384,12 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
     names = []
     for take, other, column in ((first, "second", 0), (second, "first", 1)):
-        matched = {pair[column] for pair in pairs}
-        unmatched = [n for i, n in enumerate(take.rig.names) if i not in matched]
-        if unmatched:
-            names.append(missing_text("joint", unmatched, other))
+        matched_joints = {pair[column] for pair in pairs}
+        unmatched_names = [
+            n for i, n in enumerate(take.rig.names) if i not in matched_joints
+        ]
+        if unmatched_names:
+            names.append(missing_text("joint", unmatched_names, other))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
         names.append(f"{frames} instead of {second.clock.count}")

@@ -117,13 +117,15 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
 
 def _missing_prims(source_a: PointSource, source_b: PointSource) -> list[str]:
     names = []
-    for source, other, ordinal in (
+    for source, other_source, ordinal in (
         (source_a, source_b, "second"),
         (source_b, source_a, "first"),
     ):
-        missing = [name for name in source.names if name not in other.names]
-        if missing:
-            names.append(missing_text("prim", missing, ordinal))
+        missing_names = [
+            name for name in source.names if name not in other_source.names
+        ]
+        if missing_names:
+            names.append(missing_text("prim", missing_names, ordinal))
     return names
 
 
@@ -187,9 +189,9 @@ def _point_mismatch(a: PointSample, b: PointSample) -> str:
             a.prototype_indices[first_indices],
             b.prototype_indices[second_indices],
         )
-        (different,) = np.nonzero(first_meshes != second_meshes)
-        if len(different):
-            i = int(different[0])
+        (differing_rows,) = np.nonzero(first_meshes != second_meshes)
+        if len(differing_rows):
+            i = int(differing_rows[0])
             meshes = f"mesh {first_meshes[i]} instead of {second_meshes[i]}"
             return f"point {int(ids[i])} is a copy of {meshes}"
     return ""

@@ -102,12 +102,12 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         lows.append(positions.min(axis=(0, 1)))
         highs.append(positions.max(axis=(0, 1)))
     meters = rig.meters_per_unit
-    animated = {
+    animated_counts = {
         "translation": len(motion.translations.animated),
         "rotation": len(motion.rotations.animated),
     }
     if motion.scales is not None:
-        animated["scale"] = len(motion.scales.animated)
+        animated_counts["scale"] = len(motion.scales.animated)
     clock = take.clock
     capture = capture_facts(take)
     channels = stream.details.get("channels")
@@ -126,7 +126,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         clock.start + clock.step * (clock.count - 1),
         clock.duration,
         channels if isinstance(channels, int) else None,
-        animated,
+        animated_counts,
         len(rig.shapes),
         _moving_shapes(take),
         (

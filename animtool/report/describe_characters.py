@@ -101,7 +101,7 @@ def _value(extreme: Extreme) -> float:
 
 
 def _extent(name: str, take: Take) -> _Extent:
-    """Return the summary of a character; hip height only for people."""
+    """Return the summary of a character; hip height only for humans."""
     person = RoledSkeleton.of(take.rig, anatomy(take.rig).roles)
     hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)

@@ -94,7 +94,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         len({arkit_name(shape.name) for shape in rig.shapes} - {None}),
         len(rig.controls),
         [control.name for control in rig.controls],
-        _driven(rig),
+        _driver_formulas(rig),
         len(rig.chains),
         len(rig.attach),
         len(rig.colliders),
@@ -105,7 +105,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
     )
 
 
-def _driven(rig: Rig) -> list[str]:
+def _driver_formulas(rig: Rig) -> list[str]:
     """Return driver formulas: ``joint roll = wrist.twist / 2``."""
     if not rig.is_driven:
         return []

@@ -39,7 +39,7 @@ from animtool.core.values import at_path
 
 @dataclass(frozen=True, slots=True)
 class Each:
-    """Lines for each entry of a field; its names shadow the record's.
+    """Lines for each entry of a field; entry fields shadow those of the record.
 
     Attributes:
         name: Name of the field, with a printer after a colon if it has no entries
@@ -165,7 +165,7 @@ class _Renderer:
         """Yield the lines of the innermost record."""
         for line in lines:
             if isinstance(line, str):
-                text = self.filled(scope, _parsed(line))
+                text = self.filled(scope, _parsed_template(line))
                 if text or not line:
                     yield text or ""
             elif isinstance(line, Each):
@@ -196,19 +196,21 @@ class _Renderer:
 
     def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
         """Return the rows of a table, header first, and which columns align left."""
-        templates = [_parsed(cell) for cell in table.columns.values()]
+        templates = [_parsed_template(cell) for cell in table.columns.values()]
         cells = [
             [self.filled((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
         ]
-        shown = [
+        shown_columns = [
             (i, header)
             for i, header in enumerate(table.columns)
             if header not in table.optional or any(row[i] for row in cells)
         ]
-        rows = [[header.strip() for _, header in shown]]
-        rows += [[row[i] for i, _ in shown] for row in cells]
-        return rows, {i for i, (_, header) in enumerate(shown) if header in table.left}
+        rows = [[header.strip() for _, header in shown_columns]]
+        rows += [[row[i] for i, _ in shown_columns] for row in cells]
+        return rows, {
+            i for i, (_, header) in enumerate(shown_columns) if header in table.left
+        }
 
     def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of a part; None if one of its fields is missing."""
@@ -278,7 +280,7 @@ _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)"
 
 
 @cache
-def _parsed(template: str) -> tuple[_Node, ...]:
+def _parsed_template(template: str) -> tuple[_Node, ...]:
     return _alternatives(template, iter(_TOKEN.finditer(template)), top=True)[0]
 
 
@@ -306,14 +308,14 @@ def _alternatives(
 
 def _value(scope: _Scope, name: str) -> Any:
     """Return a field of the innermost record that has it."""
-    first, _, nested = name.partition(".")
+    first, _, attributes_path = name.partition(".")
     for record in scope:
         if first == "self":
-            return at_path(record, nested)
+            return at_path(record, attributes_path)
         if first in record if isinstance(record, Mapping) else hasattr(record, first):
             return at_path(record, name)
-    kinds = ", ".join(type(record).__name__ for record in scope)
-    raise AttributeError(f"{kinds}: no field {first!r}")
+    record_types = ", ".join(type(record).__name__ for record in scope)
+    raise AttributeError(f"{record_types}: no field {first!r}")
 
 
 def _count(value: Any, *nouns: str) -> str:
@@ -322,7 +324,7 @@ def _count(value: Any, *nouns: str) -> str:
     return counted(count, noun, plural)
 
 
-def _listed(value: Any, max_count: str = "5") -> str:
+def _listed_values(value: Any, max_count: str = "5") -> str:
     return listed(list(value), int(max_count))
 
 
@@ -342,7 +344,7 @@ PRINTED: dict[str, Callable[..., Any]] = {
     "counts": lambda value: ", ".join(counted(n, noun) for noun, n in value.items()),
     "spans": lambda value: listed([span_label(*span) for span in value]),
     "g": lambda value, digits="6": f"{float(value):.{digits}g}",
-    "list": _listed,
+    "list": _listed_values,
     "join": lambda value: ", ".join(map(str, value)),
     "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
     "corners": lambda value, digits="4": " to ".join(

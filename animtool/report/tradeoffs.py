@@ -79,7 +79,7 @@ def _missing_error(row: TrialRow) -> str:
     return text
 
 
-def _excluded(table: TrialTable) -> dict[str, list[str]]:
+def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
     """Return why methods were excluded, each reason once."""
     causes: dict[str, dict[str, None]] = {}
     for row in table.rows:
@@ -94,25 +94,31 @@ def _advice(table: TrialTable) -> str:
     """Return the setting to use instead of the chosen one; empty if unknown."""
     if table.reference is None or table.reference.sensitive:
         return ""
-    better, chosen = table.recommended, table.chosen
+    recommended_row, current_row = table.recommended, table.chosen
     if table.budget is not None:
-        error = None if better is None else table.error_of(better)
-        if better is None or error is None:
+        error = None if recommended_row is None else table.error_of(recommended_row)
+        if recommended_row is None or error is None:
             return ""
-        setting = "the current setting" if better.chosen else str(better.setting)
+        setting_text = (
+            "the current setting"
+            if recommended_row.chosen
+            else str(recommended_row.setting)
+        )
         return (
-            f"cheapest within {length_text(table.budget)}: {setting}, "
+            f"cheapest within {length_text(table.budget)}: {setting_text}, "
             f"with {length_text(error)} ({table.error})"
         )
-    if better is None:
+    if recommended_row is None:
         return (
             "no setting is as accurate and at least 20 % cheaper than the current one"
         )
-    if chosen.error is None:
-        return f"the current setting fails; {better.setting} works"
-    fraction = _cost(better, table.cost) / _cost(chosen, table.cost)
+    if current_row.error is None:
+        return f"the current setting fails; {recommended_row.setting} works"
+    fraction = _cost(recommended_row, table.cost) / _cost(current_row, table.cost)
     quantity = "time" if table.cost is CostMeasure.SECONDS else str(table.cost)
-    return f"{better.setting} is as accurate in {fraction:.0%} of the {quantity}"
+    return (
+        f"{recommended_row.setting} is as accurate in {fraction:.0%} of the {quantity}"
+    )
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:
@@ -133,7 +139,7 @@ def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
 _PRINTERS: dict[str, Callable[..., Any]] = {
     "marks": _marks,
     "ending": _missing_error,
-    "left_out": _excluded,
+    "left_out": _exclusion_reasons,
     "advice": _advice,
     # Errors span many decades.
     "milli": lambda length: f"{1e3 * length:.3g}",

@@ -63,7 +63,7 @@ def character_meshes(
         try:
             mesh = _mesh(surface, joint_indices, bind)
         except FormatError as error:
-            faults += [_named(fault, surface.name) for fault in error.faults]
+            faults += [_with_mesh_name(fault, surface.name) for fault in error.faults]
             continue
         shape_columns = [_column(surface, shape, columns) for shape in surface.shapes]
         meshes.append(
@@ -108,7 +108,7 @@ def character_strands(
     return meshes
 
 
-def _named(fault: Fault, mesh: str) -> Fault:
+def _with_mesh_name(fault: Fault, mesh: str) -> Fault:
     return replace(fault, message=f"mesh {mesh!r}: " + fault.message)
 
 

@@ -143,7 +143,7 @@ def _deform(
     times: FloatArray | None,
     buffers: _Buffers | None,
 ) -> Deformed:
-    """Return the deformed mesh like `deform`, in the buffers if given."""
+    """Return the deformed mesh like `deform`, reusing buffers if given."""
     frames = _frames(values, world)
     points = _points(mesh, values, world, frames, buffers)
     return Deformed(
@@ -310,7 +310,7 @@ def displaced_points(
     surface: Surface | None,
     times: FloatArray | None,
 ) -> Deformed:
-    """Return frames of a mesh with its points replaced, such as simulated ones.
+    """Return frames of a mesh with replaced points, such as simulated ones.
 
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 
@@ -330,13 +330,15 @@ def displaced_points(
     first = max(frames.start - margin, 0)
     stop = min(frames.stop + margin, len(points.values))
     with_margin = points.select(slice(first, stop)).dense()
-    requested = slice(frames.start - first, frames.stop - first)
-    values = np.ascontiguousarray(with_margin[requested])
+    requested_rows = slice(frames.start - first, frames.stop - first)
+    values = np.ascontiguousarray(with_margin[requested_rows])
     velocities = deformed.velocities
     if times is not None:
         velocities = np.zeros_like(values)
         if len(with_margin) > 1:
-            velocities = np.gradient(with_margin, times[first:stop], axis=0)[requested]
+            velocities = np.gradient(with_margin, times[first:stop], axis=0)[
+                requested_rows
+            ]
     normals = deformed.normals
     if normals is not None and surface is not None:
         differ = (values != deformed.points).any(axis=(1, 2))

@@ -96,7 +96,7 @@ def read_influences(
     weight_sums = np.bincount(rows, strengths, count).astype(np.float64)
     is_kept = _strongest(rows, count, max_influences)
     is_pruned = np.bincount(rows[~is_kept], minlength=count) > 0
-    nonzero, merged = int(np.count_nonzero(values)), len(rows)
+    nonzero, merged_count = int(np.count_nonzero(values)), len(rows)
     rows, joints_of_rows, strengths = (
         rows[is_kept],
         joints_of_rows[is_kept],
@@ -109,7 +109,7 @@ def read_influences(
         normalized=int(np.count_nonzero(errors > SUM_TOLERANCE)),
         pruned=int(np.count_nonzero(is_pruned)),
         zeros=values.size - nonzero,
-        merged=nonzero - merged,
+        merged=nonzero - merged_count,
         sum_error=float(errors.max(initial=0.0)),
         sum_vertex=int(np.argmax(errors)) if count else 0,
     )
@@ -207,8 +207,8 @@ def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
 
 
 def _check_sums(sums: FloatArray, kept_sums: FloatArray) -> None:
-    empty = np.minimum(sums, kept_sums) <= 0
-    faults = _faults("SKIN004", np.asarray(empty), "no weight on any joint")
+    without_weight = np.minimum(sums, kept_sums) <= 0
+    faults = _faults("SKIN004", np.asarray(without_weight), "no weight on any joint")
     if faults:
         raise FormatError(faults)
 

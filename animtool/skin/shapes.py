@@ -186,17 +186,17 @@ def _blend(
     active = np.asarray(weights.any(axis=0), np.bool_)
     active_dense = np.asarray(columns.dense & active, np.bool_)
     active_sparse = np.asarray(~columns.dense & active, np.bool_)
-    blended = result(out, (len(weights), *columns.rest.shape[1:]))
+    blended_rows = result(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if active_dense.any():
-        _product(columns, weights, active, blended.reshape(len(blended), -1))
-        points = blended
+        _product(columns, weights, active, blended_rows.reshape(len(blended_rows), -1))
+        points = blended_rows
     if active_sparse.any():
         first, numbers, offsets = _active_offsets(columns, active_sparse)
-        _kernels.add_sparse(points, weights, first, numbers, offsets, blended)
+        _kernels.add_sparse(points, weights, first, numbers, offsets, blended_rows)
     elif not active_dense.any():
-        blended[:] = points
-    return blended
+        blended_rows[:] = points
+    return blended_rows
 
 
 def _product(
@@ -321,21 +321,21 @@ def _nonzero_offsets(
 
 
 def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
-    where = f"shape {shape.name!r}"
+    label = f"shape {shape.name!r}"
     faults = []
     length = count
     if shape.indices is not None:
         at = np.asarray(shape.indices)
         if at.ndim != 1 or not (at.size == 0 or np.issubdtype(at.dtype, np.integer)):
             message = (
-                f"{where}: vertex indices are {at.dtype} {at.shape}, not integers (D,)"
+                f"{label}: vertex indices are {at.dtype} {at.shape}, not integers (D,)"
             )
             return [Fault("SKIN001", message)]
         length = len(at)
         out_of_range = at[(at < 0) | (at >= count)].tolist()
         if out_of_range:
             message = (
-                f"{where} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
+                f"{label} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
             )
             faults.append(Fault("SKIN002", message))
     for offset in _all_offsets(shape):
@@ -344,9 +344,9 @@ def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
             ("normal offsets", offset.normal_offsets),
         ):
             if values is not None:
-                name = f"{where}: {array_name} at {offset.at:g}"
+                name = f"{label}: {array_name} at {offset.at:g}"
                 faults += _offset_faults(name, values, length)
-    return faults + _knot_faults(where, shape)
+    return faults + _knot_faults(label, shape)
 
 
 def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
@@ -361,11 +361,11 @@ def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
     return [Fault("SKIN003", f"{name} are not finite in rows {listed(not_finite)}")]
 
 
-def _knot_faults(where: str, shape: ShapeDeltas) -> list[Fault]:
-    knots = np.sort([0.0, 1.0, *(part.at for part in shape.inbetweens)])
+def _knot_faults(label: str, shape: ShapeDeltas) -> list[Fault]:
+    knots = np.sort([0.0, 1.0, *(inbetween.at for inbetween in shape.inbetweens)])
     if (np.diff(knots) > NEAREST_INBETWEEN).all():
         return []
-    weights = listed([f"{part.at:g}" for part in shape.inbetweens])
-    message = f"{where} has inbetweens at {weights}"
+    weights = listed([f"{inbetween.at:g}" for inbetween in shape.inbetweens])
+    message = f"{label} has inbetweens at {weights}"
     hint = "each needs its own weight, other than 0 and 1"
     return [Fault("SKIN006", message, hint=hint)]

@@ -234,7 +234,7 @@ def _without_rounding(stretches: FloatArray) -> FloatArray | None:
 
 
 def _inverse_transposes(linear: FloatArray) -> FloatArray:
-    """Return inverse transposes ``(…, 3, 3)``; the direction of singular ones."""
+    """Return inverse transposes ``(…, 3, 3)``; if singular, only the direction."""
     a, b, c = np.moveaxis(linear, -2, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
     determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]

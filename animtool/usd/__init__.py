@@ -35,7 +35,7 @@ class _PxrFinder:
     def find_spec(
         name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module of pxr; None for any other."""
+        """Return the import spec of a pxr module; None for other modules."""
         if name.partition(".")[0] != "pxr":
             return None
         spec = PathFinder.find_spec(name, path, target)

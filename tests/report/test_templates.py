@@ -182,7 +182,7 @@ class _Checker:
     def lines(self, scope: tuple[Any, ...], lines: Sequence[Line]) -> None:
         for line in lines:
             if isinstance(line, str):
-                self._part(scope, text._parsed(line))
+                self._part(scope, text._parsed_template(line))
                 continue
             name, _, spec = line.name.partition(":")
             kinds = self._value(scope, name)

@@ -1,4 +1,4 @@
-"""The HIERARCHY block of a BVH file and the two lines that open its MOTION."""
+"""The HIERARCHY block of a BVH file, and the first two lines of its MOTION block."""
 
 from __future__ import annotations
 
@@ -141,10 +141,12 @@ class _Hierarchy:
 
     def _joint(self, keyword: str, words: list[str], block: _OpenBrace | None) -> None:
         if (keyword == "ROOT") != (block is None):
-            allowed = "JOINT" if block else "ROOT"
+            expected_keyword = "JOINT" if block else "ROOT"
             context = "inside a joint" if block else "outside every joint"
             self.lines.fail(
-                "BVH003", f"unexpected {keyword} {context}", f"expected {allowed}"
+                "BVH003",
+                f"unexpected {keyword} {context}",
+                f"expected {expected_keyword}",
             )
         if block is not None and block.is_end:
             self.lines.fail("BVH003", "unexpected JOINT inside an End Site")
@@ -214,9 +216,9 @@ class _Hierarchy:
             names.append(words.pop(0))
         for name in names:
             if name.lower() not in _CHANNELS:
-                allowed = ", ".join(CHANNEL_NAMES)
+                channel_names = ", ".join(CHANNEL_NAMES)
                 message = f"unknown channel {excerpt(name)}"
-                self.lines.fail("BVH007", message, f"allowed: {allowed}")
+                self.lines.fail("BVH007", message, f"allowed: {channel_names}")
         if len(names) != count:
             self.lines.fail(
                 "BVH007",

@@ -257,10 +257,10 @@ class RowReader:
 
     def _note_unusable(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
-            beyond = np.abs(rows) > FLOAT32_MAX
+            too_large = np.abs(rows) > FLOAT32_MAX
         for fault_lines, mask in (
             (self._missing, np.isnan(rows)),
-            (self._beyond_float32, beyond),
+            (self._beyond_float32, too_large),
         ):
             self._collect(fault_lines, mask, lines)
 

@@ -294,11 +294,11 @@ def _zero_length_warning(
     lengths = np.linalg.norm(extents, axis=1) * rig.meters_per_unit
     is_short = lengths <= MIN_LENGTH_FRACTION * sizes * rig.meters_per_unit
     has_length = (sizes > 0) & (rig.parents[position_joints] >= 0)
-    collapsed = is_short & has_length
-    if not collapsed.any():
+    is_collapsed = is_short & has_length
+    if not is_collapsed.any():
         return []
-    names = [rig.names[j] for j in position_joints[collapsed].tolist()]
-    reach = sizes[collapsed].max()
+    names = [rig.names[j] for j in position_joints[is_collapsed].tolist()]
+    reach = sizes[is_collapsed].max()
     message = (
         f"the position channels of {counted(len(names), 'joint')} are 0 in all "
         f"frames, but their OFFSETs reach {reach:.4g}: the joints are at "
@@ -310,6 +310,6 @@ def _zero_length_warning(
     )
     # If channels of other joints have values, the zeros may be intended as well.
     severity = (
-        Severity.WARNING if collapsed.sum() == has_length.sum() else Severity.NOTE
+        Severity.WARNING if is_collapsed.sum() == has_length.sum() else Severity.NOTE
     )
     return [Fault("BVH111", message, path, (), hint, severity)]

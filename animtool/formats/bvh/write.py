@@ -101,11 +101,11 @@ def bvh_text(take: Take) -> TakeText:
 
 def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
     """Return joint indices depth-first: each joint, then everything below it."""
-    order, pending = [], rig.roots[::-1]
-    while pending:
-        j = pending.pop()
+    order, stack = [], rig.roots[::-1]
+    while stack:
+        j = stack.pop()
         order.append(j)
-        pending += children[j][::-1]
+        stack += children[j][::-1]
     return order
 
 
@@ -113,13 +113,15 @@ def _positions(
     joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
 ) -> tuple[str, ...]:
     """Return the position channels that a joint needs."""
-    declared = tuple(name for name in joint.channels or () if name.endswith("position"))
+    declared_names = tuple(
+        name for name in joint.channels or () if name.endswith("position")
+    )
     off_rest = np.abs(values - offset).max(axis=0) > tolerance
     is_covered = all(
-        not off_rest[axis] or _POSITIONS[axis] in declared for axis in range(3)
+        not off_rest[axis] or _POSITIONS[axis] in declared_names for axis in range(3)
     )
     if joint.channels is not None and is_covered:
-        return declared
+        return declared_names
     if joint.parent < 0 or off_rest.any():
         return _POSITIONS
     return ()
@@ -127,8 +129,10 @@ def _positions(
 
 def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
     """Return the rotation channels that a joint needs and their angles."""
-    declared = tuple(name for name in joint.channels or () if name.endswith("rotation"))
-    names = declared if joint.channels is not None else _DEFAULT_ROTATIONS
+    declared_names = tuple(
+        name for name in joint.channels or () if name.endswith("rotation")
+    )
+    names = declared_names if joint.channels is not None else _DEFAULT_ROTATIONS
     order = "".join(name[0] for name in names)
     order += "".join(letter for letter in "XYZ" if letter not in order)
     axes = np.array([axes_of(order)], np.int32)
@@ -146,10 +150,10 @@ def _declared_order(
     joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return the channels in the order the joint declares, if it does."""
-    declared = joint.channels or ()
-    needed = set(positions) | set(rotations)
-    if needed == set(declared):
-        return declared
+    declared_names = joint.channels or ()
+    needed_names = set(positions) | set(rotations)
+    if needed_names == set(declared_names):
+        return declared_names
     return positions + rotations
 
 

@@ -1,4 +1,4 @@
-"""Layout claims: values that header and parameters of a C3D state for its layout."""
+"""Layout claims: layout values stated by the header and parameters of a C3D."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def claims_of(sections: Sections) -> Claims:
 
 def word_of(sections: Sections, group: str, name: str) -> int | None:
     """Return an unsigned 16-bit number, or a larger one stored as float."""
-    stated = sections.number(group, name)
-    if stated is None or not math.isfinite(stated):
+    value = sections.number(group, name)
+    if value is None or not math.isfinite(value):
         return None
-    return int(stated) if stated >= WORD_VALUES else int(stated) & (WORD_VALUES - 1)
+    return int(value) if value >= WORD_VALUES else int(value) & (WORD_VALUES - 1)
 
 
 def trial_fields(sections: Sections) -> tuple[int | None, int | None]:
@@ -108,32 +108,32 @@ def _joined_words(words: list[float]) -> int | None:
 
 
 def _begin(sections: Sections) -> Iterable[Claim]:
-    stated = (
+    candidates = (
         ("header word 9", sections.header.data_block, 1.0),
         ("POINT:DATA_START", word_of(sections, "POINT", "DATA_START"), 0.75),
         # Without parameters that is the end of the header.
         ("the end of the parameters", sections.end_block, 0.25),
     )
-    for source, block, weight in stated:
+    for source, block, weight in candidates:
         if block is not None and block >= 2:
             yield Claim(source, BLOCK * (block - 1), weight)
 
 
 def _width(sections: Sections) -> Iterable[Claim]:
-    stated = (
+    candidates = (
         ("header scale", sections.header.scale, 0.75),
         ("POINT:SCALE", sections.number("POINT", "SCALE"), 1.0),
     )
-    for source, scale, weight in stated:
+    for source, scale, weight in candidates:
         if scale is not None and math.isfinite(scale) and scale != 0:
             yield Claim(source, 4 if scale < 0 else 2, weight)
 
 
 def _points(sections: Sections) -> Iterable[Claim]:
     yield Claim("header word 2", sections.header.points, 1.0)
-    stated = word_of(sections, "POINT", "USED")
-    if stated is not None:
-        yield Claim("POINT:USED", stated, 1.0)
+    used_points = word_of(sections, "POINT", "USED")
+    if used_points is not None:
+        yield Claim("POINT:USED", used_points, 1.0)
     labels = sections.texts("POINT", "LABELS")
     while labels and not labels[-1]:
         labels.pop()
@@ -144,23 +144,27 @@ def _points(sections: Sections) -> Iterable[Claim]:
 
 def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
     """Return claims about analogue values per frame, and other candidates."""
-    stated, samples = sections.header.analog, sections.header.samples
-    claims = [Claim("header word 3", stated, 1.0)]
-    used = word_of(sections, "ANALOG", "USED")
+    header_count, samples = sections.header.analog, sections.header.samples
+    claims = [Claim("header word 3", header_count, 1.0)]
+    used_channels = word_of(sections, "ANALOG", "USED")
     rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
     ratio = _ratio(rates[0], rates[1] or sections.header.rate)
-    if used == 0:
+    if used_channels == 0:
         claims.append(Claim("ANALOG:USED", 0, 0.75))
-    elif used is not None:
+    elif used_channels is not None:
         of_word = "ANALOG:USED x header word 10"
         of_rate = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
         if samples:
-            claims.append(Claim(of_word, used * samples, 0.75))
+            claims.append(Claim(of_word, used_channels * samples, 0.75))
         if ratio:
-            claims.append(Claim(of_rate, used * ratio, 0.75))
-    channels = {used or 0, stated, len(sections.texts("ANALOG", "LABELS"))}
-    times = {1, samples, ratio or 0}
-    candidates = {0, *(a * b for a in channels for b in times)}
+            claims.append(Claim(of_rate, used_channels * ratio, 0.75))
+    channels = {
+        used_channels or 0,
+        header_count,
+        len(sections.texts("ANALOG", "LABELS")),
+    }
+    factors = {1, samples, ratio or 0}
+    candidates = {0, *(a * b for a in channels for b in factors)}
     return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
 
 
@@ -179,20 +183,22 @@ def _frames(sections: Sections) -> Iterable[Claim]:
     header = sections.header
     if not (header.first == 0 and header.last == 0):
         count = (header.last - header.first + 1) % WORD_VALUES
-        full = header.last in FULL_COUNTS or count in FULL_COUNTS
+        is_full = header.last in FULL_COUNTS or count in FULL_COUNTS
         if count:
-            yield Claim("header words 4 and 5", count, 1.0, full, wraps=True)
+            yield Claim("header words 4 and 5", count, 1.0, is_full, wraps=True)
     start, end = trial_fields(sections)
     if end is not None:
         count = end - (header.first if start is None else start) + 1
-        full = end in FULL_COUNTS or count in FULL_COUNTS
+        is_full = end in FULL_COUNTS or count in FULL_COUNTS
         if count > 0:
-            yield Claim("TRIAL:ACTUAL_END_FIELD", count, 0.5, full)
-    longer = sections.number("POINT", "LONG_FRAMES")
-    if longer is not None and math.isfinite(longer) and longer >= 1:
-        count = int(longer)
+            yield Claim("TRIAL:ACTUAL_END_FIELD", count, 0.5, is_full)
+    long_frames = sections.number("POINT", "LONG_FRAMES")
+    if long_frames is not None and math.isfinite(long_frames) and long_frames >= 1:
+        count = int(long_frames)
         yield Claim("POINT:LONG_FRAMES", count, 0.5, count in FULL_COUNTS)
-    stated = word_of(sections, "POINT", "FRAMES")
-    if stated:
-        full = stated in FULL_COUNTS
-        yield Claim("POINT:FRAMES", stated, 0.5, full, wraps=stated < WORD_VALUES)
+    frame_count = word_of(sections, "POINT", "FRAMES")
+    if frame_count:
+        is_full = frame_count in FULL_COUNTS
+        yield Claim(
+            "POINT:FRAMES", frame_count, 0.5, is_full, wraps=frame_count < WORD_VALUES
+        )

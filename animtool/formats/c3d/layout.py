@@ -117,12 +117,14 @@ def choose_layout(
         evidence_of: Returns the evidence for a layout.
     """
     cheapest: dict[tuple[int, ...], Layout] = {}
-    short: Layout | None = None
-    padding = _tail(data)
-    for layout in _combinations(claims, ends[-1], padding):
+    truncated_layout: Layout | None = None
+    zero_bytes = _tail(data)
+    for layout in _combinations(claims, ends[-1], zero_bytes):
         if layout.end > ends[-1] or layout.begin > ends[-1]:
-            if not layout.solved and (short is None or layout.cost < short.cost):
-                short = layout
+            if not layout.solved and (
+                truncated_layout is None or layout.cost < truncated_layout.cost
+            ):
+                truncated_layout = layout
             continue
         candidate = min((_with_trailing(layout, data, end) for end in ends), key=_order)
         candidate = _with_skipped(candidate, claims.after, data)
@@ -136,7 +138,7 @@ def choose_layout(
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
     candidates = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
-    if short is not None and short.cost < MIN_CLAIM_WEIGHT:
+    if truncated_layout is not None and truncated_layout.cost < MIN_CLAIM_WEIGHT:
         # If all claims agree but the file is too small, it is truncated, unless other
         # claims fill it.
         candidates = [
@@ -145,15 +147,19 @@ def choose_layout(
             if layout_.trailing == 0 and not layout_.solved
         ]
     if not candidates:
-        return LayoutResult(None, short)
+        return LayoutResult(None, truncated_layout)
     if candidates[0].cost < MIN_CLAIM_WEIGHT:
         return LayoutResult(candidates[0])
-    outcome = _decide(candidates, short, evidence_of)
+    outcome = _decide(candidates, truncated_layout, evidence_of)
     best = outcome.layout
     if best is None:
         return outcome
-    if best.trailing and short is not None and short.cost < best.cost - TRAILING:
-        return LayoutResult(None, short)
+    if (
+        best.trailing
+        and truncated_layout is not None
+        and truncated_layout.cost < best.cost - TRAILING
+    ):
+        return LayoutResult(None, truncated_layout)
     return outcome
 
 
@@ -170,18 +176,18 @@ def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Cl
     contradictions = []
     for name in ("frames", "points", "analog", "width", "begin"):
         value = getattr(layout, name)
-        contradicting = [
+        opposing = [
             claim
             for claim in getattr(claims, name)
             if claim.weight >= MIN_CLAIM_WEIGHT and claim.value != value
         ]
-        stated = [claim for claim in getattr(claims, name) if claim.value == value]
+        supporting = [claim for claim in getattr(claims, name) if claim.value == value]
         # Full 16-bit counts do not contradict a larger count that another claim states.
-        contradicting = [
-            c for c in contradicting if c.cost(value) >= MIN_CLAIM_WEIGHT or not stated
+        opposing = [
+            c for c in opposing if c.cost(value) >= MIN_CLAIM_WEIGHT or not supporting
         ]
-        if contradicting:
-            contradictions.append((name, value, contradicting))
+        if opposing:
+            contradictions.append((name, value, opposing))
     return contradictions
 
 
@@ -203,9 +209,9 @@ def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
     ):
         against_width = by_w >= MIN_CLAIM_WEIGHT and _all_agree(claims.width)
         capacity = ((size - begin) // width, (size - begin - padding) // width)
-        for p, a, f, counts, solved in _counts(claims, *capacity):
-            cost, needs_evidence = by_b + by_w + counts, against_width or solved
-            yield Layout(begin, width, p, a, f, 0, cost, needs_evidence, solved)
+        for p, a, f, counts, is_solved in _counts(claims, *capacity):
+            cost, needs_evidence = by_b + by_w + counts, against_width or is_solved
+            yield Layout(begin, width, p, a, f, 0, cost, needs_evidence, is_solved)
 
 
 def _counts(
@@ -218,16 +224,18 @@ def _counts(
     """
     points, frames = _with_costs(claims.points), _with_costs(claims.frames)
     analog = _with_costs(claims.analog, claims.candidates)
-    stated = {claim.value for claim in claims.analog}
+    claimed = {claim.value for claim in claims.analog}
     for (p, by_p), (a, by_a) in itertools.product(points, analog):
-        row, unstated = 4 * p + a, a not in stated
+        row, is_unclaimed = 4 * p + a, a not in claimed
         for f, by_f in frames:
-            yield p, a, f, by_p + by_a + by_f, unstated
+            yield p, a, f, by_p + by_a + by_f, is_unclaimed
         frame_counts = (
-            _fitted(claims, -(-min_numbers // row)) if row and min_numbers > 0 else ()
+            _counts_from_size(claims, -(-min_numbers // row))
+            if row and min_numbers > 0
+            else ()
         )
-        for f, by_f, solved in frame_counts:
-            yield p, a, f, by_p + by_a + by_f, unstated or solved
+        for f, by_f, is_solved in frame_counts:
+            yield p, a, f, by_p + by_a + by_f, is_unclaimed or is_solved
     for f, by_f in frames:
         for p, by_p in points if _may_solve(claims.analog) else ():
             a = capacity // f - 4 * p
@@ -242,14 +250,14 @@ def _counts(
 
 
 def _with_costs(
-    claims: Sequence[Claim], unstated: Sequence[int] = ()
+    claims: Sequence[Claim], other_values: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
     """Return candidate values, each with the cost of contradicted claims."""
-    stated = {claim.value for claim in claims}
-    extra = UNSTATED if claims else 0.0
-    return [(value, _cost(claims, value)) for value in sorted(stated)] + [
-        (value, _cost(claims, value) + extra)
-        for value in sorted(set(unstated) - stated)
+    claimed = {claim.value for claim in claims}
+    unclaimed_cost = UNSTATED if claims else 0.0
+    return [(value, _cost(claims, value)) for value in sorted(claimed)] + [
+        (value, _cost(claims, value) + unclaimed_cost)
+        for value in sorted(set(other_values) - claimed)
     ]
 
 
@@ -270,8 +278,8 @@ def _may_solve(claims: Sequence[Claim]) -> bool:
     return len(decisive) < 2 or not _all_agree(claims)
 
 
-def _fitted(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
-    """Return frame counts that fit the size, with cost and whether solved.
+def _counts_from_size(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
+    """Return frame counts solved from the file size, with cost and a flag.
 
     That is, if stated counts are full 16-bit values, wrap around, differ, or are
     missing.
@@ -298,23 +306,25 @@ def _with_skipped(layout: Layout, after: int, data: bytes) -> Layout:
 
 def _with_trailing(layout: Layout, data: bytes, end: int) -> Layout:
     """Return a layout with its count of unused bytes, and their cost."""
-    trailing = end - layout.end
-    if trailing < 0:
-        return replace(layout, trailing=-trailing, cost=layout.cost + TRAILING)
-    padding = trailing < BLOCK and end % BLOCK == 0
+    unused_bytes = end - layout.end
+    if unused_bytes < 0:
+        return replace(layout, trailing=-unused_bytes, cost=layout.cost + TRAILING)
+    is_padding = unused_bytes < BLOCK and end % BLOCK == 0
     size = layout.width * layout.row
-    if padding and data.count(b"\0", layout.end, end) == trailing:
+    if is_padding and data.count(b"\0", layout.end, end) == unused_bytes:
         # A last frame of zeros is more likely padding, too.
         last_frame = layout.end - size
         zeros = (
-            0 < size < BLOCK - trailing
+            0 < size < BLOCK - unused_bytes
             and data.count(b"\0", last_frame, layout.end) == size
         )
         return replace(layout, cost=layout.cost + DIRTY) if zeros else layout
-    if trailing == 0:
+    if unused_bytes == 0:
         return layout
     return replace(
-        layout, trailing=trailing, cost=layout.cost + (DIRTY if padding else TRAILING)
+        layout,
+        trailing=unused_bytes,
+        cost=layout.cost + (DIRTY if is_padding else TRAILING),
     )
 
 
@@ -366,5 +376,5 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
 
 
 def _rows(layout: Layout) -> tuple[int, ...]:
-    """Return the values that determine which number is which coordinate."""
+    """Return the values that assign numbers to coordinates."""
     return layout.begin, layout.width, layout.points, layout.row

@@ -56,7 +56,7 @@ _UP_ROTATIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """The up axis, and the axis permutation that leads to it.
+    """The up axis, and the axis permutation that converts to it.
 
     Attributes:
         up: The up axis of the converted positions.
@@ -198,7 +198,7 @@ def read_c3d(
         screen.up,
         _cameras(words, visible),
         _residuals(words, visible, scale),
-        _filled(sections, words, visible, columns),
+        _filled_positions(sections, words, visible, columns),
         tuple(file.notices),
     )
 
@@ -398,7 +398,7 @@ def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray 
     return np.where(is_measured, steps * scale, np.nan) if is_measured.any() else None
 
 
-def _filled(
+def _filled_positions(
     sections: Sections, words: IntArray, visible: BoolArray, columns: IntArray
 ) -> BoolArray | None:
     """Return which positions were filled, not measured ``(F, M)``.

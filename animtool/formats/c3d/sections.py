@@ -197,7 +197,7 @@ def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
     for _ in range(MAX_PARAMETERS):
         if at + 2 > len(data):
             break
-        length, number = _signed(data[at]), _signed(data[at + 1])
+        length, number = _signed_byte(data[at]), _signed_byte(data[at + 1])
         length = abs(length)  # below 0 is locked
         body = at + 2 + length
         if length == 0 or number == 0 or body + 2 > len(data):
@@ -227,7 +227,7 @@ def _value(processor: Processor, data: bytes, at: int) -> Any:
     """Return a parameter's array or texts; None if it is broken."""
     if at + 2 > len(data):
         return None
-    kind, dimensions = _signed(data[at]), data[at + 1]
+    kind, dimensions = _signed_byte(data[at]), data[at + 1]
     sizes = list(data[at + 2 : at + 2 + dimensions])
     begin = at + 2 + dimensions
     width = {-1: 1, 1: 1, 2: 2, 4: 4}.get(kind)
@@ -262,5 +262,5 @@ def _text(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
-def _signed(byte: int) -> int:
+def _signed_byte(byte: int) -> int:
     return byte - 256 if byte > 127 else byte

@@ -67,7 +67,7 @@ def write_c3d(
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
     header = _file_head(markers, path)
-    write_parts(path, _parts(markers, header))
+    write_parts(path, _file_chunks(markers, header))
     return _loss_warnings(markers, str(path))
 
 
@@ -134,9 +134,13 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
     }
     if frames > MAX_COUNT:
         point["LONG_FRAMES"] = _floats([frames])
-    point.update(_numbered("LABELS", [_texts(n) for n in _chunks(markers.names)]))
+    point.update(
+        _continued_parameter("LABELS", [_texts(n) for n in _chunks(markers.names)])
+    )
     blank = [""] * count
-    point.update(_numbered("DESCRIPTIONS", [_texts(n) for n in _chunks(blank)]))
+    point.update(
+        _continued_parameter("DESCRIPTIONS", [_texts(n) for n in _chunks(blank)])
+    )
     groups = {
         "POINT": point,
         "ANALOG": {
@@ -156,7 +160,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
             _floats(np.array(spans[i : i + MAX_ENTRIES]))
             for i in range(0, len(spans), MAX_ENTRIES)
         ]
-        groups[ANIMTOOL_GROUP] = _numbered("FILLED", rows)
+        groups[ANIMTOOL_GROUP] = _continued_parameter("FILLED", rows)
     out = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
         raw = name.encode()
@@ -168,7 +172,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
     return out + b"\0\0"
 
 
-def _numbered(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
+def _continued_parameter(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
     """Return a parameter and its continuations: NAME, NAME2, NAME3."""
     return {
         name if i == 0 else f"{name}{i + 1}": value for i, value in enumerate(values)
@@ -208,7 +212,7 @@ def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
     return spans
 
 
-def _parts(markers: Markers, header: bytes) -> Iterator[bytes]:
+def _file_chunks(markers: Markers, header: bytes) -> Iterator[bytes]:
     yield header
     size = len(header)
     for begin in range(0, len(markers), FRAMES_AT_ONCE):

@@ -102,18 +102,18 @@ def choose_character(
         raise FormatError(Fault(unknown, message, where))
     candidates = characters(file)
     if prim_path is None:
-        best = candidates[0]
+        best_candidate = candidates[0]
         if len(candidates) > 1 and file.default_scene >= 0:
             scene_roots = set(file.scenes[file.default_scene])
-            best = next(
+            best_candidate = next(
                 (
                     candidate
                     for candidate in candidates
                     if scene_roots & set(candidate.nodes)
                 ),
-                best,
+                best_candidate,
             )
-        return best, _others_note(candidates, best, where, several)
+        return best_candidate, _others_note(candidates, best_candidate, where, several)
     if prim_path.strip() == FILE_PATH:
         return CharacterNodes(FILE_PATH, tuple(parents_first(file.nodes))), []
     name = prim_path.strip("/")

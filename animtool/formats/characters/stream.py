@@ -1,4 +1,4 @@
-"""A take of a character as a stream: which take it is, its blocks, and its keys."""
+"""A take of a character as a stream: its choice, its blocks and its keys."""
 
 from __future__ import annotations
 

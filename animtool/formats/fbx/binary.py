@@ -167,25 +167,25 @@ class _Records:
         return int(struct.unpack_from("<I", self.content, at)[0])
 
     def _array(self, kind: str, at: int, end: int) -> tuple[Any, int]:
-        count, how, size = (self._number(at + 1 + 4 * k, end) for k in range(3))
+        count, compression, size = (self._number(at + 1 + 4 * k, end) for k in range(3))
         first, dtype = at + 13, np.dtype(_ARRAYS[kind])
         byte_count = count * dtype.itemsize
-        if how not in {0, 1}:
-            _fail(self.notes, at, f"unknown array encoding {how}")
-        stored = size if how else byte_count
-        if stored > end - first:
-            _fail(self.notes, at, f"an array of {stored} bytes is cut off")
-        if how and byte_count > size * MAX_INFLATION:
+        if compression not in {0, 1}:
+            _fail(self.notes, at, f"unknown array encoding {compression}")
+        stored_size = size if compression else byte_count
+        if stored_size > end - first:
+            _fail(self.notes, at, f"an array of {stored_size} bytes is cut off")
+        if compression and byte_count > size * MAX_INFLATION:
             message = f"{size} bytes cannot hold an array of {byte_count} bytes"
             _fail(self.notes, at, message)
         self.array_bytes += byte_count
         if self.array_bytes > MAX_ARRAY_BYTES:
             message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
             self.notes.fail("FBX013", f"byte {at}", message)
-        data: Any = memoryview(self.content)[first : first + stored]
-        if how:
+        data: Any = memoryview(self.content)[first : first + stored_size]
+        if compression:
             data = self._inflate(data, byte_count, at)
-        return np.frombuffer(data, dtype, count), first + stored
+        return np.frombuffer(data, dtype, count), first + stored_size
 
     def _inflate(self, data: memoryview, size: int, at: int) -> bytes:
         """Return an array inflated to exactly its stated size."""

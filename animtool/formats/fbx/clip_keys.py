@@ -91,13 +91,13 @@ class _ClipBuilder:
     def component_channels(self, component: int) -> list[ClipChannel]:
         """Return the channels of translations (0), rotations (1) or scales (2)."""
         channels: list[ClipChannel] = []
-        animated = set(self.sampler.animated[component].tolist())
+        animated_joints = set(self.sampler.animated[component].tolist())
         rest = self.sampler.rest[component]
         for j in range(len(rest)):
-            if j in animated:
-                kept = self._exact_channels(component, j)
-                if kept:
-                    channels += kept
+            if j in animated_joints:
+                exact_channels = self._exact_channels(component, j)
+                if exact_channels:
+                    channels += exact_channels
                 else:
                     self.sampled[component].add(j)
             elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
@@ -109,10 +109,10 @@ class _ClipBuilder:
     def shapes(self) -> list[ClipChannel]:
         """Return the channels of shapes."""
         channels = []
-        animated = set(self.sampler.shapes.tolist())
+        animated_shapes = set(self.sampler.shapes.tolist())
         for row, shape in enumerate(self.fbx_rig.rig.shapes):
             target = f"shape/{shape.name}"
-            if row not in animated:
+            if row not in animated_shapes:
                 value = self.sampler.rest[3][row]
                 if value.any():
                     channels.append(self._static_channel(target, value))

@@ -102,13 +102,15 @@ class FbxCurve:
         is_backward = np.full(len(ticks), not is_post)
         if extrapolation.mode == "M":
             is_backward = (repeats % 2 == 0) == is_post
-        repeated = self._inside(
+        repeated_values = self._inside(
             np.where(is_backward, last - remainder, first + remainder)
         )
         if extrapolation.mode == "A":
             step = self.values[-1] - self.values[0]
-            repeated = repeated + (repeats + 1) * (step if is_post else -step)
-        return repeated
+            repeated_values = repeated_values + (repeats + 1) * (
+                step if is_post else -step
+            )
+        return repeated_values
 
     def _inside(self, ticks: IntArray) -> FloatArray:
         """Return the values at times between the first key and the last."""
@@ -126,11 +128,11 @@ class FbxCurve:
         span = (self.times[k + 1] - self.times[k]).astype(np.float64)
         fraction = (ticks[rows] - self.times[k]) / span
         start_values, end_values = self.values[k], self.values[k + 1]
-        stepped = np.where(mode == NEXT, end_values, start_values)
-        stepped = np.where(
+        stepped_values = np.where(mode == NEXT, end_values, start_values)
+        stepped_values = np.where(
             mode == LINEAR,
             start_values + fraction * (end_values - start_values),
-            stepped,
+            stepped_values,
         )
         cubic = mode == CUBIC
         if cubic.any():
@@ -140,9 +142,9 @@ class FbxCurve:
             a = start_values[cubic] + self.out_slopes[k] * weights[:, 0] * seconds
             b = end_values[cubic] - self.in_slopes[k] * weights[:, 1] * seconds
             v = 1.0 - u
-            stepped[cubic] = v * v * (v * start_values[cubic] + 3 * u * a)
-            stepped[cubic] += u * u * (u * end_values[cubic] + 3 * v * b)
-        values[rows] = stepped
+            stepped_values[cubic] = v * v * (v * start_values[cubic] + 3 * u * a)
+            stepped_values[cubic] += u * u * (u * end_values[cubic] + 3 * v * b)
+        values[rows] = stepped_values
         return values
 
 

@@ -22,7 +22,7 @@ from animtool.maths.curves import Extrapolation, Interp
 
 # Handle weights closer than this are equal.
 SAME_WEIGHT = 1e-9
-_OUTSIDE = {
+_EXTRAPOLATIONS = {
     "C": Extrapolation.HOLD,
     "K": Extrapolation.LINEAR,
     "R": Extrapolation.CYCLE,
@@ -65,23 +65,25 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
         return None
     curves = track.layers[0].curves
     keyed_curves = [curve_ for curve_ in curves if curve_ is not None]
-    extrapolation = _outside(keyed_curves)
+    extrapolation = _common_extrapolation(keyed_curves)
     if not keyed_curves or extrapolation is None:
         return None
     ticks = np.unique(np.concatenate([curve_.times for curve_ in keyed_curves]))
-    segmented = [_segmented(curve_, ticks) for curve_ in curves if curve_ is not None]
-    interps = _kinds(segmented, len(ticks) - 1)
-    weights = _weights(segmented)
+    segmented_curves = [
+        _segmented_curve(curve_, ticks) for curve_ in curves if curve_ is not None
+    ]
+    interps = _segment_interpolations(segmented_curves, len(ticks) - 1)
+    weights = _weights(segmented_curves)
     if interps is None or weights is None:
         return None
     seconds = np.diff(ticks) / TICKS
     count, width = len(ticks), len(curves)
     ins, outs = np.zeros((count, 1 + width)), np.zeros((count, 1 + width))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
-    remaining = iter(segmented)
+    curve_iterator = iter(segmented_curves)
     for component, curve in enumerate(curves):
         if curve is not None:
-            curve_ = next(remaining)
+            curve_ = next(curve_iterator)
             outs[:-1, 1 + component] = curve_.out_slopes * outs[:-1, 0]
             ins[1:, 1 + component] = curve_.in_slopes * ins[1:, 0]
     values = track.at(base, ticks)
@@ -90,7 +92,7 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     )
 
 
-def _outside(
+def _common_extrapolation(
     curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
     """Return the common extrapolation of curves; None if they differ."""
@@ -120,12 +122,12 @@ def _extrapolation(curve: FbxCurve, outside: FbxExtrapolation) -> Extrapolation 
         return Extrapolation.HOLD
     if outside.count > 0 and outside.mode in "RAM":
         return None
-    return _OUTSIDE[outside.mode]
+    return _EXTRAPOLATIONS[outside.mode]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SegmentedCurve:
-    """A curve over the segments between N + 1 times that include all of its keys."""
+    """A curve split into N segments, whose N + 1 times include all keys."""
 
     is_cubic: BoolArray  # ``(N,)``
     is_stepped: BoolArray
@@ -136,7 +138,7 @@ class _SegmentedCurve:
     in_slopes: FloatArray
 
 
-def _segmented(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
+def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     starts, ends = ticks[:-1], ticks[1:]
     k = np.searchsorted(curve.times, starts, "right") - 1
     in_range = (k >= 0) & (k < len(curve.times) - 1)
@@ -203,7 +205,7 @@ def _segmented(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
 
 
 def _never(k: IntArray) -> FloatArray:
-    """Return weights that no keys have, as NaN."""
+    """Return NaN weights, for curves without weighted keys."""
     return np.full((len(k), 2), np.nan)
 
 
@@ -220,7 +222,9 @@ def _slope_at(
     )
 
 
-def _kinds(curves: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
+def _segment_interpolations(
+    curves: Sequence[_SegmentedCurve], count: int
+) -> list[Interp] | None:
     """Return the interpolation of each segment; None if components differ."""
     is_cubic = np.logical_or.reduce(
         [curve_.is_cubic & ~curve_.is_flat for curve_ in curves]

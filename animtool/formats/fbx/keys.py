@@ -54,8 +54,8 @@ def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
         notes.fail("FBX006", element.where, message)
     flags = np.repeat(flags, counts)
     rows = np.repeat(raw.reshape(-1, 4), counts, axis=0)
-    stepped = flags & STEPPED != 0
-    cubic = ~stepped & (flags & CURVED != 0)
+    is_stepped = flags & STEPPED != 0
+    cubic = ~is_stepped & (flags & CURVED != 0)
     tcb = cubic & (flags & TCB != 0)
     key_data = rows[:, :3].copy().view(np.float32).astype(np.float64)
     # The third number is the bias of TCB tangents, or two packed weights of others.
@@ -71,8 +71,8 @@ def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
     ):
         is_weighted = cubic & ~tcb & (flags & flag != 0)
         weights[is_weighted, side] = np.minimum(numbers[is_weighted] * WEIGHT_STEP, 1.0)
-    modes = np.where(cubic, CUBIC, np.where(stepped, CONSTANT, LINEAR))
-    modes[stepped & (flags & NEXT_VALUE != 0)] = NEXT
+    modes = np.where(cubic, CUBIC, np.where(is_stepped, CONSTANT, LINEAR))
+    modes[is_stepped & (flags & NEXT_VALUE != 0)] = NEXT
     out_slopes, in_slopes = key_slopes(times / TICKS, values, flags, key_data, weights)
     return validated_curve(
         FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
@@ -99,7 +99,7 @@ def validated_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> Fb
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
     pre, post = (
-        _outside(element, f"{name}-Extrapolation", notes)
+        _fbx_extrapolation(element, f"{name}-Extrapolation", notes)
         for name in _EXTRAPOLATION_ENDS
     )
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
@@ -139,7 +139,9 @@ def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
 _EXTRAPOLATION_ENDS = ("Pre", "Post")
 
 
-def _outside(element: Element, name: str, notes: FileNotices) -> FbxExtrapolation:
+def _fbx_extrapolation(
+    element: Element, name: str, notes: FileNotices
+) -> FbxExtrapolation:
     block = element.find(name)
     kind = None if block is None else block.find("Type")
     if block is None or kind is None or not kind.values:

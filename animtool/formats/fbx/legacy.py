@@ -13,7 +13,7 @@ from animtool.formats.file_notices import FileNotices
 _PROPERTIES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
 # Suffix of a shape's channel name.
 SHAPE_SUFFIX = " (Shape)"
-_COPIED = ("Vertices", "PolygonVertexIndex", "Shape")
+_GEOMETRY_ELEMENTS = ("Vertices", "PolygonVertexIndex", "Shape")
 # Elements that change the pose, but are not supported in such files.
 _UNSUPPORTED = (
     *("PreRotation", "PostRotation", "RotationOrder", "RotationPivot", "ScalingPivot"),
@@ -47,10 +47,12 @@ def _add_model(
             notes.fail("FBX004", child.where, excerpt(message))
     kind = model.find("Type")
     subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""
-    copied = [c for c in model.children if c.name in _COPIED]
-    converted = Element("Model", [f"Model::{name}", subtype], model.where, copied)
-    converted.children.append(_properties(model, notes))
-    objects.children.append(converted)
+    geometry_elements = [c for c in model.children if c.name in _GEOMETRY_ELEMENTS]
+    new_model = Element(
+        "Model", [f"Model::{name}", subtype], model.where, geometry_elements
+    )
+    new_model.children.append(_properties(model, notes))
+    objects.children.append(new_model)
     for children in model.all("Children"):
         for child in children.values:
             if isinstance(child, str):

@@ -109,30 +109,34 @@ def read_models(file: FbxFile) -> list[Model]:
             (FBX004), or there are too many nodes (FBX013).
     """
     objects = [
-        one for one in file.of_kind("Model") if not _is_default_camera(file, one)
+        element
+        for element in file.of_kind("Model")
+        if not _is_default_camera(file, element)
     ]
-    objects = [one for one in objects if one.id not in ROOTS]
+    objects = [element for element in objects if element.id not in ROOTS]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
-    parents = {one.id: _parent(file, one) for one in objects}
+    parents = {element.id: _parent(file, element) for element in objects}
     children: dict[Id | None, list[Object]] = {}
-    for one in objects:
-        children.setdefault(parents[one.id], []).append(one)
+    for element in objects:
+        children.setdefault(parents[element.id], []).append(element)
     models: list[Model] = []
-    stack = [(one, -1) for one in reversed(children.get(None, []))]
+    stack = [(element, -1) for element in reversed(children.get(None, []))]
     while stack:
-        one, parent = stack.pop()
-        node, index = _model(file, one, parent), len(models)
+        element, parent = stack.pop()
+        node, index = _model(file, element, parent), len(models)
         if parent >= 0 and node.inherit == COMPONENTWISE:
             node.scale_from = parent
         elif parent >= 0 and node.inherit == IGNORE:
             node.scale_from = models[parent].scale_from
         models.append(node)
-        stack += [(child, index) for child in reversed(children.get(one.id, []))]
+        stack += [(child, index) for child in reversed(children.get(element.id, []))]
     if len(models) < len(objects):
-        reachable = {model.object.id for model in models}
-        in_cycle = next(one for one in objects if one.id not in reachable)
+        reachable_ids = {model.object.id for model in models}
+        in_cycle = next(
+            element for element in objects if element.id not in reachable_ids
+        )
         message = f"the node {in_cycle.name!r} is its own ancestor"
         file.notes.fail("FBX009", in_cycle.element.where, message)
     return models

@@ -32,7 +32,7 @@ from animtool.maths import so3
 
 # Scales closer to 0 are replaced by this in divisions.
 MIN_SCALE = 1e-9
-_REST = np.zeros(1, np.int64)
+_REST_TICKS = np.zeros(1, np.int64)
 
 
 class RowKind(Enum):
@@ -186,13 +186,13 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
     chain = scale_chain(scene.models, i)
     keys = [(scene.models[node].object.id, SCALING) for node in chain]
     for take in (None, *scene.takes):
-        ticks = _REST
+        ticks = _REST_TICKS
         if take is not None:
             tracks = [take.tracks[key] for key in keys if key in take.tracks]
             if not tracks:
                 continue
             curves = [c for t in tracks for v in t.layers for c in v.curves if c]
-            times = np.unique(np.concatenate([_REST, *(c.times for c in curves)]))
+            times = np.unique(np.concatenate([_REST_TICKS, *(c.times for c in curves)]))
             # Between common keys, curves may differ by tangents, and before and after
             # them by extrapolation.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
@@ -210,7 +210,7 @@ def uniform_scales(
     scene: FbxScene, rows: Sequence[Row]
 ) -> tuple[FloatArray, BoolArray]:
     """Return saved scales ``(J, 3)``, and which are uniform and static."""
-    rest = NodeTransforms(scene, None, _REST)
+    rest = NodeTransforms(scene, None, _REST_TICKS)
     scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
     smallest, largest = scales.min(axis=1), scales.max(axis=1)
     is_uniform = (smallest > 0) & (largest - smallest <= SAME_SCALE * np.abs(largest))

@@ -150,7 +150,7 @@ class FbxSampler:
 def frames_of(
     scene: FbxScene, take: AnimTake | None, fps: Fraction | None, width: int
 ) -> FbxFrames:
-    """Return the frame range of a take: its span, else that of its keys.
+    """Return the frame range of a take: its span, or the range of its keys.
 
     Args:
         scene: The file.
@@ -199,17 +199,17 @@ def between_notices(
     off_frame = np.flatnonzero(np.abs(codes - np.round(codes)) > ON_FRAME)
     if not len(off_frame):
         return []
-    measured = off_frame[:: max(1, len(off_frame) // MAX_MEASURED)]
-    frame_before = np.floor(codes[measured])
+    measured_frames = off_frame[:: max(1, len(off_frame) // MAX_MEASURED)]
+    frame_before = np.floor(codes[measured_frames])
     positions = [
         forward(fbx_rig.rig, *sampler.at(ticks).dense()).positions
         for ticks in (
             frames.ticks(frame_before),
             frames.ticks(frame_before + 1.0),
-            keys[measured],
+            keys[measured_frames],
         )
     ]
-    fraction = (codes[measured] - frame_before)[:, None, None]
+    fraction = (codes[measured_frames] - frame_before)[:, None, None]
     straight = positions[0] + fraction * (positions[1] - positions[0])
     distances = np.linalg.norm(positions[2] - straight, axis=2)
     worst = int(distances.max(axis=0).argmax())

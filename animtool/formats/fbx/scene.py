@@ -160,11 +160,11 @@ _LEFT_OUT = {
 
 def _left_out(file: FbxFile) -> tuple[str, ...]:
     """Return labels of contents that neither rigs nor takes can store."""
-    kinds = ("Material", "Texture", "Video")
+    element_kinds = ("Material", "Texture", "Video")
     labels = {
         _LEFT_OUT[key]: None
         for item in file.objects.values()
-        for key in (item.kind if item.kind in kinds else item.subtype,)
+        for key in (item.kind if item.kind in element_kinds else item.subtype,)
         if key in _LEFT_OUT
     }
     return tuple(sorted(labels))

@@ -114,14 +114,19 @@ def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
                 for item in properties.all("P"):
                     if item.text(0) == "ActiveAnimStackName":
                         name = item.text(4)
-    for old in file.root.all("Takes"):
-        current = old.find("Current")
+    for takes_element in file.root.all("Takes"):
+        current = takes_element.find("Current")
         name = current.text(0) if current is not None else name
-    animated = [i for i, take in enumerate(takes) if take.tracks]
+    animated_takes = [i for i, take in enumerate(takes) if take.tracks]
     with_name = [i for i, take in enumerate(takes) if take.name == name]
     if not takes:
         return -1
-    return [*(i for i in with_name if i in animated), *animated, *with_name, 0][0]
+    return [
+        *(i for i in with_name if i in animated_takes),
+        *animated_takes,
+        *with_name,
+        0,
+    ][0]
 
 
 class _Stacks:

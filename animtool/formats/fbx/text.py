@@ -79,8 +79,8 @@ class _Parser:
         while at < size:
             token = _TOKEN.match(self.content, at)
             if token is None:
-                shown = self.content[at : at + 12].decode("utf-8", "replace")
-                self.fail(at, f"unexpected {excerpt(repr(shown))}")
+                excerpt_text = self.content[at : at + 12].decode("utf-8", "replace")
+                self.fail(at, f"unexpected {excerpt(repr(excerpt_text))}")
             self._token(token, at)
             at = token.end()
         if len(self.stack) > 1:
@@ -147,16 +147,16 @@ class _Parser:
                 return
         except (ValueError, OverflowError):
             pass
-        shown = text[:40].decode("utf-8", "replace")
-        self.fail(at, f"{excerpt(repr(shown))} is not a list of numbers")
+        excerpt_text = text[:40].decode("utf-8", "replace")
+        self.fail(at, f"{excerpt(repr(excerpt_text))} is not a list of numbers")
 
 
 def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
     if len(parts) < MIN_BATCH:
         element.values += [_number(text_) for text_ in parts]
         return
-    real = b"." in text or b"e" in text or b"E" in text
-    kind: Any = np.float64 if real else np.int64
+    is_real = b"." in text or b"e" in text or b"E" in text
+    kind: Any = np.float64 if is_real else np.int64
     element.values.append(np.array(parts, "S").astype(kind))
 
 

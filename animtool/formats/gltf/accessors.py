@@ -178,8 +178,8 @@ class Accessors:
         count = accessor.count * accessor.width
         self._numbers += count
         self._zeros += count if accessor.view < 0 else 0
-        opened = self.container.bytes + self.buffers.opened_bytes
-        limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened
+        opened_bytes = self.container.bytes + self.buffers.opened_bytes
+        limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
         if self._numbers > limit or self._zeros > MAX_ZEROS:
             message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.where, message)
@@ -193,7 +193,9 @@ class Accessors:
         start = view.offset + accessor.offset
         content = self.buffers.bytes_of(view.buffer)
         step = view.stride or accessor.width * kind.itemsize
-        return _strided(content, start, accessor.count, accessor.width, step, kind)
+        return _strided_elements(
+            content, start, accessor.count, accessor.width, step, kind
+        )
 
     def _with_sparse(
         self, accessor: Accessor, sparse: Sparse, base: AnyArray
@@ -202,7 +204,7 @@ class Accessors:
         at = self._used_view(sparse.index_view, f"{where}/indices")
         value_view = self._used_view(sparse.value_view, f"{where}/values")
         kind = COMPONENTS[accessor.component]
-        indices = _strided(
+        indices = _strided_elements(
             self.buffers.bytes_of(at.buffer),
             at.offset + sparse.index_offset,
             sparse.count,
@@ -214,7 +216,7 @@ class Accessors:
             message = f"sparse indices must ascend, below {accessor.count}"
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
-        values[indices] = _strided(
+        values[indices] = _strided_elements(
             self.buffers.bytes_of(value_view.buffer),
             value_view.offset + sparse.value_offset,
             sparse.count,
@@ -239,9 +241,9 @@ class Accessors:
         length = item.size("byteLength", minimum=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
-        available = self.buffers.size(buffer)
-        if offset + length > available:
-            message = f"ends at byte {offset + length} of a buffer of {available}"
+        available_bytes = self.buffers.size(buffer)
+        if offset + length > available_bytes:
+            message = f"ends at byte {offset + length} of a buffer of {available_bytes}"
             self.notes.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
@@ -381,7 +383,7 @@ def _element_bytes(kind: str, component: np.dtype[Any]) -> int:
     return column * (rows - 1) + rows * component.itemsize
 
 
-def _strided(
+def _strided_elements(
     content: memoryview,
     start: int,
     count: int,
@@ -392,8 +394,8 @@ def _strided(
     """Return elements ``(count, width)`` at a stride in bytes."""
     size = width * kind.itemsize
     if step == size:
-        flat = np.frombuffer(content, kind, count * width, start)
-        return flat.reshape(count, width)
+        numbers = np.frombuffer(content, kind, count * width, start)
+        return numbers.reshape(count, width)
     rows = np.ndarray((count, size), np.uint8, content, start, (step, 1))
     return np.ascontiguousarray(rows).view(kind)
 

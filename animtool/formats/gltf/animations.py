@@ -299,7 +299,7 @@ def _track(
         _check_unit(table[:, 1 if cubic else 0], channel, samplers, index)
     if not ascending:
         has_times = samplers.accessors.has_data(source)
-        times, table = _sorted(times, table, item, has_times=has_times)
+        times, table = _sorted_keys(times, table, item, has_times=has_times)
     if cubic and len(times) == 1:
         message = "a cubic spline has two keys at least: its one key is held"
         notes.warn("GLT107", item.at("interpolation"), message)
@@ -355,10 +355,10 @@ def _values(
     return numbers
 
 
-def _sorted(
+def _sorted_keys(
     times: FloatArray, table: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
-    """Return keys sorted by time; of equal times the first.
+    """Return keys sorted by time; only the first of several at one time.
 
     ``has_times`` says whether the file has the times; otherwise they are all 0.
     """

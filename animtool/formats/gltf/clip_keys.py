@@ -118,10 +118,12 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
             values = track.values
             if row.factor != 1.0:
                 values = values * row.factor
-            how = str(track.interpolation)
+            interpolation = str(track.interpolation)
             if path is TargetPath.ROTATION and slopes[0] is None:
                 values = so3.normalize(values)
-            all_keys[row.row, _NATIVE[path]] = Keys(key_times, values, how, *slopes)
+            all_keys[row.row, _NATIVE[path]] = Keys(
+                key_times, values, interpolation, *slopes
+            )
     return all_keys
 
 

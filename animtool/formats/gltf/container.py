@@ -46,7 +46,7 @@ def read_container(path: Path, notes: FileNotices) -> Container:
     else:
         chunk, binary = _chunks(content, notes)
         text = bytes(chunk)
-    root = _parsed(text, notes)
+    root = _parsed_json(text, notes)
     # Names with escapes are not found; none that is read has any.
     may_have_extensions = b'"extensions"' in text
     return Container(root, binary, glb, len(content), may_have_extensions)
@@ -117,7 +117,7 @@ def _chunks(
     return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK)
 
 
-def _parsed(text: bytes, notes: FileNotices) -> JsonItem:
+def _parsed_json(text: bytes, notes: FileNotices) -> JsonItem:
     """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         notes.fail(

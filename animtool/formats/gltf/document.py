@@ -109,7 +109,7 @@ def open_gltf(path: Path | str) -> Gltf:
     accessors = _accessors(container, path, notes)
     counts = [_count(root, key) for key in ("meshes", "skins")]
     nodes = read_nodes(root, notes, *counts)
-    scenes, shown = read_scenes(root, notes, nodes)
+    scenes, default_scene = read_scenes(root, notes, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
@@ -122,7 +122,7 @@ def open_gltf(path: Path | str) -> Gltf:
         meshes,
         animations,
         scenes,
-        shown,
+        default_scene,
         accessors,
         root,
         notes,
@@ -133,9 +133,14 @@ def open_gltf(path: Path | str) -> Gltf:
 
 
 def _accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
-    unused = unused_parts(container.root.values)
+    unused_indices = unused_parts(container.root.values)
     return Accessors(
-        container, path.parent, notes, unused.accessors, unused.views, unused.buffers
+        container,
+        path.parent,
+        notes,
+        unused_indices.accessors,
+        unused_indices.views,
+        unused_indices.buffers,
     )
 
 
@@ -161,16 +166,16 @@ def _check_asset(root: JsonItem, notes: FileNotices) -> None:
 def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
     """Raise for unsupported required extensions that affect motion."""
     root = container.root
-    used = root.list_of("extensionsUsed")
+    declared_names = root.list_of("extensionsUsed")
     for key, names in (
-        ("extensionsUsed", used),
+        ("extensionsUsed", declared_names),
         ("extensionsRequired", root.list_of("extensionsRequired")),
     ):
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
                 notes.warn("GLT106", f"{root.at(key)}/{i}", message)
-    _check_lists(root, used, notes)
+    _check_lists(root, declared_names, notes)
     for i, name in enumerate(root.list_of("extensionsRequired")):
         where = f"{root.at('extensionsRequired')}/{i}"
         if not isinstance(name, str):
@@ -188,16 +193,16 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
         notes.fail("GLT004", where, message, hint)
     in_use = _extensions(root) if container.may_have_extensions else {}
     for name, where in in_use.items():
-        if name not in used:
+        if name not in declared_names:
             consequence = "" if name in SUPPORTED else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{consequence}"
             notes.warn("GLT106", where, message)
 
 
-def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
+def _check_lists(root: JsonItem, declared: list[Any], notes: FileNotices) -> None:
     """Warn about contradicting lists of extensions."""
     required = root.list_of("extensionsRequired")
-    for i, name in enumerate(used):
+    for i, name in enumerate(declared):
         where = f"{root.at('extensionsUsed')}/{i}"
         if not isinstance(name, str):
             message = f"{excerpt(repr(name))} is not an extension name: ignored"
@@ -205,7 +210,7 @@ def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
         elif name in MUST_BE_REQUIRED and name not in required:
             notes.warn("GLT106", where, f"{name} is used, but not required")
     for i, name in enumerate(required):
-        if isinstance(name, str) and name not in used:
+        if isinstance(name, str) and name not in declared:
             message = f"{excerpt(name)} is required, but not listed as used"
             notes.warn("GLT106", f"{root.at('extensionsRequired')}/{i}", message)
 
@@ -263,11 +268,11 @@ def _check_weights(
 
 def _check_skins(gltf: Gltf) -> None:
     """Check that skins and meshes match."""
-    checked: set[tuple[int, int]] = set()
+    checked_pairs: set[tuple[int, int]] = set()
     for node in gltf.nodes:
-        if node.mesh < 0 or (node.mesh, node.skin) in checked:
+        if node.mesh < 0 or (node.mesh, node.skin) in checked_pairs:
             continue
-        checked.add((node.mesh, node.skin))
+        checked_pairs.add((node.mesh, node.skin))
         for primitive in gltf.meshes[node.mesh].primitives:
             _require(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:

@@ -18,7 +18,7 @@ from animtool.formats.gltf.container import BIN_CHUNK, JSON_CHUNK
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
-_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+_TYPE_BY_SIZE = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 MAX_BYTES = 2**32 - 1
 
 
@@ -70,7 +70,7 @@ class GlbBuilder:
             "bufferView": self.add("bufferViews", view),
             "componentType": _COMPONENTS[kind],
             "count": len(data),
-            "type": _KINDS[data.shape[1]],
+            "type": _TYPE_BY_SIZE[data.shape[1]],
         }
         if bounds:
             entry["min"] = data.min(axis=0).tolist()

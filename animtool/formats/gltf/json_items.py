@@ -87,9 +87,11 @@ class JsonItem:
     def check_index(self, key: str, value: int, count: int, noun: str) -> None:
         """Raise for an index out of range."""
         if not 0 <= value < count:
-            allowed = f"0 to {count - 1}" if count else "none"
+            range_text = f"0 to {count - 1}" if count else "none"
             self.fail(
-                key, f"{noun} {value} does not exist; the file has {allowed}", "GLT006"
+                key,
+                f"{noun} {value} does not exist; the file has {range_text}",
+                "GLT006",
             )
 
     def indices(self, key: str, count: int, noun: str) -> list[int]:

@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
-_PARTS = {
+_CHANNEL_PARTS = {
     TargetPath.TRANSLATION: "local_translation",
     TargetPath.ROTATION: "local_rotation",
     TargetPath.SCALE: "scale",
@@ -86,7 +86,7 @@ def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
 def _target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
     if path is TargetPath.WEIGHTS:
         return f"shape/{gltf_rig.rig.shapes[row].name}"
-    return f"joint/{gltf_rig.rig.names[row]}.{_PARTS[path]}"
+    return f"joint/{gltf_rig.rig.names[row]}.{_CHANNEL_PARTS[path]}"
 
 
 def _clip_channel(
@@ -176,7 +176,7 @@ def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChanne
         a, b, middle = a[needs_split], b[needs_split], middle[needs_split]
         times.append(middle)
         a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
-    every = np.unique(np.concatenate(times))
-    values = so3.align_signs(track.at(every))
-    channel = _clip_channel(target, key_frames(every, frames), values, Interp.SLERP)
-    return channel, len(every) - len(track.times)
+    all_times = np.unique(np.concatenate(times))
+    values = so3.align_signs(track.at(all_times))
+    channel = _clip_channel(target, key_frames(all_times, frames), values, Interp.SLERP)
+    return channel, len(all_times) - len(track.times)

@@ -173,7 +173,7 @@ def _morph_target(
         if name in target.values
     }
     for name, index in read.items():
-        accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
+        accessor = _typed_accessor(target, name, index, accessors, "VEC3", QUANTIZED)
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
             target.notes.fail("GLT011", target.at(name), message)
@@ -193,7 +193,7 @@ def _check_target(target: JsonItem) -> None:
             target.notes.warn("GLT106", target.at(name), message)
 
 
-def _typed(
+def _typed_accessor(
     item: JsonItem,
     key: str,
     index: int,
@@ -229,7 +229,7 @@ def _check_vertices(
             kind, components = "VEC3", QUANTIZED
         elif name.startswith("WEIGHTS_"):
             components = (FLOAT, U8, U16)
-        accessor = _typed(attributes, name, index, accessors, kind, components)
+        accessor = _typed_accessor(attributes, name, index, accessors, kind, components)
         _check_packing(attributes, name, accessor)
         if vertex_count < 0:
             vertex_count = accessor.count
@@ -261,7 +261,7 @@ def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
 def _check_indices(
     item: JsonItem, index: int, vertex_count: int, accessors: Accessors
 ) -> None:
-    _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
+    _typed_accessor(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
     accessors.check_packed(index, item.at("indices"))
     if not accessors.has_data(index):
         return
@@ -291,12 +291,12 @@ def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
             item.notes.warn("GLT102", item.at(key), f"{key} is missing")
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
-        for i, (stated_value, real) in enumerate(
+        for i, (stated_value, number) in enumerate(
             zip(stated_bound, bound.tolist(), strict=True)
         ):
-            if is_number(stated_value) and not abs(stated_value - real) <= size:
+            if is_number(stated_value) and not abs(stated_value - number) <= size:
                 message = (
-                    f"{key} is {stated_value!r}, but the data has {real:.9g}: using "
+                    f"{key} is {stated_value!r}, but the data has {number:.9g}: using "
                 )
                 message += "the data"
                 item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
@@ -322,7 +322,7 @@ def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
     index = item.index("inverseBindMatrices", len(accessors.entries), "accessor")
     where = item.at("inverseBindMatrices")
     if index >= 0:
-        accessor = _typed(
+        accessor = _typed_accessor(
             item, "inverseBindMatrices", index, accessors, "MAT4", (FLOAT,)
         )
         accessors.check_packed(index, where)
@@ -389,13 +389,13 @@ def skin_weights(
     if has_data and abs(worst - 1.0) > SUM_TOLERANCE:
         message = f"weights of a vertex have the sum {worst:.6g}"
         notes.warn("GLT104", where, f"{message}: they are normalised")
-    empty = weight_sums == 0.0
-    if empty.any():
+    is_unweighted = weight_sums == 0.0
+    if is_unweighted.any():
         if has_data:
-            message = f"{int(empty.sum())} vertices have no weights"
+            message = f"{int(is_unweighted.sum())} vertices have no weights"
             notes.warn("GLT104", where, f"{message}: they follow the first joint")
-        weights[empty, 0], indices[empty, 0] = 1.0, 0
-        weight_sums = np.where(empty, 1.0, weight_sums)
+        weights[is_unweighted, 0], indices[is_unweighted, 0] = 1.0, 0
+        weight_sums = np.where(is_unweighted, 1.0, weight_sums)
     return indices, weights / weight_sums[:, None]
 
 

@@ -112,7 +112,7 @@ def _transform(
     if not _TRANSFORM_KEYS & item.values.keys():
         return _NO_TRANSFORM
     matrix = item.floats("matrix", 16)
-    components = [item.floats(*component) for component in _PARTS]
+    components = [item.floats(*component) for component in _TRS_PROPERTIES]
     if matrix is not None:
         for key, component in zip(
             ("translation", "rotation", "scale"), components, strict=True
@@ -141,7 +141,7 @@ def _transform(
 
 _TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
 _NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
-_PARTS = (("translation", 3), ("rotation", 4), ("scale", 3))
+_TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
 def _split(
@@ -162,8 +162,8 @@ def _split(
         notes.fail("GLT010", where, "the matrix is singular")
     unit_rotation, scale = so3.split_scale(linear[None] / size)
     rotation, lengths = unit_rotation[0], scale[0] * size
-    again = so3.to_matrix(rotation) * lengths
-    shear = float(np.abs(again - linear).max()) / size
+    recomposed = so3.to_matrix(rotation) * lengths
+    shear = float(np.abs(recomposed - linear).max()) / size
     if shear > SHEAR_TOLERANCE:
         message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
         notes.warn("GLT103", where, message)

@@ -133,9 +133,9 @@ def _unread_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
     if any(track.path is TargetPath.VISIBLE for track in tracks):
         names.append("animated visibility")
     nodes = enumerate(gltf.nodes)
-    hidden = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
-    if hidden:
-        names.append(f"that nodes are hidden: {listed(hidden, MAX_NAMED)}")
+    hidden_names = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
+    if hidden_names:
+        names.append(f"that nodes are hidden: {listed(hidden_names, MAX_NAMED)}")
     if not names:
         return []
     message = f"ignored: {', '.join(names)}"

@@ -28,9 +28,9 @@ def linear_keys(keys: Keys, tolerance: float) -> Keys:
         a, b = spans.pop()
         if b - a < 2:
             continue
-        between = slice(a + 1, b)
-        fraction = (times[between] - times[a]) / (times[b] - times[a])
-        errors = _distances(values[a], values[b], fraction, values[between])
+        inner = slice(a + 1, b)
+        fraction = (times[inner] - times[a]) / (times[b] - times[a])
+        errors = _distances(values[a], values[b], fraction, values[inner])
         worst = int(errors.argmax())
         if errors[worst] > tolerance:
             middle = a + 1 + worst

@@ -107,7 +107,7 @@ class GltfSampler:
     def _keys(
         self, track: GltfTrack, times: FloatArray
     ) -> npt.NDArray[np.float32] | None:
-        """Return a track's values if the times are consecutive keys of it.
+        """Return a track's values if the times are consecutive keys of the track.
 
         Returns None for other times, and for files that do not store floats.
         """

@@ -93,32 +93,32 @@ def names_of_shapes(
 
 
 def _shared_vertices(gltf: Gltf, node: int) -> list[_SharedVertices]:
-    """Return a mesh's vertices, each shared set once."""
-    parts: dict[object, _SharedVertices] = {}
+    """Return a mesh's vertex sets; primitives may share one."""
+    vertex_sets: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
-        if primitive.position >= 0 and primitive.vertices not in parts:
+        if primitive.position >= 0 and primitive.vertices not in vertex_sets:
             count = gltf.accessors.get(primitive.position).count
-            parts[primitive.vertices] = _SharedVertices(primitive, first, count)
+            vertex_sets[primitive.vertices] = _SharedVertices(primitive, first, count)
             first += count
-    return list(parts.values())
+    return list(vertex_sets.values())
 
 
 def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
     """Return the offset of a primitive's vertices in a node's mesh."""
     target_primitive = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
-    shared = _shared_vertices(gltf, node)
+    vertex_sets = _shared_vertices(gltf, node)
     return next(
         vertices.first
-        for vertices in shared
+        for vertices in vertex_sets
         if vertices.primitive.vertices == target_primitive.vertices
     )
 
 
 def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
-    shared = _shared_vertices(gltf, node)
-    starts = {vertices.primitive.vertices: vertices.first for vertices in shared}
+    vertex_sets = _shared_vertices(gltf, node)
+    starts = {vertices.primitive.vertices: vertices.first for vertices in vertex_sets}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
@@ -127,46 +127,48 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
             faces.append(corners + starts[primitive.vertices])
     if not sum(map(len, faces)):
         return None
-    points = [gltf.accessors.floats(vertices.primitive.position) for vertices in shared]
-    skin, geometry = _skin(gltf, node, shared, binder)
+    points = [
+        gltf.accessors.floats(vertices.primitive.position) for vertices in vertex_sets
+    ]
+    skin, geometry = _skin(gltf, node, vertex_sets, binder)
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
         LoadedArray(np.concatenate(points)),
         LoadedArray(np.concatenate(faces).astype(np.float64)),
-        _normals(gltf, shared),
+        _normals(gltf, vertex_sets),
         None if (geometry == np.eye(4)).all() else bind,
         skin,
-        None if _normals(gltf, shared) is not None else Subdivision.NONE,
+        None if _normals(gltf, vertex_sets) is not None else Subdivision.NONE,
     )
 
 
-def _normals(gltf: Gltf, shared: list[_SharedVertices]) -> LoadedArray | None:
-    if any(vertices.primitive.normal < 0 for vertices in shared):
+def _normals(gltf: Gltf, vertex_sets: list[_SharedVertices]) -> LoadedArray | None:
+    if any(vertices.primitive.normal < 0 for vertices in vertex_sets):
         return None
     accessors = gltf.accessors
-    rows = [accessors.floats(vertices.primitive.normal) for vertices in shared]
+    rows = [accessors.floats(vertices.primitive.normal) for vertices in vertex_sets]
     return LoadedArray(np.concatenate(rows))
 
 
 def _skin(
-    gltf: Gltf, node: int, shared: list[_SharedVertices], binder: Binder
+    gltf: Gltf, node: int, vertex_sets: list[_SharedVertices], binder: Binder
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh: its joints, or the node that carries it."""
     index = gltf.nodes[node].skin
-    if index >= 0 and all(vertices.primitive.joints for vertices in shared):
+    if index >= 0 and all(vertices.primitive.joints for vertices in vertex_sets):
         geometry, joints = binder.skin(index)
         rows = [
             skin_weights(vertices.primitive, len(joints), gltf.accessors, gltf.notes)
-            for vertices in shared
+            for vertices in vertex_sets
         ]
         width = max(indices.shape[1] for indices, _ in rows)
-        indices = np.concatenate([_wide(row, width) for row, _ in rows])
-        weights = np.concatenate([_wide(row, width) for _, row in rows])
+        indices = np.concatenate([_padded_columns(row, width) for row, _ in rows])
+        weights = np.concatenate([_padded_columns(row, width) for _, row in rows])
     else:
         geometry, joint = binder.node(node)
         joints = [joint]
-        count = sum(vertices.count for vertices in shared)
+        count = sum(vertices.count for vertices in vertex_sets)
         indices, weights = np.zeros((count, 1)), np.ones((count, 1))
     names = binder.names()
     skin = Skin(
@@ -178,7 +180,7 @@ def _skin(
     return skin, geometry
 
 
-def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
+def _padded_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
     padded = np.zeros((len(values), width))
     padded[:, : values.shape[1]] = values
     return padded
@@ -188,14 +190,14 @@ def _targets(
     gltf: Gltf, node: int
 ) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
     """Return point and normal offsets of each morph target."""
-    shared = _shared_vertices(gltf, node)
+    vertex_sets = _shared_vertices(gltf, node)
     deltas: list[LoadedArray] = []
     normals: list[LoadedArray | None] = []
-    with_normals = _normals(gltf, shared) is not None
+    with_normals = _normals(gltf, vertex_sets) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
         point_rows: list[FloatArray] = []
         normal_rows: list[FloatArray] = []
-        for vertices in shared:
+        for vertices in vertex_sets:
             morph = vertices.primitive.targets[target]
             for index, rows in (
                 (morph.position, point_rows),

@@ -61,7 +61,7 @@ def frames_of(
     """
     if animation is None or not animation.tracks:
         return GltfFrames(fps or RATES[0], Fraction(0), Fraction(0), 1)
-    stated_rate, start = _stated(animation.extras)
+    stated_rate, start = _recorded_timing(animation.extras)
     times = key_times(animation)
     rate = (
         fps
@@ -70,12 +70,13 @@ def frames_of(
     )
     first_time, last_time = animation.span
     first_frame = (
-        math.floor(first_time * float(rate) + _rounding(first_time, rate))
+        math.floor(first_time * float(rate) + _frame_tolerance(first_time, rate))
         if first_time < 0
         else 0
     )
     last_frame = max(
-        first_frame, math.ceil(last_time * float(rate) - _rounding(last_time, rate))
+        first_frame,
+        math.ceil(last_time * float(rate) - _frame_tolerance(last_time, rate)),
     )
     count = last_frame - first_frame + 1
     if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
@@ -86,7 +87,9 @@ def frames_of(
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
-    notices = () if _fits(times, rate) else (_between(times, rate, path, animation),)
+    notices = (
+        () if _fits(times, rate) else (_off_frame_fault(times, rate, path, animation),)
+    )
     return GltfFrames(rate, start, start + first_frame, count, notices)
 
 
@@ -96,7 +99,7 @@ def key_times(animation: Animation) -> FloatArray:
     return np.unique(np.concatenate(list(distinct.values())))
 
 
-def _rounding(time: float, rate: Fraction) -> float:
+def _frame_tolerance(time: float, rate: Fraction) -> float:
     return ON_FRAME + TIME_PRECISION * abs(time) * float(rate)
 
 
@@ -112,7 +115,7 @@ def _fits(times: FloatArray, rate: Fraction) -> bool:
     return bool((_distances(times, rate) <= ON_FRAME).all())
 
 
-def _between(
+def _off_frame_fault(
     times: FloatArray, rate: Fraction, path: str, animation: Animation
 ) -> Fault:
     is_off = _distances(times, rate) > ON_FRAME
@@ -126,7 +129,7 @@ def _between(
     )
 
 
-def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
+def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
     """Return rate and start frame that animtool wrote to the animation."""
     entry = extras.get("animtool")
     if not isinstance(entry, dict):

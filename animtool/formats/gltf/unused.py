@@ -1,4 +1,4 @@
-"""Contents of a glTF used only by images and materials, which are not checked."""
+"""glTF contents that only images and materials use; these are not checked."""
 
 from __future__ import annotations
 

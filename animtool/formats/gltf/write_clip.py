@@ -54,8 +54,8 @@ class _Animation:
         for k, (node, path, keys) in enumerate(self.tracks):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
-                extended = Keys(times, np.repeat(keys.values, 2, axis=0))
-                self.tracks[k] = (node, path, extended)
+                extended_keys = Keys(times, np.repeat(keys.values, 2, axis=0))
+                self.tracks[k] = (node, path, extended_keys)
                 return True
         return False
 
@@ -145,14 +145,14 @@ def write_clip(
         "name": name,
         "channels": animation.channels,
         "samplers": animation.samplers,
-        "extras": {"animtool": _stated(clock.fps, clock.start)},
+        "extras": {"animtool": _timing_extras(clock.fps, clock.start)},
     }
     builder.add("animations", entry)
     return lost_notices
 
 
 def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
-    """Return the keys of the clip or glTF that a take still equals."""
+    """Return the source keys of a take that still equals its clip or glTF."""
     start = take.clock.start
     if not is_of_curve(take):
         return {}
@@ -179,7 +179,7 @@ def _add_static_key(
         animation.add(0, "translation", _single_key(np.zeros(3), times))
 
 
-def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
+def _timing_extras(fps: Fraction, start: Fraction) -> dict[str, Any]:
     """Return the extras from which the reader restores the frames."""
     return {"fps": str(fps), "start": str(start)}
 
@@ -316,19 +316,21 @@ def _static_keys(like: Keys, value: float) -> Keys:
 
 def _merge_weights(tracks: list[Keys]) -> Keys | None:
     """Return linear or stepped weight keys at the union of their times."""
-    how = tracks[0].interpolation
-    if how == "CUBICSPLINE" or any(keys.interpolation != how for keys in tracks):
+    interpolation = tracks[0].interpolation
+    if interpolation == "CUBICSPLINE" or any(
+        keys.interpolation != interpolation for keys in tracks
+    ):
         return None
     times = np.unique(np.concatenate([keys.times for keys in tracks]))
     columns = []
     for keys in tracks:
         values = keys.values[:, 0]
-        if how == "STEP":
+        if interpolation == "STEP":
             key_indices = np.searchsorted(keys.times, times, "right") - 1
             columns.append(values[np.clip(key_indices, 0, None)])
         else:
             columns.append(np.interp(times, keys.times, values))
-    return Keys(times, np.stack(columns, axis=1), how)
+    return Keys(times, np.stack(columns, axis=1), interpolation)
 
 
 def _combine_weights(tracks: list[Keys | None], samples: FloatArray) -> Keys | None:

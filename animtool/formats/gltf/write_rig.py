@@ -200,7 +200,7 @@ def _node_of(
 def _carrier(
     builder: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
 ) -> tuple[int, FloatArray]:
-    """Return the joint that rigidly carries a mesh, -1 for none, and its bind.
+    """Return the joint that a mesh moves rigidly with (-1: none), and its bind.
 
     The bind is the transform from the points to the joint, or to the world without a
     joint. A node has one mesh: a second mesh at the same joint is skinned.
@@ -315,8 +315,11 @@ def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     width = max(4, -(-max_count // 4) * 4)
     padded = np.zeros((len(indices), width), np.int64)
     shares = np.zeros((len(indices), width))
-    copied = min(width, indices.shape[1])
-    padded[:, :copied], shares[:, :copied] = indices[:, :copied], weights[:, :copied]
+    common_width = min(width, indices.shape[1])
+    padded[:, :common_width], shares[:, :common_width] = (
+        indices[:, :common_width],
+        weights[:, :common_width],
+    )
     weight_sums = shares.sum(axis=1, keepdims=True)
     shares = np.where(
         weight_sums > 0, shares / np.where(weight_sums > 0, weight_sums, 1.0), 0.0
@@ -332,9 +335,9 @@ def _unstored_notice(
     rig: Rig, left_out: dict[str, list[str]], rig_indices: RigIndices
 ) -> list[Fault]:
     """Return one notice about rig contents that glTF cannot store."""
-    combined = [shape.name for shape in rig.shapes if shape.combine]
-    if combined:
-        left_out["products of shapes (each gets its own weight)"] += combined
+    corrective_names = [shape.name for shape in rig.shapes if shape.combine]
+    if corrective_names:
+        left_out["products of shapes (each gets its own weight)"] += corrective_names
     unwritten = [
         shape_.name for shape_ in rig.shapes if shape_.name not in rig_indices.shapes
     ]

@@ -249,18 +249,18 @@ class _Table:
             return []
         counts = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
         stated_counts = values[:, self.count]
-        mismatched: BoolArray = np.isfinite(stated_counts) & ~np.isin(
+        is_mismatched: BoolArray = np.isfinite(stated_counts) & ~np.isin(
             stated_counts, list(counts)
         )
-        if not mismatched.any():
+        if not is_mismatched.any():
             return []
-        row = int(np.flatnonzero(mismatched)[0])
+        row = int(np.flatnonzero(is_mismatched)[0])
         values_text = counted(max(counts), "value")
         message = f"{COUNT} is {stated_counts[row]:g}, but the row has {values_text}"
         where = int(lines[row])
         notice = Fault("LLF106", message, str(self.path), (where,))
-        return [_warning(notice)]
+        return [_as_warning(notice)]
 
 
-def _warning(fault: Fault) -> Fault:
+def _as_warning(fault: Fault) -> Fault:
     return replace(fault, severity=Severity.WARNING)

@@ -90,7 +90,7 @@ def read_livelink(
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
     notices += _notices(recording, frames, dropped)
-    notices += _unmatched(recording, links, rotations, joints, rig is not None)
+    notices += _unmatched_notices(recording, links, rotations, joints, rig is not None)
     motion = _motion(recording, frames, target, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
@@ -157,7 +157,8 @@ def _motion(
     raw = fill_gaps(recording.weights[frames.rows], times)
     shape_weights = links.apply(raw, len(rig.shapes))
     weights = np.stack(
-        [_between(column, times, at, dropped) for column in shape_weights.T], axis=-1
+        [_interpolated_rows(column, times, at, dropped) for column in shape_weights.T],
+        axis=-1,
     ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
     channel = Channel.static(rig.rest_rotations, len(at))
     for part, angles in _rotations(recording).items():
@@ -175,7 +176,7 @@ def _motion(
     )
 
 
-def _between(
+def _interpolated_rows(
     values: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
 ) -> FloatArray:
     if dropped == "hold":
@@ -207,13 +208,13 @@ def _notices(
     notices = []
     gaps = frames.dropped
     if len(gaps):
-        handling = {
+        fill = {
             "interpolate": "interpolated",
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
         message = (
-            f"{len(gaps)} of {frames.count} frames have no row: {handling}; from the "
+            f"{len(gaps)} of {frames.count} frames have no row: {fill}; from the "
             f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
@@ -222,13 +223,15 @@ def _notices(
         (recording.weights, recording.shapes),
         (recording.rotations, recording.angles),
     ):
-        missing = ~np.isfinite(values)
-        for c in np.flatnonzero(missing.any(axis=0)).tolist():
-            lines = recording.lines[missing[:, c]].tolist()
-            how = "interpolated from its neighbours"
-            if missing[:, c].all():
-                how = "set to 0"
-            message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
+        is_missing = ~np.isfinite(values)
+        for c in np.flatnonzero(is_missing.any(axis=0)).tolist():
+            lines = recording.lines[is_missing[:, c]].tolist()
+            treatment = "interpolated from its neighbours"
+            if is_missing[:, c].all():
+                treatment = "set to 0"
+            message = (
+                f"{names[c]} has no value in {counted(len(lines), 'row')}: {treatment}"
+            )
             fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
             notices.append(replace(fault, severity=Severity.WARNING))
     # Values are kept: some rigs exceed 1, and percentages are detected.
@@ -246,7 +249,7 @@ def _notices(
     return notices
 
 
-def _unmatched(
+def _unmatched_notices(
     recording: Recording,
     links: ShapeLinks,
     rotations: dict[str, FloatArray],

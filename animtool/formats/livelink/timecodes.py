@@ -61,9 +61,9 @@ class TimecodeFrames:
     @property
     def dropped(self) -> IntArray:
         """Frames without a row."""
-        missing = np.ones(self.count, np.bool_)
-        missing[self.frames] = False
-        return np.flatnonzero(missing)
+        is_dropped = np.ones(self.count, np.bool_)
+        is_dropped[self.frames] = False
+        return np.flatnonzero(is_dropped)
 
 
 def row_frames(
@@ -192,12 +192,12 @@ def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
         return 1, np.zeros(len(times), np.int64)
     exact = steps + np.diff(fractions)
     step = 1
-    for every in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
+    for interval in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
         regular = max(
-            (positive_steps % every == 0).mean(), _on_beat(exact, every).mean()
+            (positive_steps % interval == 0).mean(), _on_beat(exact, interval).mean()
         )
         if regular >= REGULAR_FRACTION:
-            step = every
+            step = interval
             break
     if _on_beat(exact, step).mean() >= REGULAR_FRACTION and np.ptp(fractions) > 0:
         beats = np.round(exact / step)
@@ -208,7 +208,7 @@ def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
 
 
 def _on_beat(exact: FloatArray, step: int) -> BoolArray:
-    """Return which rows are an integer number of steps after the previous one."""
+    """Return which rows are a whole number of steps after the previous row."""
     beats = exact / step
     return np.asarray(np.abs(beats - np.round(beats)) * step <= MAX_CLOCK_JITTER)
 
@@ -231,13 +231,20 @@ def _repeated_notice(
     lines: IntArray,
     path: str,
 ) -> list[Fault]:
-    again = sorted(lines[order[~is_first]].tolist())
-    if not again:
+    repeats = sorted(lines[order[~is_first]].tolist())
+    if not repeats:
         return []
     message = (
-        f"{counted(len(again), 'row')} for a frame that already has one: skipped, "
-        f"lines {listed(again, MAX_NAMED)}"
+        f"{counted(len(repeats), 'row')} for a frame that already has one: skipped, "
+        f"lines {listed(repeats, MAX_NAMED)}"
     )
     return [
-        Fault("LLF105", message, path, tuple(again[:MAX_NAMED]), None, Severity.WARNING)
+        Fault(
+            "LLF105",
+            message,
+            path,
+            tuple(repeats[:MAX_NAMED]),
+            None,
+            Severity.WARNING,
+        )
     ]

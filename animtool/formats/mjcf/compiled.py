@@ -33,7 +33,7 @@ from animtool.rig.skeleton import JointType, Quaternion
 MAX_NAMED = 8
 _LINE = re.compile(r",? line (\d+)")
 _START = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
-_EXTRA = "pip install 'animtool[mjcf]'"
+_INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
 # Joint and geom types by MuJoCo's numbers.
 _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
@@ -55,7 +55,7 @@ def compiled(reduced: ReducedModel, notes: XmlNotes) -> Any:
         import mujoco
     except ImportError as error:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
-        fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
+        fault = Fault("MJC005", message, str(notes.path), (), _INSTALL_COMMAND)
         raise OptionError(fault) from error
     # MuJoCo prints and logs warnings about simulation; they are suppressed.
     warning_handler = mujoco.get_mju_user_warning()
@@ -202,7 +202,7 @@ def _move(
 
 def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
     """Return a body's simple geoms: colliding ones, and visible ones."""
-    colliding, visible = [], []
+    colliding_geoms, visible = [], []
     first_geom = int(model.body_geomadr[body])
     for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):
         kind = _SOLIDS.get(int(model.geom_type[geom]))
@@ -220,10 +220,10 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
             kind, tuple(size), position, rotation_of(model.geom_quat[geom])
         )
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            colliding.append(solid)
+            colliding_geoms.append(solid)
         if model.geom_group[geom] < HIDDEN_GROUP and model.geom_rgba[geom][3] > 0:
             visible.append(triangles_of(solid))
-    return colliding, visible
+    return colliding_geoms, visible
 
 
 def _weight(model: Any, body: int, mass: float) -> Weight:
@@ -270,11 +270,11 @@ def _note(
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add("MJC104", balls, message, hint)
     if reduced.idle:
-        constrained = {*equalities.mimics, *equalities.drivers}
+        constrained_joints = {*equalities.mimics, *equalities.drivers}
         idle = [
             j
             for j in scalar
-            if names[j] not in reduced.actuated and j not in constrained
+            if names[j] not in reduced.actuated and j not in constrained_joints
         ]
         add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
     if reduced.with_unknown_mass:

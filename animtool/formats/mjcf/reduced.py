@@ -31,9 +31,9 @@ _SECTIONS = {
 _IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
 _IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
 # Elements that MuJoCo expands from other files or by plug-ins.
-_GENERATED = frozenset({"attach", "composite", "flexcomp"})
+_GENERATOR_TAGS = frozenset({"attach", "composite", "flexcomp"})
 # Attributes that refer to removed elements, or change the set of bodies.
-_DROPPED = {
+_DROPPED_ATTRIBUTES = {
     "geom": ("material", "mesh", "hfield", "user"),
     "site": ("material", "user"),
     "body": ("user",),
@@ -140,14 +140,16 @@ def reduced_model(
         for actuator in section.children
         if actuator.tag != "plugin"
     ]
-    actuated = frozenset(actuator_.attributes.get("joint", "") for actuator_ in acts)
+    actuated_joints = frozenset(
+        actuator_.attributes.get("joint", "") for actuator_ in acts
+    )
     return ReducedModel(
         "\n".join(lines),
         elements,
         bodies,
         frozenset(with_unknown_mass - with_inertia),
-        bool(acts) and "" not in actuated,
-        actuated,
+        bool(acts) and "" not in actuated_joints,
+        actuated_joints,
     )
 
 
@@ -171,7 +173,7 @@ def _is_kept(
 def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
     """Return whether a part of a body is kept; record it if not."""
     tag, left_out = child.tag, _IN_BODIES.get(child.tag)
-    if tag in _GENERATED:
+    if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
         hint = "compile the model, and save it by mujoco.mj_saveLastXML"
         notes.add("MJC009", child, message, hint)
@@ -186,12 +188,12 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
 
 def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
     """Return the kept attributes of an element as XML."""
-    removed: tuple[str, ...] = _DROPPED.get(element.tag, ())
+    removed_names: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESHES:
-        removed = (*removed, "type")
+        removed_names = (*removed_names, "type")
     texts = []
     for name, value in element.attributes.items():
-        if name in removed:
+        if name in removed_names:
             continue
         if name not in _TEXTS:
             _check_numbers(element, name, value, notes)
@@ -291,21 +293,21 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
         for name, value in compiler.attributes.items()
         if name in {"assetdir", "meshdir", "texturedir"}
     }
-    missing = 0
+    missing_count = 0
     for element, name in _files(root):
         folder = folders.get("assetdir", "")
         key = "texturedir" if element.tag == "texture" else "meshdir"
         folder = folders.get(key, folder)
         try:
             if packages.find(f"{folder}/{name}" if folder else name) is None:
-                missing += 1
+                missing_count += 1
         except OutsideError as error:
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
             notes.add("MJC016", element, message, hint, where=label_of(element))
-    if missing:
-        message = f"{counted(missing, 'file')} of its assets not found"
+    if missing_count:
+        message = f"{counted(missing_count, 'file')} of its assets not found"
         hint = "motion needs none of them"
         notes.add("MJC103", None, message, hint, severity=Severity.NOTE)
 

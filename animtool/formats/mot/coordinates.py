@@ -65,12 +65,12 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
     names: dict[str, Coordinate] = {}
     coordinates = coordinates_of(rig)
     for coordinate in coordinates:
-        names[_dotted(rig, coordinate)] = coordinate
+        names[_dotted_name(rig, coordinate)] = coordinate
     for coordinate in sorted(
         coordinates,
         key=lambda coordinate: coordinate.component not in {"angle", "slide"},
     ):
-        names.setdefault(_short(rig, coordinate), coordinate)
+        names.setdefault(_short_name(rig, coordinate), coordinate)
     return names
 
 
@@ -79,20 +79,20 @@ def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
     by_name = spellings(rig)
     return [
         short
-        if by_name[short := _short(rig, coordinate)] == coordinate
-        else _dotted(rig, coordinate)
+        if by_name[short := _short_name(rig, coordinate)] == coordinate
+        else _dotted_name(rig, coordinate)
         for coordinate in coordinates
     ]
 
 
-def _dotted(rig: Rig, coordinate: Coordinate) -> str:
+def _dotted_name(rig: Rig, coordinate: Coordinate) -> str:
     name = f"{rig.joints[coordinate.joint_index].name}.{coordinate.component}"
     if coordinate.component in {"angle", "slide"}:
         return name
     return f"{name}.{'xyz'[coordinate.axis]}"
 
 
-def _short(rig: Rig, coordinate: Coordinate) -> str:
+def _short_name(rig: Rig, coordinate: Coordinate) -> str:
     name, axis = rig.joints[coordinate.joint_index].name, "xyz"[coordinate.axis]
     suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(
         coordinate.component, ""

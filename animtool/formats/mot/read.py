@@ -83,7 +83,7 @@ def read_mot(
     table = read_table(path)
     notices = list(table.notices)
     target = _default_rig(table) if rig is None else at_origin(Rig.load(Path(rig)))
-    table_columns, columns, unmatched = _matched(table, target)
+    table_columns, columns, unmatched = _matched_columns(table, target)
     if rig is None:
         message = "names no rig: each coordinate became a joint"
         hint = f"set the rig of its coordinates with {argument('source.rig')}"
@@ -113,7 +113,7 @@ def read_mot(
         ]
         notices += _degrees_notice(str(path), names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
-    rate, values, even_notices = _resampled(table, values, option)
+    rate, values, even_notices = _resampled_rows(table, values, option)
     motion = _motion(target, columns, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
@@ -164,7 +164,7 @@ def _degrees_notice(path: str, names: list[str], angles: FloatArray) -> list[Fau
     return [Fault("MOF112", message, path, (), hint, Severity.WARNING)]
 
 
-def _matched(
+def _matched_columns(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
     """Return columns known to the rig, their coordinates, and unknown names."""
@@ -192,7 +192,7 @@ def _matched(
     return table_columns, columns, unmatched
 
 
-def _resampled(
+def _resampled_rows(
     table: MotionTable, values: FloatArray, option: Fraction | None
 ) -> tuple[Fraction, FloatArray, list[Fault]]:
     """Return the rate, and values resampled to constant steps."""
@@ -217,13 +217,19 @@ def _resampled(
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     at = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
-    resampled = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
+    resampled_values = np.stack(
+        [np.interp(at, times, column) for column in values.T], axis=-1
+    )
     message = (
         f"times are uneven, up to {steps.error:.3g} s off: resampled at "
         f"{float(rate):g} fps, linearly between rows"
     )
     hint = f"{argument('source.fps')} reads each row as a frame"
-    return rate, resampled, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
+    return (
+        rate,
+        resampled_values,
+        [Fault("MOF105", message, path, (), hint, Severity.WARNING)],
+    )
 
 
 def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:

@@ -101,7 +101,7 @@ def read_table(path: Path) -> MotionTable:
     cells = values[:, 1:].copy()
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
-    notices += _missing(path, names, cells, numbers)
+    notices += _missing_values_warning(path, names, cells, numbers)
     return MotionTable(
         path,
         names,
@@ -245,12 +245,12 @@ def check_once(
     first_names: dict[object, str] = {}
     for key, name in zip(keys, names, strict=True):
         if key in first_names:
-            both = f"{excerpt(first_names[key])} and {excerpt(name)}"
+            both_names = f"{excerpt(first_names[key])} and {excerpt(name)}"
             message_start = f"duplicate column {excerpt(name)}"
             message = (
                 message_start
                 if first_names[key] == name
-                else f"{both} are the same coordinate"
+                else f"{both_names} are the same coordinate"
             )
             raise _error("MOF004", path, message, line)
         first_names[key] = name
@@ -330,7 +330,7 @@ def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
         raise _error("MOF005", path, message, int(lines[row]))
 
 
-def _missing(
+def _missing_values_warning(
     path: Path, names: tuple[str, ...], values: FloatArray, lines: IntArray
 ) -> list[Fault]:
     """Return a warning about columns with missing values."""

@@ -131,9 +131,11 @@ def _loss_warnings(
 ) -> list[Fault]:
     """Return warnings about motion that coordinates cannot represent."""
     rig, warning = take.rig, Severity.WARNING
-    again = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
-    shift = np.abs(again.translations - local.translations).max(axis=(0, 2), initial=0)
-    difference = so3.multiply(so3.conjugate(again.rotations), local.rotations)
+    read_back = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
+    shift = np.abs(read_back.translations - local.translations).max(
+        axis=(0, 2), initial=0
+    )
+    difference = so3.multiply(so3.conjugate(read_back.rotations), local.rotations)
     angle = 2 * np.abs(difference[..., :3]).max(axis=(0, 2), initial=0)
     inexact = [
         rig.joints[j].name

@@ -78,8 +78,10 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         for site, position, rotation in link.sites:
             site_name = names.sites.get((i, site))
             if site_name is not None:
-                fixed = JointType.FIXED
-                joints.append(Joint(site_name, frames[i], fixed, position, rotation))
+                fixed_type = JointType.FIXED
+                joints.append(
+                    Joint(site_name, frames[i], fixed_type, position, rotation)
+                )
         joint_name = joints[carrier if link.joints else parent].name
         shift = link.offset if link.joints else ORIGIN
         for solid in link.solids:
@@ -142,7 +144,7 @@ def _meshes(robot: Robot, names: _JointNames, joints: list[Joint]) -> tuple[Mesh
 def _joint(
     robot_joint: RobotJoint, name: str, parent: int, rig_names: Mapping[str, str]
 ) -> Joint:
-    mimic, driven = robot_joint.mimic, robot_joint.driver
+    mimic, driver = robot_joint.mimic, robot_joint.driver
     if mimic is not None:
         mimic = replace(mimic, joint=rig_names[mimic.joint])
     return Joint(
@@ -154,7 +156,7 @@ def _joint(
         robot_joint.axis,
         limits=robot_joint.limits,
         mimic=mimic,
-        driven=None if driven is None else driven.renamed(rig_names),
+        driven=None if driver is None else driver.renamed(rig_names),
     )
 
 
@@ -199,16 +201,16 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
         row = []
         for k, robot_joint in enumerate(link.joints):
             if is_merged and robot_joint is last_joint:
-                new = name
+                new_name = name
             elif robot_joint.name:
-                new = unique_name(
+                new_name = unique_name(
                     legal_name(robot_joint.name), robot_joint.name, "_joint"
                 )
             else:
-                new = unique_name(f"{name}_joint_{k + 1}", "")
-            row.append(new)
+                new_name = unique_name(f"{name}_joint_{k + 1}", "")
+            row.append(new_name)
             if robot_joint.name:
-                of_file[robot_joint.name] = new
+                of_file[robot_joint.name] = new_name
         joint_names.append(row)
     sites = {
         (i, site): unique_name(legal_name(site), site, "_site")

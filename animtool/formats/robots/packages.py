@@ -99,12 +99,12 @@ class PackageFolders:
 
     def _inside_project(self, path: Path, name: str) -> Path | None:
         try:
-            resolved = path.resolve()
+            real_path = path.resolve()
         except (OSError, RuntimeError, ValueError) as error:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
-        if not any(resolved.is_relative_to(root) for root in self.roots):
+        if not any(real_path.is_relative_to(root) for root in self.roots):
             raise OutsideError(f"it leads out of {_folder_list(self.roots)}")
-        return resolved if exists(resolved) else None
+        return real_path if exists(real_path) else None
 
 
 def _folder_list(roots: Sequence[Path]) -> str:

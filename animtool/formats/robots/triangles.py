@@ -38,7 +38,7 @@ def triangles_of(solid: SimpleShape) -> Triangles:
         shape = _cylinder(radius, length)
     else:
         length = solid.size[1] if solid.kind == "capsule" else 0.0
-        shape = _rounded(solid.size[0], length)
+        shape = _sphere_or_capsule(solid.size[0], length)
     points = so3.rotate(np.array(solid.rotation), shape.points)
     return Triangles(points + np.array(solid.position), shape.faces)
 
@@ -84,7 +84,7 @@ def _side_faces(lower: int, upper: int) -> IntArray:
     return np.concatenate([lower_triangles, upper_triangles])
 
 
-def _rounded(radius: float, length: float) -> Triangles:
+def _sphere_or_capsule(radius: float, length: float) -> Triangles:
     """Return a sphere, or a capsule along z."""
     heights = np.linspace(-math.pi / 2, math.pi / 2, ARC_CORNERS + 1)
     rows = [(h, -0.5 if h <= 0 else 0.5) for h in heights]

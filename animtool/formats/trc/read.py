@@ -277,7 +277,7 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
             raise file.error("MKR013", "the file has no markers")
         raise file.error("MKR013", "the file has no frames")
     max_cells = int(rows.filled.max())
-    names, unnamed = columns_of(file, header, max_cells)
+    names, unnamed_count = columns_of(file, header, max_cells)
     if not names:
         raise file.error("MKR013", "the file has no markers")
     is_too_wide = rows.filled > 2 + 3 * len(header.names)
@@ -300,11 +300,11 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
             hint = "commas separate both cells and decimals; export with tabs or points"
         at = (int(rows.lines[row]),)
         raise FormatError(Fault("TRC002", message, file.path, at, hint))
-    if unnamed:
+    if unnamed_count:
         first_unnamed = next(i for i, name in enumerate(names) if not name)
         message = (
-            f"{unnamed} of {counted(len(names), 'marker')} "
-            f"{'has' if unnamed == 1 else 'have'} no name, the first in column "
+            f"{unnamed_count} of {counted(len(names), 'marker')} "
+            f"{'has' if unnamed_count == 1 else 'have'} no name, the first in column "
             f"{3 + 3 * first_unnamed}"
         )
         if is_too_wide.any() and not is_too_wide.all():

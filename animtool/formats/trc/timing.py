@@ -117,8 +117,8 @@ def _check_times(
     message = f"the time of {row_frame} is not a finite number"
     if np.isfinite(times[row]):
         previous_frame = _frame(numbers[row - 1], int(lines[row - 1]))
-        again = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
-        relation = "repeats" if again else "does not come after"
+        is_repeated = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
+        relation = "repeats" if is_repeated else "does not come after"
         message = f"{row_frame}, at {times[row]:g} s, {relation} {previous_frame}, at "
         message += f"{times[row - 1]:g} s"
     message += f"; {counted(other_count, 'other row')} too" if other_count else ""
@@ -255,9 +255,9 @@ def _first_frame_and_time(
     if _counted_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are placed by Time")
         return start, float(times[0])
-    mismatched = np.flatnonzero(numbers - numbers[0] != at)
-    if len(mismatched):
-        row = int(mismatched[0])
+    mismatched_rows = np.flatnonzero(numbers - numbers[0] != at)
+    if len(mismatched_rows):
+        row = int(mismatched_rows[0])
         message = (
             f"frame {numbers[row]:g} is {times[row] - times[0]:.6g} s after frame "
             f"{numbers[0]:g}; at {float(rate):g} fps it would be "

@@ -43,7 +43,7 @@ def write_trc(
     if not markers.names or not len(markers):
         message = "a TRC needs at least one marker and one frame"
         raise OptionError(Fault("TRC010", message, str(path)))
-    write_parts(path, _parts(markers, path.name))
+    write_parts(path, _file_chunks(markers, path.name))
     warnings = []
     if markers.filled is not None and markers.filled.any():
         warnings.append("which positions were filled")
@@ -57,7 +57,7 @@ def write_trc(
     return [Fault("TRC102", message, str(path), (), "write .npz", Severity.NOTE)]
 
 
-def _parts(markers: Markers, name: str) -> Iterator[bytes]:
+def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
     count, frames = len(markers.names), len(markers)
     rate, start = f"{float(markers.clock.rate):.10g}", int(markers.clock.start)
     names = [" ".join(name.split()) for name in markers.names]

@@ -39,10 +39,10 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
     _note_degrees(root, notes)
-    driven, drives = _driven(root)
+    actuated_joints, drives = _actuated_joints(root)
     notes.leave_out(_not_read(root))
     name = root.attributes.get("name", "")
-    return UrdfFile(name, links, joints, driven, drives)
+    return UrdfFile(name, links, joints, actuated_joints, drives)
 
 
 def _check_root(root: XmlElement, notes: XmlNotes) -> None:
@@ -108,7 +108,7 @@ def _note_degrees(root: XmlElement, notes: XmlNotes) -> None:
 
 _LIMITS = ("lower", "upper")
 # Elements that are not read, and their labels.
-_KNOWN = {"link", "joint", "material"}
+_HANDLED_TAGS = {"link", "joint", "material"}
 _JOINT_CONTENTS = {
     "dynamics": "damping and friction of joints",
     "safety_controller": "safety controllers",
@@ -121,7 +121,7 @@ def _not_read(root: XmlElement) -> Iterator[str]:
     for element in root.children:
         if element.tag == "material":
             yield "materials"
-        elif element.tag not in _KNOWN:
+        elif element.tag not in _HANDLED_TAGS:
             yield f"<{element.tag[:40]}>"
         for child in element.children:
             if element.tag == "joint" and child.tag in _JOINT_CONTENTS:
@@ -131,7 +131,7 @@ def _not_read(root: XmlElement) -> Iterator[str]:
                 yield from ("limits of effort and velocity",) if names else ()
 
 
-def _driven(root: XmlElement) -> tuple[frozenset[str], bool]:
+def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
     """Return joints named by transmissions or controllers, and if any exist."""
     drives = [*root.all("transmission"), *root.all("ros2_control")]
     names = {

@@ -26,13 +26,13 @@ from animtool.rig.skeleton import Mimic
 
 # Shorter axes have no direction.
 MIN_AXIS_LENGTH = 1e-9
-_LIMITED = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
+_LIMITED_KINDS = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
 
 
 def add_joint(
     element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
 ) -> None:
-    """Add a joint to those of a file; record faults."""
+    """Add a joint to the file's joints; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return
@@ -43,8 +43,8 @@ def add_joint(
         hint = f"the first is in line {first_line}"
         notes.add("URD009", element, message, hint, joint=name)
         return
-    allowed = ", ".join(UrdfJointKind)
-    text = text_of(element, "type", where, notes, f"allowed: {allowed}")
+    kind_names = ", ".join(UrdfJointKind)
+    text = text_of(element, "type", where, notes, f"allowed: {kind_names}")
     if text not in list(UrdfJointKind):
         if text:
             message = f"unknown joint type {excerpt(text)}"
@@ -90,7 +90,7 @@ def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
 
 
 def unit(values: FloatArray) -> Vector:
-    """Return a direction normalised to the last digit."""
+    """Return a direction, normalised to full precision."""
     direction = values / np.abs(values).max()
     return vector(direction / math.sqrt(float(direction @ direction)))
 
@@ -98,7 +98,7 @@ def unit(values: FloatArray) -> Vector:
 def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
     where, name = joint.where, joint.name
     element = one_of(joint.element, "limit", where, notes)
-    if joint.kind not in _LIMITED:
+    if joint.kind not in _LIMITED_KINDS:
         return None
     if element is None:
         message = f"is {joint.kind} and has no <limit>"

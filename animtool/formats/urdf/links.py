@@ -16,7 +16,7 @@ from animtool.maths import so3
 
 
 def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -> None:
-    """Add a link to those of a file; record faults."""
+    """Add a link to the file's links; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return

@@ -30,28 +30,28 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
         return {}
     folders = PackageFolders.of(path, CODES)
     files: dict[str, Path] = {}
-    missing: dict[str, None] = {}
-    outside: set[tuple[str, str]] = set()
+    missing_files: dict[str, None] = {}
+    outside_files: set[tuple[str, str]] = set()
     for link, mesh in meshes:
         name = mesh.attributes["filename"]
-        if name in files or name in missing or (link.name, name) in outside:
+        if name in files or name in missing_files or (link.name, name) in outside_files:
             continue
         try:
             file_path = folders.find(name)
         except OutsideError as error:
-            outside.add((link.name, name))
+            outside_files.add((link.name, name))
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
             notes.add("URD016", mesh, message, hint, where=label("link", link.name))
             continue
         if file_path is None:
-            missing[name] = None
+            missing_files[name] = None
         else:
             files[name] = file_path
-    if missing:
-        message = f"{counted(len(missing), 'mesh', 'meshes')} not found: "
-        message += listed([excerpt(name, 80) for name in missing], MAX_NAMED)
+    if missing_files:
+        message = f"{counted(len(missing_files), 'mesh', 'meshes')} not found: "
+        message += listed([excerpt(name, 80) for name in missing_files], MAX_NAMED)
         hint = "motion needs none of them; package:// means a folder of that name in "
         hint += "the project, or the package that the file is in"
         notes.add("URD103", None, message, hint, severity=Severity.NOTE)
@@ -62,13 +62,13 @@ def visible_surfaces(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
     """Return visible surfaces by link name; record what is not shown."""
-    loaded: dict[Path, Triangles | None] = {}
-    unreadable: dict[str, None] = {}
+    cache: dict[Path, Triangles | None] = {}
+    unreadable_files: dict[str, None] = {}
     surfaces: dict[str, list[Triangles]] = {}
     total = 0
     for link in file.links.values():
         for visual in link.visuals:
-            surface = _visible_surface(visual, files, loaded, unreadable, notes)
+            surface = _visible_surface(visual, files, cache, unreadable_files, notes)
             if surface is None:
                 continue
             total += len(surface.faces)
@@ -76,9 +76,9 @@ def visible_surfaces(
                 notes.leave_out([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
                 return surfaces
             surfaces.setdefault(link.name, []).append(surface)
-    if unreadable:
-        message = f"{counted(len(unreadable), 'mesh', 'meshes')} not shown: "
-        message += listed(list(unreadable), MAX_NAMED)
+    if unreadable_files:
+        message = f"{counted(len(unreadable_files), 'mesh', 'meshes')} not shown: "
+        message += listed(list(unreadable_files), MAX_NAMED)
         hint = "export it as STL or OBJ again"
         notes.add("URD110", None, message, hint, severity=Severity.WARNING)
     return surfaces
@@ -87,8 +87,8 @@ def visible_surfaces(
 def _visible_surface(
     visual: Visual,
     files: dict[str, Path],
-    loaded: dict[Path, Triangles | None],
-    unreadable: dict[str, None],
+    cache: dict[Path, Triangles | None],
+    unreadable_files: dict[str, None],
     notes: XmlNotes,
 ) -> Triangles | None:
     """Return a visual's surface in its link frame; None if not shown."""
@@ -101,13 +101,13 @@ def _visible_surface(
     if path.suffix.lower() not in SUFFIXES:
         notes.leave_out([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
         return None
-    if path not in loaded:
+    if path not in cache:
         try:
-            loaded[path] = read_mesh(path)
+            cache[path] = read_mesh(path)
         except ValueError as error:
-            loaded[path] = None
-            unreadable[f"{excerpt(name, 60)}: {error}"] = None
-    mesh = loaded[path]
+            cache[path] = None
+            unreadable_files[f"{excerpt(name, 60)}: {error}"] = None
+    mesh = cache[path]
     if mesh is None:
         return None
     position, rotation = (

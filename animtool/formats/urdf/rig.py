@@ -65,9 +65,9 @@ def _links(
         children.add(joint_.child)
     root = next(name for name in file.links if name not in children)
     links: list[Link] = []
-    pending: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
-    while pending:
-        name, parent, joint = pending.pop()
+    stack: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
+    while stack:
+        name, parent, joint = stack.pop()
         source = file.links[name]
         rig_joints = [] if joint is None else _moves(joint, mimics.get(joint.name))
         visible = surfaces.get(name, [])
@@ -75,7 +75,7 @@ def _links(
         link.weight = source.weight
         links.append(link)
         index = len(links) - 1
-        pending += [
+        stack += [
             (next_joint.child, index, next_joint)
             for next_joint in reversed(child_joints[name])
         ]
@@ -86,10 +86,10 @@ def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]:
     """Return the rig joints that represent a joint."""
     if joint.kind is UrdfJointKind.PLANAR:
         return _planar(joint)
-    fixed = joint.kind is UrdfJointKind.FIXED
+    is_fixed = joint.kind is UrdfJointKind.FIXED
     return [
         RobotJoint(
-            "" if fixed else joint.name,
+            "" if is_fixed else joint.name,
             _TYPES[joint.kind],
             joint.position,
             joint.rotation,

@@ -23,9 +23,9 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
                 hint = nearest(name, file.links)
                 _add(notes, "URD010", joint, message, hint)
         if joint.child in parents:
-            other = parents[joint.child]
+            first = parents[joint.child]
             message = f"link {excerpt(joint.child)} has two parents, "
-            message += f"{excerpt(other.parent)} by joint {excerpt(other.name)} and "
+            message += f"{excerpt(first.parent)} by joint {excerpt(first.name)} and "
             message += f"{excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             cycle = _cycle_through(joint, parents)
             hint = "a robot is a tree: remove one of the two joints"
@@ -57,7 +57,7 @@ def _check_roots(
 ) -> None:
     roots = [name for name in file.links if name not in parent_joints]
     if len(roots) > 1:
-        message = f"{len(roots)} links have no parent: {listed(_quoted(roots))}"
+        message = f"{len(roots)} links have no parent: {listed(_quoted_names(roots))}"
         hint = "a robot has one root: join the others to it by joints"
         second_root = file.links[roots[1]].element
         notes.add("URD012", second_root, message, hint)
@@ -75,12 +75,12 @@ def _check_roots(
     if in_cycles:
         names = [parent_joints[in_cycles[0]].name]
         link = parent_joints[in_cycles[0]].parent
-        visited = [in_cycles[0]]
-        while link not in visited:
-            visited.append(link)
+        cycle = [in_cycles[0]]
+        while link not in cycle:
+            cycle.append(link)
             names.append(parent_joints[link].name)
             link = parent_joints[link].parent
-        names = names[visited.index(link) :]
+        names = names[cycle.index(link) :]
         first_joint = file.joints[names[0]]
         message = f"joints go round: {circle([*reversed(names), names[-1]])}"
         if not roots:
@@ -88,7 +88,7 @@ def _check_roots(
         _add(notes, "URD011", first_joint, message, "remove one of these joints")
 
 
-def _quoted(names: Iterable[str]) -> list[str]:
+def _quoted_names(names: Iterable[str]) -> list[str]:
     return [excerpt(name) for name in names]
 
 

@@ -201,8 +201,12 @@ def _check(
     light_of(pictures)
     sheet = sheet_of(pictures)
     size_of(pictures, kind, sheet=bool(sheet or frames))
-    requested = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
-    several = [name for name, value in requested.items() if value]
+    requested_options = {
+        "sheet": sheet,
+        "frames": frames,
+        "camera": pictures.camera[1:],
+    }
+    several = [name for name, value in requested_options.items() if value]
     if several and not kind.picture:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
@@ -262,8 +266,8 @@ class PictureRenderer:
         codes = tuple(float(self._scene.codes[i]) for i in samples)
         size = output.stat().st_size
         pixels = shape[1], shape[0]
-        about = self._kind.about
-        return PictureReport(output, size, pixels, codes, rate, about, self._page)
+        info = self._kind.about
+        return PictureReport(output, size, pixels, codes, rate, info, self._page)
 
     def _samples(self) -> list[int]:
         """Return the samples of a picture or sheet."""
@@ -401,5 +405,5 @@ class PictureRenderer:
                 TURNTABLE_SECONDS * TURNTABLE_RATE if self._options.turntable else 1
             )
             return [0] * frames, Fraction(TURNTABLE_RATE)
-        every = max(1, math.ceil(rate / self._kind.max_rate))
-        return list(range(0, time["count"], every)), rate / every
+        interval = max(1, math.ceil(rate / self._kind.max_rate))
+        return list(range(0, time["count"], interval)), rate / interval

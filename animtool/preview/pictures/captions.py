@@ -59,7 +59,9 @@ def caption_of(text: str, width: int, height: int) -> Caption:
     if not text.strip():
         return Caption((), MIN_TEXT_HEIGHT)
     for letters in range(letters_of(height), MIN_TEXT_HEIGHT - 1, -1):
-        lines = tuple(_wrapped(text, width - 2 * MARGIN * letters, _font(letters)))
+        lines = tuple(
+            _wrapped_lines(text, width - 2 * MARGIN * letters, _font(letters))
+        )
         caption = Caption(lines, letters)
         if caption.height <= MAX_CAPTION * height:
             return caption
@@ -68,7 +70,7 @@ def caption_of(text: str, width: int, height: int) -> Caption:
     raise OptionError(Fault("PRV006", message, hint=hint, where="caption"))
 
 
-def _wrapped(text: str, width: float, font: Any) -> Iterator[str]:
+def _wrapped_lines(text: str, width: float, font: Any) -> Iterator[str]:
     """Yield lines within a width; long words are split."""
     for paragraph in text.splitlines():
         line = ""

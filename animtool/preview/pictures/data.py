@@ -60,7 +60,7 @@ class Streams:
         values, begin = {}, 0
         for entry, samples in self._contents[number]:
             size = entry["width"] * samples * np.dtype(TYPES[entry["kind"]]).itemsize
-            stream_values = _unpacked(raw[begin : begin + size], entry, samples)
+            stream_values = _unpacked_stream(raw[begin : begin + size], entry, samples)
             begin += size
             values[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
@@ -76,7 +76,7 @@ def _size_of(values: dict[int, Array]) -> int:
     return sum(array.nbytes for array in values.values())
 
 
-def _unpacked(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
+def _unpacked_stream(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
     """Return the values of one stream of a block ``(samples, width)``."""
     dtype, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
     columns, rows = (1, width) if samples == 1 else (width, samples)
@@ -94,5 +94,5 @@ def _unpacked(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
     )
     if entry.get("gaps"):
         values[stored == NAN_STORED] = np.nan
-    decoded: Float32Array = values.astype(np.float32)
-    return decoded
+    decoded_values: Float32Array = values.astype(np.float32)
+    return decoded_values

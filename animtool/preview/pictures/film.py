@@ -18,7 +18,7 @@ from animtool.preview.pictures.kinds import PictureKind
 # libav flags that keep machine and time out of the file.
 _BITEXACT = 1 << 23
 # ITU-R BT.709 with limited range, which players assume for video of this size.
-_BT709, _NARROW = 1, 1
+_BT709, _NARROW_RANGE = 1, 1
 COLORS = 256
 
 
@@ -29,9 +29,9 @@ def write_picture(path: Path, pixels: Array) -> None:
     if path.suffix.lower() == ".webp":
         settings = {"format": "WEBP", "quality": 90, "method": 6}
     image = image_of.fromarray(np.ascontiguousarray(pixels))
-    with replacing(path) as new:
+    with replacing(path) as temporary:
         try:
-            image.save(new, **settings)
+            image.save(temporary, **settings)
         except OSError as error:
             raise output_error(path, error) from error
 
@@ -55,10 +55,13 @@ def film(
     """
     av = import_package("av")
     palette = _palette(samples) if kind.pixels == "pal8" else None
-    with replacing(path) as new:
+    with replacing(path) as temporary:
         try:
             with av.open(
-                str(new), "w", format=kind.container, options=dict(kind.file_settings)
+                str(temporary),
+                "w",
+                format=kind.container,
+                options=dict(kind.file_settings),
             ) as container:
                 stream = container.add_stream(
                     kind.codec, rate=rate, options=dict(kind.settings)
@@ -69,7 +72,7 @@ def film(
                 context.flags |= _BITEXACT
                 if palette is None:
                     context.colorspace = context.color_primaries = _BT709
-                    context.color_trc = context.color_range = _NARROW
+                    context.color_trc = context.color_range = _NARROW_RANGE
                 count = 0
 
                 def add(pixels: Array) -> None:

@@ -39,7 +39,7 @@ class PictureKind:
     file_settings: tuple[tuple[str, str], ...] = ()
 
 
-_SMALL = (640, 360)
+_SMALL_SIZE = (640, 360)
 _MP4 = PictureKind(
     "VP9 by libvpx (BSD) in MP4",
     codec="libvpx-vp9",
@@ -58,7 +58,7 @@ KINDS: dict[str, PictureKind] = {
         container="gif",
         pixels="pal8",
         max_rate=33,
-        size=_SMALL,
+        size=_SMALL_SIZE,
         file_settings=(("loop", "0"),),
     ),
     ".webp": PictureKind(
@@ -66,7 +66,7 @@ KINDS: dict[str, PictureKind] = {
         picture=True,
         codec="libwebp_anim",
         container="webp",
-        size=_SMALL,
+        size=_SMALL_SIZE,
         settings=(("quality", "80"),),
         file_settings=(("loop", "0"),),
     ),

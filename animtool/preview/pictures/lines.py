@@ -86,7 +86,7 @@ class VertexBuffer:
         self.buffer: Any = None
 
     def write(self, values: Array) -> bool:
-        """Replace its contents; return whether the buffer was reallocated."""
+        """Replace the buffer's contents; return whether it was reallocated."""
         raw = np.ascontiguousarray(values).tobytes()
         if self.buffer is not None and self.buffer.size >= len(raw):
             self.buffer.write(raw)

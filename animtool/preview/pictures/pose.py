@@ -115,8 +115,8 @@ class DrawnPose:
     def _posed(self, sample: int) -> FloatArray:
         values = self._values
         for component, number, joints in self._animated:
-            stored = self._streams.at(number, sample - self.first)
-            values[component][joints] = stored.reshape(len(joints), -1)
+            stored_values = self._streams.at(number, sample - self.first)
+            values[component][joints] = stored_values.reshape(len(joints), -1)
         world = composed(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
             world[level] = world[self.parents[level]] @ world[level]
@@ -161,10 +161,10 @@ class DrawnPose:
 
 def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
     """Return which time codes are inside spans ``(F,)``."""
-    inside = np.zeros(len(codes), bool)
+    is_inside = np.zeros(len(codes), bool)
     for first, last in spans:
-        inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
-    return inside
+        is_inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
+    return is_inside
 
 
 def _levels(parents: IntArray) -> list[IntArray]:

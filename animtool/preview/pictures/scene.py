@@ -101,11 +101,11 @@ class DrawnScene:
             box.add(pose.positions)
             pose.extent = 1.0 if box.empty or box.radius <= 1e-3 else box.radius
         count = len(self.codes)
-        spaced = [
+        sample_times = [
             int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
             for i in range(FRAMING_INTERVALS + 1)
         ]
-        samples = [*dict.fromkeys(spaced), sample]
+        samples = [*dict.fromkeys(sample_times), sample]
         roots = [self._root_at(i) for i in samples]
         offsets = np.array(roots) - roots[-1]
         travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
@@ -117,11 +117,11 @@ class DrawnScene:
             and travel
             > max(main_pose.extent, MIN_PATH_RATIO * float(np.ptp(offsets[:, 1])))
         )
-        box, everything, cast = Bounds(), Bounds(), Bounds()
+        box, all_bounds, cast = Bounds(), Bounds(), Bounds()
         for i, root in zip(samples, roots, strict=True):
             self._update(i)
             shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if follow else 0.0
-            box = self._grow_bounds(everything, cast, shift)
+            box = self._grow_bounds(all_bounds, cast, shift)
         view.frame(box)
         view.follow, view.followed_position = follow, None
         self._ground = DrawnGround(self._device, box.radius)
@@ -146,9 +146,9 @@ class DrawnScene:
         for mesh in self._meshes:
             mesh.bound(characters if mesh.skinned else bounds)
         bounds.join(characters)
-        drawn: list[Instances | PointCloud | DrawnStrands]
-        drawn = [*self._instances, *self._clouds, *self._strands]
-        for item in drawn:
+        drawn_objects: list[Instances | PointCloud | DrawnStrands]
+        drawn_objects = [*self._instances, *self._clouds, *self._strands]
+        for item in drawn_objects:
             item.bound(bounds)
         cast.join(characters, shift)
         box.join(bounds, shift)
@@ -218,12 +218,12 @@ class DrawnScene:
     def _draw_casting(
         self, eye: EyeMatrices, visible: list[DrawnPose], radius: float
     ) -> None:
-        casting = [
+        shadow_casters = [
             solid
             for solid in self._solids()
             if not (isinstance(solid, DrawnMesh) and solid.surrounds(radius))
         ]
-        self._draw_shapes(eye, casting)
+        self._draw_shapes(eye, shadow_casters)
         if not self._solid:
             self._draw_bones(eye, visible, axes=False)
 

@@ -210,7 +210,7 @@ class DrawnMesh:
         )
 
     def surrounds(self, radius: float) -> bool:
-        """Return whether it is a ground or a surrounding room, which cast no shadow.
+        """Return whether the shape is a ground or a room, which cast no shadow.
 
         ``radius`` [m] is that of the scene.
         """

@@ -11,7 +11,7 @@ from animtool.preview.page import viewer_text
 _CONSTANT = re.compile(
     r"^(?:export )?const ([A-Z_]+) = (?:`([^`]*)`|'([^'\n]*)');$", re.M
 )
-_INSERTED = re.compile(r"\$\{([A-Z_]+)\}")
+_INSERTED_NAME = re.compile(r"\$\{([A-Z_]+)\}")
 _COLOR = re.compile(r"--([\w-]+): #([0-9a-f]{6});")
 # Module with the constants that other modules insert.
 SHARED_MODULE = "gl.js"
@@ -29,7 +29,7 @@ def shader(module: str, name: str) -> str:
     True
     """
     shared_constants, texts = _constants(SHARED_MODULE), _constants(module)
-    return _INSERTED.sub(lambda match: shared_constants[match[1]], texts[name])
+    return _INSERTED_NAME.sub(lambda match: shared_constants[match[1]], texts[name])
 
 
 @cache

@@ -103,7 +103,7 @@ class PointsDescription:
 
 
 def describe_points(path: Path) -> PointsDescription | None:
-    """Describe a USD file that has points and no character; otherwise None.
+    """Describe a USD file with points but no character; None for other files.
 
     Only array lengths and extents are read of each sample of a crate file.
     """
@@ -232,11 +232,11 @@ def _chunks(prim: Any) -> Iterator[ChunkSet]:
     clips = Usd.ClipsAPI(prim)
     for name in sorted(clips.GetClips()):
         assets = clips.ComputeClipAssetPaths(name)
-        missing = [
+        missing_files = [
             asset.path
             for asset in assets
             if Sdf.Layer.FindOrOpen(asset.resolvedPath or asset.path) is None
         ]
         yield ChunkSet(
-            str(prim.GetPath()), name, [asset.path for asset in assets], missing
+            str(prim.GetPath()), name, [asset.path for asset in assets], missing_files
         )

@@ -112,7 +112,7 @@ def round_points(
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
     extent = to_float32("extent", extents, meters_per_unit)
-    values = {"points": rounded_points, "extent": _padded(extent, space.margin)}
+    values = {"points": rounded_points, "extent": _padded_extents(extent, space.margin)}
     if normals is not None:
         values["normals"] = to_float32("normals", normals, 1.0)
     if velocities is not None:
@@ -121,7 +121,7 @@ def round_points(
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 
 
-def _padded(extents: Float32Array, margin: float) -> Float32Array:
+def _padded_extents(extents: Float32Array, margin: float) -> Float32Array:
     """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
     with np.errstate(over="ignore"):
         return extents + np.array([[-margin], [margin]], np.float32)
@@ -173,7 +173,7 @@ def _author_prims(layer: Any, job: CacheJob) -> None:
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
-    """Return the layer metadata of a cache with frames from first to last."""
+    """Return the layer metadata of a cache, with its frame range."""
     frames = job.frames or (Fraction(first), Fraction(last))
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.up
@@ -198,7 +198,7 @@ class ChunkedCache:
 
 
 def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
-    """Write the points of a cache in files of some samples each.
+    """Write the points of a cache in chunk files.
 
     Files appear under their names only after all are written, the layer last.
     """

@@ -238,7 +238,7 @@ class PointSource:
 
 
 def open_points(path: Path) -> PointSource | None:
-    """Return the source of a stage that has points and no character, else None."""
+    """Return the point source of a stage without a character; else None."""
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         source = None if has_character(stage) else PointSource(path, stage)

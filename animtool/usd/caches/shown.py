@@ -191,7 +191,7 @@ class ShownPrim:
             root = stage.GetPrimAtPath(path)
             meshes = []
             for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
-                kind = _kind(prim)
+                kind = _prim_kind(prim)
                 if kind != "mesh" or is_bones(prim):
                     continue
                 shown_prim = ShownPrim(self._stage, prim, "", kind)
@@ -277,7 +277,7 @@ class StageContents:
         root = self.stage.GetDefaultPrim()
         shown_prims = []
         for prim in self._visible_prims():
-            kind, path = _kind(prim), prim.GetPath()
+            kind, path = _prim_kind(prim), prim.GetPath()
             if not kind or path in skinned_paths or is_bones(prim):
                 continue
             if any(path.HasPrefix(prototype) for prototype in prototypes):
@@ -375,7 +375,7 @@ class StageContents:
 
     @property
     def span(self) -> tuple[Fraction, Fraction]:
-        """First and last time code, authored or of the samples."""
+        """First and last time code: the authored range, or the range of the samples."""
         if self.stage.HasAuthoredTimeCodeRange():
             codes = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
         else:
@@ -394,18 +394,18 @@ def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
 
 def _visible(prim: Any, codes: FloatArray) -> BoolArray:
     """Return whether a prim is visible at each time code ``(F,)``."""
-    image, hidden = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
+    image, invisible_token = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
     if not any(
         UsdGeom.Imageable(ancestor).GetVisibilityAttr().ValueMightBeTimeVarying()
         for ancestor in upwards(prim)
         if UsdGeom.Imageable(ancestor)
     ):
-        return np.full(len(codes), image.ComputeVisibility() != hidden)
+        return np.full(len(codes), image.ComputeVisibility() != invisible_token)
     times = [Usd.TimeCode(code) for code in codes.tolist()]
-    return np.array([image.ComputeVisibility(t) != hidden for t in times])
+    return np.array([image.ComputeVisibility(t) != invisible_token for t in times])
 
 
-def _kind(prim: Any) -> str:
+def _prim_kind(prim: Any) -> str:
     if prim.IsA(UsdGeom.Mesh) or any(prim.IsA(schema) for schema in _GPRIMS):
         return "mesh"
     if prim.IsA(UsdGeom.Curves):

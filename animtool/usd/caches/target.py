@@ -83,22 +83,24 @@ class CacheTarget:
         """
         stage = compose_check(self.rig, layer)
         root = stage.GetPrimAtPath(self.rig.paths.root)
-        hidden = []
+        hidden_meshes = []
         if root.IsA(UsdSkel.Root):
-            hidden.append(str(root.GetPath()))
+            hidden_meshes.append(str(root.GetPath()))
         for mesh in self.prims:
             prim = stage.GetPrimAtPath(mesh.path)
             if prim.IsInstanceProxy():
-                hidden.append(mesh.path)
+                hidden_meshes.append(mesh.path)
             if not points:
                 continue
             attr = prim.GetAttribute("points")
             stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
-            if mesh.path not in hidden and (not stack or stack[0].layer != layer):
-                hidden.append(mesh.path)
-        if hidden:
+            if mesh.path not in hidden_meshes and (
+                not stack or stack[0].layer != layer
+            ):
+                hidden_meshes.append(mesh.path)
+        if hidden_meshes:
             message = "the rig's own opinions are stronger than the cache at "
-            message += listed(hidden)
+            message += listed(hidden_meshes)
             hint = "a layer cannot reach into instances"
             where = str(self.rig.path)
             raise OutputError(Fault("USD042", message, where, (), hint))
@@ -195,7 +197,7 @@ def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
         rig.on_layer(mesh.GetPath()),
         PointSpace(_placement(mesh, skeleton) if is_skinned else None),
         normals_follow,
-        _blocked(mesh, normals_follow=normals_follow),
+        _unusable_normals(mesh, normals_follow=normals_follow),
     )
 
 
@@ -206,7 +208,7 @@ def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMes
         rig.on_layer(curves.GetPath()),
         PointSpace(_placement(curves, skeleton), max(widths) / 2),
         False,
-        _blocked(curves, normals_follow=False),
+        _unusable_normals(curves, normals_follow=False),
     )
 
 
@@ -220,7 +222,7 @@ def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
     )
 
 
-def _blocked(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
+def _unusable_normals(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
     """Return authored normals that would not fit the animated points."""
     names = []
     if mesh.GetNormalsAttr().HasAuthoredValue() and not normals_follow:
@@ -261,9 +263,9 @@ def _static_mesh_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault
 
 
 def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:
-    blocked = [mesh.name for mesh in meshes if mesh.blocked]
-    if not blocked:
+    blocked_names = [mesh.name for mesh in meshes if mesh.blocked]
+    if not blocked_names:
         return []
-    message = f"normals of {listed(blocked, MAX_NAMED)} are not one per vertex"
+    message = f"normals of {listed(blocked_names, MAX_NAMED)} are not one per vertex"
     hint = "they are blocked, as they would not match deformed points"
     return [Fault("USD143", message, str(path), (), hint, Severity.NOTE)]

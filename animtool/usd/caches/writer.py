@@ -150,7 +150,7 @@ class Block:
         return sum(rows.nbytes for rows in self.values.values())
 
     def some(self, frames: slice) -> Block:
-        """Return a subset of the frames; the error stays that of all frames."""
+        """Return a subset of the frames, with the error of all frames."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
 

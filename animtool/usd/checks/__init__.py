@@ -1,4 +1,4 @@
-"""Validation of USD layers: our checks, and the validators that come with USD."""
+"""Validation of USD layers: animtool's checks and USD's own validators."""
 
 from __future__ import annotations
 

@@ -113,11 +113,11 @@ def _transforms(
 def _counts(
     code: str, attr: Any, array: SampledArray, expected: int, noun: str
 ) -> Iterator[Fault]:
-    mismatched = array.counts != expected
-    if mismatched.any():
-        count = array.counts[np.flatnonzero(mismatched)[0]]
+    is_wrong_count = array.counts != expected
+    if is_wrong_count.any():
+        count = array.counts[np.flatnonzero(is_wrong_count)[0]]
         have = "no value" if count < 0 else counted(count, "value")
-        message = f"{have} for {expected} {noun} {at_samples(array, mismatched)}"
+        message = f"{have} for {expected} {noun} {at_samples(array, is_wrong_count)}"
         yield finding(code, attr.GetPath(), message)
 
 

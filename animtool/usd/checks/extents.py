@@ -143,41 +143,43 @@ def _compare_extents(
     subject: StageSubject, boundable: Any, attr: Any, source: list[Any]
 ) -> Iterator[Fault]:
     array = subject.sampled(attr)
-    mismatched = array.counts != 2
-    if mismatched.any():
-        count = array.counts[np.flatnonzero(mismatched)[0]]
-        message = f"{count} corners instead of 2, {at_samples(array, mismatched)}"
+    is_wrong_count = array.counts != 2
+    if is_wrong_count.any():
+        count = array.counts[np.flatnonzero(is_wrong_count)[0]]
+        message = f"{count} corners instead of 2, {at_samples(array, is_wrong_count)}"
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
     animated_times = sorted(
         {time for attribute in source for time in subject.times(attribute)}
     )
-    authored = extents if array.animated else None
+    sampled_extents = extents if array.animated else None
     times = (
-        array.times if authored is not None else np.array(animated_times or [np.nan])
+        array.times
+        if sampled_extents is not None
+        else np.array(animated_times or [np.nan])
     )
-    expected = _joint_bounds(subject, boundable, source, times)
-    exact = authored is not None or not animated_times
+    joint_bounds = _joint_bounds(subject, boundable, source, times)
+    exact = sampled_extents is not None or not animated_times
     candidates, outliers = _spaced_indices(len(times)), None
-    if expected is not None:
-        excess, _ = bounds_difference(extents, expected, exact=exact)
+    if joint_bounds is not None:
+        excess, _ = bounds_difference(extents, joint_bounds, exact=exact)
         outliers = np.flatnonzero(~(excess <= 0))
         candidates = np.sort(outliers[np.argsort(-excess[outliers])[:MAX_COMPUTED]])
     skinned_root = _SkinnedRoot(boundable)
     faulty = []
     for i in candidates.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
-        computed = _computed(boundable, code)
-        if computed is None:
+        usd_extent = _computed_extent(boundable, code)
+        if usd_extent is None:
             return
-        bounds = np.array(computed, np.float64).reshape(1, 2, 3)
+        bounds = np.array(usd_extent, np.float64).reshape(1, 2, 3)
         if not np.isfinite(bounds).all():
             return
         if (bounds[0, 0] > bounds[0, 1]).all():
             # Without points USD computes empty bounds, and any extent is correct.
             continue
-        extent = extents[i : i + 1] if authored is not None else extents
+        extent = extents[i : i + 1] if sampled_extents is not None else extents
         excess, distance = bounds_difference(extent, bounds, exact=exact)
         if excess[0] > 0 and not skinned_root.holds(code, extent, bounds):
             faulty.append((i, distance[0]))
@@ -189,9 +191,9 @@ def _compare_extents(
         frames = outliers
     largest, position = max((gap, -i) for i, gap in faulty)
     sampled_at = SampledArray(times, [], np.zeros(len(times), np.int64))
-    more = " or more" if outliers is None and len(candidates) < len(times) else ""
+    or_more = " or more" if outliers is None and len(candidates) < len(times) else ""
     prefix = "off by" if exact else "what moves exceeds it by"
-    message = f"{prefix} {largest:.3g}{more} {at_samples(sampled_at, frames)}"
+    message = f"{prefix} {largest:.3g}{or_more} {at_samples(sampled_at, frames)}"
     if len(frames) > 1:
         message += f", most at {frame_label(times[-position])}"
     if skinned_root.bounds is not None:
@@ -238,8 +240,8 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
         return "; no skinned point exceeds it"
     largest, code, is_complete = result
     at = "" if np.isnan(code) else f" at time code {frame_label(code)}"
-    more = "" if is_complete else " or more"
-    return f"; skinned points exceed it by {largest:.4g}{more}{at}"
+    or_more = "" if is_complete else " or more"
+    return f"; skinned points exceed it by {largest:.4g}{or_more}{at}"
 
 
 def bounds_difference(
@@ -258,7 +260,7 @@ def bounds_difference(
     return distances - TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
 
 
-def _computed(boundable: Any, code: Any) -> Any:
+def _computed_extent(boundable: Any, code: Any) -> Any:
     """Return the extent USD computes; None if it cannot, as for a broken Skeleton."""
     try:
         return UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
@@ -296,7 +298,7 @@ def _joint_bounds(
     joints = tokens(skeleton.GetJointsAttr())
     bounds = _bounds(joint_parents(joints), *locals_)
     code = Usd.TimeCode(times[0])
-    first_extent = _computed(boundable, code)
+    first_extent = _computed_extent(boundable, code)
     if first_extent is None:
         return None
     pad = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]

@@ -29,10 +29,13 @@ def check_types(subject: StageSubject) -> Iterator[Fault]:
     Includes SkelBindingAPI properties on prims without the schema, and inbetweens.
     """
     for attr in subject.attributes:
-        type_name, expected = attr.GetPropertyStack()[0].typeName, _expected_type(attr)
-        if expected is not None and type_name.type != expected.type:
+        type_name, expected_type = (
+            attr.GetPropertyStack()[0].typeName,
+            _expected_type(attr),
+        )
+        if expected_type is not None and type_name.type != expected_type.type:
             message = (
-                f"it is {type_name}, but its schema has {expected}; there may be "
+                f"it is {type_name}, but its schema has {expected_type}; there may be "
                 "more errors"
             )
             yield finding("USD280", attr.GetPath(), message)
@@ -124,7 +127,7 @@ def check_finite(subject: StageSubject) -> Iterator[Fault]:
     for layer in (root, *sorted(layers, key=lambda layer: str(layer.identifier))):
         specs = _layer_problems(subject, layer, is_root=layer == root)
         for _, group in groupby(specs, key=lambda item: item[0].GetPrimPath()):
-            yield from _limited(
+            yield from _first_findings(
                 list(group), "" if layer == root else _layer_name(layer)
             )
 
@@ -133,11 +136,15 @@ def _layer_name(layer: Any) -> str:
     return f" (in {layer.GetDisplayName()})"
 
 
-def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
+def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
     """Yield the first findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
-        omitted = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
-        suffix = f"; so are {omitted} more values of this prim" if omitted > 0 else ""
+        omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
+        suffix = (
+            f"; so are {omitted_count} more values of this prim"
+            if omitted_count > 0
+            else ""
+        )
         yield finding("USD171", path, f"{message}{where}{suffix}")
 
 
@@ -185,7 +192,7 @@ def _data_problem(value: Any, name: str) -> str:
     numbers = floats_of(value)
     if numbers is None or _is_finite(numbers):
         return ""
-    return f"its metadata {name} is {_worst(numbers)}"
+    return f"its metadata {name} is {_first_bad_number(numbers)}"
 
 
 def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
@@ -193,7 +200,9 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
-        problems.append(f"its default is {_worst(default)}{_element(default)}")
+        problems.append(
+            f"its default is {_first_bad_number(default)}{_element(default)}"
+        )
     path = spec.path
     times = [] if _is_covered(subject, path) else layer.ListTimeSamplesForPath(path)
     if not all(map(math.isfinite, times)):
@@ -206,7 +215,9 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
         bad_count += 1
         if not first_problem:
             element = _element(numbers)
-            first_problem = f"it is {_worst(numbers)} at time code {time:.10g}{element}"
+            first_problem = (
+                f"it is {_first_bad_number(numbers)} at time code {time:.10g}{element}"
+            )
     if bad_count > 1:
         first_problem += f", and in {counted(bad_count - 1, 'more sample')}"
     return "; ".join(filter(None, (*problems, first_problem)))
@@ -267,7 +278,7 @@ def _first_bad(numbers: npt.NDArray[Any]) -> Any:
     return np.argwhere(~np.isfinite(numbers))[0]
 
 
-def _worst(numbers: npt.NDArray[Any]) -> str:
+def _first_bad_number(numbers: npt.NDArray[Any]) -> str:
     return f"{float(numbers[tuple(_first_bad(numbers))]):g}"
 
 

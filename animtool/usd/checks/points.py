@@ -106,10 +106,10 @@ def _velocities(
     yield from _finite(subject, attr, survey, bounds)
     index = {time: i for i, time in enumerate(points.times.tolist())}
     for i, time in enumerate(survey.times.tolist()):
-        expected = points.counts[index.get(time, 0)]
-        if survey.counts[i] not in {0, expected}:
+        expected_count = points.counts[index.get(time, 0)]
+        if survey.counts[i] not in {0, expected_count}:
             message = (
-                f"{survey.counts[i]} velocities for {expected} points "
+                f"{survey.counts[i]} velocities for {expected_count} points "
                 f"{at_samples(survey, np.array([i]))}"
             )
             yield finding("USD266", attr.GetPath(), message)
@@ -174,10 +174,12 @@ def _prototypes(
 ) -> Iterator[Fault]:
     relationship = instancer.GetPrototypesRel()
     targets = relationship.GetForwardedTargets()
-    gone = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
-    if gone and not subject.alone:
+    missing_targets = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
+    if missing_targets and not subject.alone:
         yield finding(
-            "USD287", relationship.GetPath(), f"prim {gone[0]} does not exist"
+            "USD287",
+            relationship.GetPath(),
+            f"prim {missing_targets[0]} does not exist",
         )
     path = instancer.GetPath()
     ancestors = [target for target in targets if path.HasPrefix(target)]
@@ -201,7 +203,7 @@ def _prototypes(
 
 
 def _lengths(attr: Any, array: SampledArray, indices: SampledArray) -> Iterator[Fault]:
-    """Compare array lengths with those of protoIndices at each sample."""
+    """Compare array lengths with protoIndices at each sample."""
     if not len(indices.counts):
         return
     previous = np.zeros(len(array.counts), np.int64)

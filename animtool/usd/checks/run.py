@@ -1,4 +1,4 @@
-"""All checks on a stage or a layer, ours and those of USD."""
+"""Run animtool's and USD's checks on a stage or a layer."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from animtool.usd.layers.stderr import without_usd_warnings
 # Keyword of our validator in UsdValidation, which need not run twice.
 ANIMTOOL_KEYWORD = "animtool"
 # USD validators that our checks cover, and with more detail.
-_COVERED = {
+_COVERED_CHECKS = {
     "usdValidation:CompositionErrorTest",
     "usdUtilsValidators:MissingReferenceValidator",
 }
@@ -68,13 +68,13 @@ _FAMILIES = {
 
 
 def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
-    """Run every validator of UsdValidation, except those that our checks cover."""
+    """Run the UsdValidation validators that animtool's checks do not cover."""
     registry = UsdValidation.ValidationRegistry()
     names = [
         metadata.name
         for metadata in registry.GetAllValidatorMetadata()
         if not metadata.isSuite
-        and metadata.name not in _COVERED
+        and metadata.name not in _COVERED_CHECKS
         and ANIMTOOL_KEYWORD not in metadata.GetKeywords()
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
@@ -92,10 +92,10 @@ def _fault(error: Any) -> Fault:
     kinds = UsdValidation.ValidationErrorType
     note = Severity.NOTE if error.GetType() == kinds.Info else None
     message = f"{validator}: {' '.join(error.GetMessage().split()).rstrip('.')}"
-    return finding(code, _where(error), message, note)
+    return finding(code, _error_location(error), message, note)
 
 
-def _where(error: Any) -> str:
+def _error_location(error: Any) -> str:
     for site in error.GetSites():
         if site.IsProperty():
             return str(site.GetProperty().GetPath())
@@ -143,7 +143,7 @@ class Inspection:
 
 
 def inspect_layer(path: Path | str) -> Inspection:
-    """Return all findings in a USD layer and what it composes, and its takes.
+    """Return the takes of a USD layer, and all findings in its composed stage.
 
     If it cannot be opened, that is the only finding. USD's own warnings about the layer
     are
@@ -180,9 +180,11 @@ def _faults(subject: StageSubject) -> list[Fault]:
     # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
         faults += [fault for check in TIMED for fault in _run(check, subject)]
-    covered = {fault.where for fault in faults if fault.code in COVERED_CODES}
+    covered_locations = {fault.where for fault in faults if fault.code in COVERED_CODES}
     everywhere = _run(check_finite, subject)
-    return faults + [fault for fault in everywhere if fault.where not in covered]
+    return faults + [
+        fault for fault in everywhere if fault.where not in covered_locations
+    ]
 
 
 def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:

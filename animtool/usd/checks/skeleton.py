@@ -162,10 +162,10 @@ def _bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     complete = not faults and len(bind) == len(rest) == len(joints)
     if complete and np.isfinite(rest).all():
-        yield from _swapped(skeleton, joints, rest, bind, skins)
+        yield from _swapped_transforms(skeleton, joints, rest, bind, skins)
 
 
-def _swapped(
+def _swapped_transforms(
     skeleton: Any, joints: list[str], rest: FloatArray, bind: FloatArray, skins: bool
 ) -> Iterator[Fault]:
     """Detect rest and bind transforms that are swapped."""
@@ -177,25 +177,25 @@ def _swapped(
         if parent >= 0:
             world[joint] = rest[joint] @ world[parent]
     eye = np.zeros_like(bind) + np.eye(4)
-    if _same(world, bind) or _same(world, eye):
+    if _nearly_equal(world, bind) or _nearly_equal(world, eye):
         return
     path = skeleton.GetBindTransformsAttr().GetPath()
-    if skins and _same(bind, eye):
+    if skins and _nearly_equal(bind, eye):
         message = (
             f"all {len(bind)} are identity, but the joints have other rest positions"
         )
         yield finding("USD227", path, message)
         return
     inverse = np.asarray(np.linalg.inv(bind), np.float64)
-    if _same(world, inverse):
+    if _nearly_equal(world, inverse):
         message = f"all {len(bind)} are the inverse of the joints' rest transforms"
         yield finding("USD228", path, message)
-    elif _same(rest, inverse):
+    elif _nearly_equal(rest, inverse):
         message = f"all {len(bind)} are the inverse of the bindTransforms"
         yield finding("USD228", skeleton.GetRestTransformsAttr().GetPath(), message)
 
 
-def _same(a: FloatArray, b: FloatArray) -> bool:
+def _nearly_equal(a: FloatArray, b: FloatArray) -> bool:
     return bool(np.abs(a - b).max() <= TRANSFORM_TOLERANCE * max(np.abs(a).max(), 1.0))
 
 

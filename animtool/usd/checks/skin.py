@@ -99,8 +99,12 @@ def _layout(
     if kinds[0] not in {"constant", "vertex"}:
         return f"interpolation {kinds[0]}; allowed: constant, vertex"
     rows = 1 if kinds[0] == "constant" else point_count(prim)
-    expected = count if rows is None else rows * sizes[0]
-    if count != expected or weight_count != expected or count % max(sizes[0], 1):
+    expected_length = count if rows is None else rows * sizes[0]
+    if (
+        count != expected_length
+        or weight_count != expected_length
+        or count % max(sizes[0], 1)
+    ):
         amount = "" if rows is None else f" for {rows} x {sizes[0]}"
         return f"{count} jointIndices and {weight_count} jointWeights{amount}"
     return ""
@@ -164,12 +168,14 @@ def check_targets(subject: StageSubject) -> Iterator[Fault]:
         attr, targets = binding.GetBlendShapesAttr(), binding.GetBlendShapeTargetsRel()
         names = tokens(attr)
         paths = targets.GetTargets() if targets else []
-        repeated = duplicates(names)
+        repeated_names = duplicates(names)
         if len(names) != len(paths) and (names or paths):
             message = f"{len(names)} blendShapes for {len(paths)} targets"
             yield finding("USD245", f"{prim.GetPath()}.skel:blendShapes", message)
-        elif repeated:
-            message = f"{len(repeated)} duplicate shapes: {listed(repeated)}"
+        elif repeated_names:
+            message = (
+                f"{len(repeated_names)} duplicate shapes: {listed(repeated_names)}"
+            )
             yield finding("USD245", attr.GetPath(), message)
 
 
@@ -199,7 +205,7 @@ def _rows(attr: Any) -> FloatArray:
 def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     offsets = _rows(shape.GetOffsetsAttr())
     indices = np.array(shape.GetPointIndicesAttr().Get() or (), np.int64)
-    expected = len(indices) or points
+    expected_count = len(indices) or points
     path = shape.GetOffsetsAttr().GetPath()
     inbetweens = list(shape.GetInbetweens())
     normal_offsets = [_rows(shape.GetNormalOffsetsAttr())]
@@ -207,11 +213,13 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     normal_count = max(map(len, normal_offsets))
     if not len(offsets) and normal_count:
         # A shape may change normals only.
-        offsets = np.zeros((normal_count if expected is None else expected, 3))
-    if expected is not None and len(offsets) != expected:
+        offsets = np.zeros(
+            (normal_count if expected_count is None else expected_count, 3)
+        )
+    if expected_count is not None and len(offsets) != expected_count:
         counted_as = "pointIndices" if len(indices) else "points"
         yield finding(
-            "USD240", path, f"{len(offsets)} offsets for {expected} {counted_as}"
+            "USD240", path, f"{len(offsets)} offsets for {expected_count} {counted_as}"
         )
     yield from _indices(shape, indices, points)
     yield from _finite(shape.GetOffsetsAttr(), offsets)
@@ -222,7 +230,7 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     ]
     if len(offsets) and not any(rows.any() for rows in all_offsets):
         yield finding("RIG209", path, f"all {len(offsets)} offsets are 0")
-    count = expected if expected is not None else len(offsets)
+    count = expected_count if expected_count is not None else len(offsets)
     yield from _normals(shape.GetNormalOffsetsAttr(), count)
     yield from _inbetweens(inbetweens, count)
 
@@ -238,9 +246,9 @@ def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Faul
         yield finding("USD241", path, message)
     elif len(np.unique(indices)) != len(indices):
         rows, counts = np.unique(indices, return_counts=True)
-        repeated = rows[counts > 1]
-        message = f"{len(repeated)} of {len(indices)} are duplicates, "
-        message += f"the first is {repeated[0]}"
+        repeated_rows = rows[counts > 1]
+        message = f"{len(repeated_rows)} of {len(indices)} are duplicates, "
+        message += f"the first is {repeated_rows[0]}"
         yield finding("USD241", path, message)
 
 

@@ -65,7 +65,9 @@ class SkinnedBounds:
         for skeleton, prims in self._bindings_:
             transforms = skeleton.ComputeSkinningTransforms(code) if prims else None
             for skinned_prim in prims:
-                posed_points, holder = _posed(skinned_prim, skeleton, transforms, code)
+                posed_points, holder = _posed_points(
+                    skinned_prim, skeleton, transforms, code
+                )
                 if posed_points is None:
                     continue
                 matrix, _ = xforms.ComputeRelativeTransform(holder, self._root)
@@ -120,12 +122,12 @@ def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
     schema = UsdSkel.Root(root)
     cache.Populate(schema, predicate)
     return [
-        (cache.GetSkelQuery(binding.GetSkeleton()), _skinned(binding))
+        (cache.GetSkelQuery(binding.GetSkeleton()), _skinned_prims(binding))
         for binding in cache.ComputeSkelBindings(schema, predicate)
     ]
 
 
-def _skinned(binding: Any) -> list[_SkinnedPrim]:
+def _skinned_prims(binding: Any) -> list[_SkinnedPrim]:
     """Return the prims with points of a binding."""
     prims = []
     for query in binding.GetSkinningTargets():
@@ -146,7 +148,7 @@ def _skinned(binding: Any) -> list[_SkinnedPrim]:
     return prims
 
 
-def _posed(
+def _posed_points(
     skinned_prim: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
 ) -> tuple[FloatArray | None, Any]:
     """Return the posed points of a prim ``(N, 3)``, and the prim of their space."""

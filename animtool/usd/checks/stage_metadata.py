@@ -121,17 +121,17 @@ def _layers(subject: StageSubject) -> Iterator[Any]:
 def check_rates(subject: StageSubject) -> Iterator[Fault]:
     """Check that frame rates are authored and equal in all layers."""
     root = subject.stage.GetRootLayer().pseudoRoot
-    unauthored = [name for name in RATES if not root.HasInfo(name)]
-    if unauthored and any(
+    unauthored_rates = [name for name in RATES if not root.HasInfo(name)]
+    if unauthored_rates and any(
         subject.times(attr) or attr.ValueMightBeTimeVarying()
         for attr in subject.attributes
     ):
-        message = f"no {' and no '.join(unauthored)}, but there is motion"
+        message = f"no {' and no '.join(unauthored_rates)}, but there is motion"
         yield finding("USD252", ROOT, message)
-    yield from _retimed(subject)
+    yield from _layer_rates(subject)
 
 
-def _retimed(subject: StageSubject) -> Iterator[Fault]:
+def _layer_rates(subject: StageSubject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
     for layer in _layers(subject):
@@ -163,8 +163,8 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         yield finding("USD254", ROOT, f"the range is {span_label(start, end)}")
         return
     names = ("startTimeCode", "endTimeCode")
-    unauthored = [name for name in names if not stage.HasAuthoredMetadata(name)]
-    if start > end and not unauthored:
+    unauthored_names = [name for name in names if not stage.HasAuthoredMetadata(name)]
+    if start > end and not unauthored_names:
         yield finding(
             "USD254", ROOT, f"start {frame_label(start)}, end {frame_label(end)}"
         )
@@ -178,30 +178,32 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         return
     first_sample = min(span[0] for span in spans.values())
     last_sample = max(span[1] for span in spans.values())
-    if unauthored:
-        message = f"no {' and no '.join(unauthored)}; samples are at "
+    if unauthored_names:
+        message = f"no {' and no '.join(unauthored_names)}; samples are at "
         message += span_label(first_sample, last_sample)
         yield finding("USD255", ROOT, message)
         return
     # Motion blur samples lie within a frame of either end.
-    outside = [
+    paths_outside = [
         path
         for path, span in spans.items()
         if span[0] <= start - 1 + SAME_TIME or span[1] >= end + 1 - SAME_TIME
     ]
-    if not outside:
+    if not paths_outside:
         yield from _between_frames(subject, start, end, (first_sample, last_sample))
     else:
-        first_code, last_code = spans[outside[0]]
+        first_code, last_code = spans[paths_outside[0]]
         suffix = (
-            "" if len(outside) == 1 else f", as are those of {len(outside) - 1} more"
+            ""
+            if len(paths_outside) == 1
+            else f", as are those of {len(paths_outside) - 1} more"
         )
         message = (
             f"samples are at {span_label(first_code, last_code)}, but the stage's "
         )
         message += "range is "
         message += f"{span_label(start, end)}{suffix}"
-        yield finding("USD256", outside[0], message)
+        yield finding("USD256", paths_outside[0], message)
 
 
 def _between_frames(

@@ -137,11 +137,11 @@ def _arrays(attr: Any, times: list[float]) -> list[Any]:
             if layer_times:
                 if len(layer_times) == len(times) and offset.scale > 0:
                     query, path = spec.layer.QueryTimeSample, spec.path
-                    return [_unblocked(query(path, time)) for time in layer_times]
+                    return [_array_or_none(query(path, time)) for time in layer_times]
                 break
     query = Usd.AttributeQuery(attr)
     return [query.Get(time) for time in times]
 
 
-def _unblocked(value: Any) -> Any:
+def _array_or_none(value: Any) -> Any:
     return value if isinstance(value, Sized) else None

@@ -70,8 +70,8 @@ class AnimationTake:
 
 
 @dataclass(frozen=True, slots=True)
-class _Shared:
-    """Stage data that all animations need, read once."""
+class _StageData:
+    """Stage data shared by all animations, read once."""
 
     # First and last sample of each prim, by path.
     spans: dict[Any, tuple[float, float]]
@@ -81,7 +81,7 @@ class _Shared:
     skins: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod
-    def of(subject: StageSubject) -> _Shared:
+    def of(subject: StageSubject) -> _StageData:
         """Return the shared data of a stage."""
         spans: dict[Any, tuple[float, float]] = {}
         for attr in subject.attributes:
@@ -101,7 +101,7 @@ class _Shared:
         stage_range = (
             (min(spans_by_end[0]), max(spans_by_end[1])) if spans_by_end else None
         )
-        return _Shared(spans, stage_range, skins)
+        return _StageData(spans, stage_range, skins)
 
 
 def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
@@ -113,7 +113,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
     # Other checks look at one of several equal instances; here each one counts.
     skeleton_of = _bound(find_skeletons(subject.stage))
-    stage_data = _Shared.of(subject)
+    stage_data = _StageData.of(subject)
     takes = []
     for animation in subject.of_type(UsdSkel.Animation):
         skeleton = skeleton_of.get(animation.GetPath())
@@ -145,13 +145,13 @@ def _bound(skeletons: list[Any]) -> dict[Any, Any]:
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
     """Return the Skeleton that shares most joints with an animation."""
     joints = set(tokens(animation.GetJointsAttr()))
-    best = None
+    nearest = None
     most_joints = len(joints) // 2
     for skeleton in skeletons:
         common_joints = len(joints.intersection(tokens(skeleton.GetJointsAttr())))
         if common_joints > most_joints:
-            best, most_joints = skeleton, common_joints
-    return best
+            nearest, most_joints = skeleton, common_joints
+    return nearest
 
 
 def _take(
@@ -159,7 +159,7 @@ def _take(
     path: Path,
     animation: Any,
     skeleton: Any,
-    stage_data: _Shared,
+    stage_data: _StageData,
 ) -> AnimationTake | None:
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
@@ -202,7 +202,7 @@ def _take(
         codes if len(codes) else None,
         _range(subject, animation, stage_data),
         skeleton is not None,
-        _influencing(skeleton, of_rig, stage_data) if skeleton else None,
+        _influencing_joints(skeleton, of_rig, stage_data) if skeleton else None,
         _bind(skeleton, of_rig.rig, placement) if skeleton else None,
         _shown_rate(subject.stage),
         bool(stored_values.get("reduced") or stored_values.get("thinned")),
@@ -310,16 +310,16 @@ def _clock(subject: StageSubject, codes: FloatArray) -> Clock:
 
 
 def _range(
-    subject: StageSubject, animation: Any, stage_data: _Shared
+    subject: StageSubject, animation: Any, stage_data: _StageData
 ) -> tuple[float, float] | None:
     """Return the range of an animation, else the stage's if it covers all of them.
 
     If another prim of the stage has samples over a longer time, the stage's range is
     not about this animation.
     """
-    authored = take_range(animation)
-    if authored is not None:
-        return float(authored[0]), float(authored[1])
+    authored_range = take_range(animation)
+    if authored_range is not None:
+        return float(authored_range[0]), float(authored_range[1])
     stage = subject.stage
     if not (
         stage.HasAuthoredMetadata("startTimeCode")
@@ -332,8 +332,8 @@ def _range(
     return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
 
 
-def _influencing(
-    skeleton: Any, rig: SkeletonRig, stage_data: _Shared
+def _influencing_joints(
+    skeleton: Any, rig: SkeletonRig, stage_data: _StageData
 ) -> frozenset[str] | None:
     """Return the joints that influence points, and their ancestors."""
     used_joints: set[int] = set()
@@ -345,7 +345,7 @@ def _influencing(
         binding_joints = tokens(binding.GetJointsAttr()) or rig.tokens
         used_joints |= {
             index[binding_joints[i]]
-            for i in _used(binding, indices, len(binding_joints))
+            for i in _weighted_joints(binding, indices, len(binding_joints))
             if binding_joints[i] in index
         }
     for joint in sorted(used_joints):
@@ -356,7 +356,7 @@ def _influencing(
     return frozenset(rig.rig.joints[i].name for i in used_joints)
 
 
-def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
+def _weighted_joints(binding: Any, indices: Any, count: int) -> Iterator[int]:
     """Yield the indices of joints with nonzero weight."""
     joint_indices = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)

@@ -44,15 +44,17 @@ def _clip_set(
         yield from _active(clip_set, len(layers), where)
     yield from _times(clip_set, where)
     target = str(clip_set.get("primPath", ""))
-    readable = [layer for layer in layers if layer is not None]
+    readable_layers = [layer for layer in layers if layer is not None]
     if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
         message = f"primPath is {excerpt(target)}, not the path of a prim"
         yield finding("USD277", where, message)
         return
-    if readable and not any(layer.GetPrimAtPath(target) for layer in readable):
+    if readable_layers and not any(
+        layer.GetPrimAtPath(target) for layer in readable_layers
+    ):
         yield finding("USD277", where, f"no clip has primPath {target}")
         return
-    yield from _manifest(prim, clip_set, target, readable, where)
+    yield from _manifest(prim, clip_set, target, readable_layers, where)
     yield from _spans(clip_set, target, layers, where)
 
 
@@ -123,7 +125,7 @@ def _template(
         yield finding("USD278", where, message + "not there")
 
 
-def _sampled(layer: Any, target: str) -> set[str]:
+def _sampled_properties(layer: Any, target: str) -> set[str]:
     """Return the sampled properties of a prim and its descendants, relative to it."""
     names = set()
 
@@ -149,13 +151,17 @@ def _manifest(
         message = f"the manifest {excerpt(asset.path, 80)} does not exist"
         yield finding("USD276", where, message)
         return
-    sampled_properties = set().union(*(_sampled(layer, target) for layer in layers))
-    undeclared = sorted(
+    sampled_properties = set().union(
+        *(_sampled_properties(layer, target) for layer in layers)
+    )
+    undeclared_names = sorted(
         p for p in sampled_properties if not manifest.GetPropertyAtPath(target + p)
     )
-    if undeclared:
-        message = f"the manifest does not list {len(undeclared)} that clips have: "
-        message += listed(undeclared)
+    if undeclared_names:
+        message = (
+            f"the manifest does not list {len(undeclared_names)} that clips have: "
+        )
+        message += listed(undeclared_names)
         yield finding("USD279", where, message)
 
 
@@ -163,13 +169,13 @@ def _spans(
     clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
     """Check that all clips sample the same properties."""
-    properties = [None if x is None else _sampled(x, target) for x in layers]
+    properties = [None if x is None else _sampled_properties(x, target) for x in layers]
     all_properties = set().union(*(p for p in properties if p is not None))
     if clip_set.get("interpolateMissingClipValues"):
         return
     for number, names in enumerate(properties):
-        missing = sorted(all_properties - names) if names is not None else []
-        if missing:
-            message = f"clip {number} has no samples of {listed(missing)}"
+        missing_names = sorted(all_properties - names) if names is not None else []
+        if missing_names:
+            message = f"clip {number} has no samples of {listed(missing_names)}"
             yield finding("USD278", where, message)
             return

@@ -39,21 +39,24 @@ def normalised(target: FixTarget, fault: Fault) -> Edit:
     def edit() -> Change:
         changed = total = 0
 
-        def divided(arrays: list[AnyArray]) -> list[AnyArray]:
+        def divide_by_sums(arrays: list[AnyArray]) -> list[AnyArray]:
             nonlocal changed, total
-            new = []
+            new_arrays = []
             for array in arrays:
                 rows = array.astype(np.float64).reshape(-1, size)
                 weight_sums = rows.sum(axis=1, keepdims=True)
                 if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
                     raise NotFixableError("a point has no weights")
                 is_off = np.abs(weight_sums - 1) > ROUNDING
-                changed, total = changed + int(is_off.sum()), total + len(rows)
+                changed, total = (
+                    changed + int(is_off.sum()),
+                    total + len(rows),
+                )
                 rows = rows / np.where(is_off, weight_sums, 1.0)
-                new.append(rows.reshape(array.shape).astype(array.dtype))
-            return new
+                new_arrays.append(rows.reshape(array.shape).astype(array.dtype))
+            return new_arrays
 
-        _, _, largest = rewrite(spec, divided)
+        _, _, largest = rewrite(spec, divide_by_sums)
         text = f"divides the weights of {changed} of {counted(total, 'point')} "
         return Change(f"{text}by their sums", largest)
 
@@ -196,7 +199,7 @@ def _author(target: FixTarget, prim: Any) -> Change:
     new_extents = [_bounds(boundable, code, skinned_bounds) for code in codes]
     if old_extents == new_extents and attr.HasAuthoredValue():
         return _change(old_extents, new_extents)
-    spec = _layer_spec(target, prim) or _over(target, prim)
+    spec = _layer_spec(target, prim) or _extents_hint_spec(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
         for time, value in zip(times, new_extents, strict=False):
@@ -213,7 +216,7 @@ def _layer_spec(target: FixTarget, prim: Any) -> Any:
     return stack[0] if stack and stack[0].layer == target.layer else None
 
 
-def _over(target: FixTarget, prim: Any) -> Any:
+def _extents_hint_spec(target: FixTarget, prim: Any) -> Any:
     spec = Sdf.CreatePrimInLayer(target.layer, prim.GetPath())
     attribute = spec.attributes.get(NAME)
     return attribute or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
@@ -232,18 +235,18 @@ def _bounds(boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None) -> 
         return Vt.Vec3fArray(extent)
     # Rounded outwards, so that no point is outside.
     infinities = np.array([[-np.inf], [np.inf]], np.float32)
-    widened = np.nextafter(
+    widened_bounds = np.nextafter(
         point_bounds.astype(np.float32), infinities, dtype=np.float32
     )
-    union = joined_bounds(np.array(extent, np.float32), widened)
+    union = joined_bounds(np.array(extent, np.float32), widened_bounds)
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 
 def _change(old_values: list[Any], new_values: list[Any]) -> Change:
     pairs = [
-        np.abs(np.array(old, np.float64) - np.array(new, np.float64)).max()
-        for old, new in zip(old_values, new_values, strict=True)
-        if old is not None and len(old) == 2
+        np.abs(np.array(old_value, np.float64) - np.array(new_value, np.float64)).max()
+        for old_value, new_value in zip(old_values, new_values, strict=True)
+        if old_value is not None and len(old_value) == 2
     ]
     text = f"computes the extent at {counted(len(new_values), 'sample')}"
     return Change(text, float(max(pairs)) if pairs else None)

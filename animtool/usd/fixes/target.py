@@ -1,4 +1,4 @@
-"""The layer that fixes edit, and copies of it in other files.
+"""The layer edited by fixes, and copies of it in other files.
 
 The layer is edited under its own name, so that its dependencies resolve as before; its
 file stays unchanged, and the layer is reloaded from it at the end.
@@ -188,11 +188,11 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
     """Raise if a copy would overwrite a layer that the source composes."""
     if not output.exists():
         return
-    with edited_layer(source) as edited:
-        composed = [
-            Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()
+    with edited_layer(source) as edited_copy:
+        composed_paths = [
+            Path(layer.realPath) for layer in edited_copy.target.stage.GetUsedLayers()
         ]
-    if output.resolve() in {path.resolve() for path in composed}:
+    if output.resolve() in {path.resolve() for path in composed_paths}:
         message = f"is a layer of {source}"
         hint = f"choose another {argument('output')}, or fix that layer separately"
         raise OptionError(Fault("OUT003", message, str(output), (), hint))
@@ -207,7 +207,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     """
     with edited_layer(source, content) as edited:
         layer = edited.content()
-    rewritten = _anchored(layer, source, output)
+    rewritten = _reanchor_assets(layer, source, output)
     has_same_format = source.suffix.lower() == output.suffix.lower()
     arguments = {"format": _format(source)} if output.suffix == ".usd" else {}
     with replacing(output) as temporary:
@@ -237,23 +237,23 @@ def _format(path: Path) -> str:
         return "usda" if file.read(5) == b"#usda" else "usdc"
 
 
-def _anchored(layer: Any, source: Path, output: Path) -> int:
+def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
     """Rewrite relative asset paths for another folder; return how many changed."""
-    old, new = source.resolve().parent, output.resolve().parent
-    if old == new:
+    old_folder, new_folder = source.resolve().parent, output.resolve().parent
+    if old_folder == new_folder:
         return 0
     count = 0
 
-    def moved(text: str) -> str:
+    def reanchored(text: str) -> str:
         nonlocal count
         file_path, package, inner_path = text.partition("[")
         if not file_path or Path(file_path).is_absolute() or "://" in file_path:
             return text
         relative = file_path.startswith(("./", "../"))
-        if not relative and not (old / file_path).exists():
+        if not relative and not (old_folder / file_path).exists():
             return text
         count += 1
-        return f"{asset_path(old / file_path, new)}{package}{inner_path}"
+        return f"{asset_path(old_folder / file_path, new_folder)}{package}{inner_path}"
 
-    UsdUtils.ModifyAssetPaths(layer, moved)
+    UsdUtils.ModifyAssetPaths(layer, reanchored)
     return count

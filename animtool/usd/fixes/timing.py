@@ -27,14 +27,14 @@ def continuous(target: FixTarget, fault: Fault) -> Edit:
     def edit() -> Change:
         flip_count = 0
 
-        def aligned(arrays: list[AnyArray]) -> list[AnyArray]:
+        def align_signs(arrays: list[AnyArray]) -> list[AnyArray]:
             nonlocal flip_count
-            q = _stacked(arrays)
-            new = so3.align_signs(q, q[0])
-            flip_count = int((new != q).any(axis=-1).sum())
-            return [row.astype(q.dtype) for row in new]
+            q = _stack_arrays(arrays)
+            aligned = so3.align_signs(q, q[0])
+            flip_count = int((aligned != q).any(axis=-1).sum())
+            return [row.astype(q.dtype) for row in aligned]
 
-        changed, count, _ = rewrite_arrays(spec, aligned)
+        changed, count, _ = rewrite_arrays(spec, align_signs)
         samples = f"{changed} of {counted(count, 'sample')}"
         return Change(f"negates {counted(flip_count, 'quaternion')} in {samples}")
 
@@ -48,22 +48,22 @@ def unit(target: FixTarget, fault: Fault) -> Edit:
     def edit() -> Change:
         changed_count = 0
 
-        def normalised(arrays: list[AnyArray]) -> list[AnyArray]:
+        def normalize(arrays: list[AnyArray]) -> list[AnyArray]:
             nonlocal changed_count
-            new = []
+            normalized = []
             for array in arrays:
                 lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
                 if not (lengths > MIN_LENGTH).all() or not np.isfinite(lengths).all():
                     raise NotFixableError("a quaternion has no direction")
                 # Rounding error of a unit quaternion's length.
                 rounding = 4 * float(np.finfo(array.dtype).eps)
-                wrong = np.abs(lengths - 1) > rounding
-                changed_count += int(wrong.sum())
-                rows = array / np.where(wrong, lengths, 1.0)[..., None]
-                new.append(rows.astype(array.dtype))
-            return new
+                is_off_unit = np.abs(lengths - 1) > rounding
+                changed_count += int(is_off_unit.sum())
+                rows = array / np.where(is_off_unit, lengths, 1.0)[..., None]
+                normalized.append(rows.astype(array.dtype))
+            return normalized
 
-        changed, count, largest = rewrite_arrays(spec, normalised)
+        changed, count, largest = rewrite_arrays(spec, normalize)
         samples = f"{changed} of {counted(count, 'sample')}"
         text = f"normalises {counted(changed_count, 'quaternion')} in {samples}"
         return Change(text, largest)
@@ -71,7 +71,7 @@ def unit(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def _stacked(arrays: list[AnyArray]) -> AnyArray:
+def _stack_arrays(arrays: list[AnyArray]) -> AnyArray:
     if len({array.shape for array in arrays}) != 1:
         raise NotFixableError("samples have different numbers of rotations")
     return np.stack(arrays)
@@ -100,13 +100,13 @@ def rates(target: FixTarget, _: Fault) -> Edit:
 
 
 def sample_range(target: FixTarget, _: Fault) -> Edit:
-    """Set the layer's range to that of its samples."""
-    return lambda: _ranged(target, widen=False)
+    """Set the layer's frame range to the range of its samples."""
+    return lambda: _fit_range(target, widen=False)
 
 
 def wider_range(target: FixTarget, _: Fault) -> Edit:
     """Widen the layer's range to contain all samples."""
-    return lambda: _ranged(target, widen=True)
+    return lambda: _fit_range(target, widen=True)
 
 
 def full_range(target: FixTarget, _: Fault) -> Edit:
@@ -128,7 +128,7 @@ def full_range(target: FixTarget, _: Fault) -> Edit:
     return edit
 
 
-def _ranged(target: FixTarget, *, widen: bool) -> Change:
+def _fit_range(target: FixTarget, *, widen: bool) -> Change:
     stage = target.stage
     first_sample, last_sample = _span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()

@@ -1,4 +1,4 @@
-"""The one loop over time codes that writes frames, into one layer or into chunks.
+"""Writes frames, time code by time code, into one layer or into chunks.
 
 Layers are saved while they grow, so that memory stays constant however long they get:
 the samples of a saved crate are on disk.
@@ -63,7 +63,7 @@ class GrowingLayer:
     def save(self) -> None:
         """Flush buffered samples to disk."""
         assert self._path is not None
-        with _written(self._path):
+        with _as_output_error(self._path):
             self.layer.Save()
         self._buffered = 0
 
@@ -71,7 +71,7 @@ class GrowingLayer:
 @contextmanager
 def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
     """Context of a new crate file that is complete at the end of the block."""
-    with _written(path):
+    with _as_output_error(path):
         layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
     growing = GrowingLayer(layer, path)
     yield growing
@@ -100,7 +100,7 @@ def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
 
 
 @contextmanager
-def _written(path: Path) -> Iterator[None]:
+def _as_output_error(path: Path) -> Iterator[None]:
     """Context that turns USD's write errors into an `OutputError`."""
     try:
         yield

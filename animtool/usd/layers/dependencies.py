@@ -96,9 +96,9 @@ def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
         return
     for name in layer.GetCompositionAssetDependencies():
         if Sdf.VariableExpression.IsExpression(name):
-            evaluated = Sdf.VariableExpression(name).Evaluate(variables).value
-            if isinstance(evaluated, str) and evaluated:
-                yield evaluated
+            expression_value = Sdf.VariableExpression(name).Evaluate(variables).value
+            if isinstance(expression_value, str) and expression_value:
+                yield expression_value
 
 
 def open_composed(layer: Any, path: Path) -> Any:
@@ -115,7 +115,7 @@ def open_composed(layer: Any, path: Path) -> Any:
 
 
 def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
-    """Record the files that a stage is composed of, and missing ones."""
+    """Record the files that a stage composes, and missing ones."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous:
             continue
@@ -124,7 +124,7 @@ def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
             note_input(path, states.get(path), composed=True)
         # An empty name refers to the layer itself.
         for name in filter(None, layer.GetCompositionAssetDependencies()):
-            resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
-            if resolved and "[" not in resolved and "://" not in resolved:
-                path = Path(resolved)
+            asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+            if asset and "[" not in asset and "://" not in asset:
+                path = Path(asset)
                 note_input(path, states.get(path), composed=True)

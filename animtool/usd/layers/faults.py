@@ -115,10 +115,10 @@ def matrix_array(attr: Any) -> FloatArray:
 
 def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield faults of joint paths: duplicates, or a child before its parent."""
-    repeated = duplicates(joints)
-    if repeated:
-        message = f"{len(repeated)} of {len(joints)} joints are duplicates: "
-        message += listed(repeated)
+    repeated_joints = duplicates(joints)
+    if repeated_joints:
+        message = f"{len(repeated_joints)} of {len(joints)} joints are duplicates: "
+        message += listed(repeated_joints)
         yield finding("USD220", where, message)
         return
     parents = joint_parents(joints)

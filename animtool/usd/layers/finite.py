@@ -1,4 +1,4 @@
-"""Guards USD output: values that USD cannot store as finite numbers are refused.
+"""Refuse values that USD cannot store as finite numbers.
 
 Attributes are float16, float32 or float64. A number beyond the range of its type would
 silently become infinite in the file, so each is checked before it is written.
@@ -73,10 +73,10 @@ def narrowed(
     """
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
-        converted = values.astype(dtype)
-    if converted.size and not _within(converted, _LIMITS[letter]):
-        _refuse(values, converted, letter, labels, codes)
-    return converted
+        converted_values = values.astype(dtype)
+    if converted_values.size and not _is_within(converted_values, _LIMITS[letter]):
+        _refuse(values, converted_values, letter, labels, codes)
+    return converted_values
 
 
 def rounded(
@@ -106,7 +106,7 @@ def check_rows(
     """
     if not np.isfinite(codes).all():
         raise _error(labels, "a time code is not finite")
-    if rows.size and not _within(rows, _LIMITS[letter]):
+    if rows.size and not _is_within(rows, _LIMITS[letter]):
         _refuse(rows, rows, letter, labels, codes)
 
 
@@ -118,7 +118,7 @@ def check_value(
     ``code`` is the time code; None is the default.
     """
     numbers = floats_of(value)
-    if numbers is None or not numbers.size or _within(numbers, _LIMITS[letter]):
+    if numbers is None or not numbers.size or _is_within(numbers, _LIMITS[letter]):
         return
     codes = None if code is None else np.array([code])
     rows = numbers if code is None else numbers[None]
@@ -154,7 +154,7 @@ def all_equal(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
     return bool((rows == row).all())
 
 
-def _within(values: npt.NDArray[Any], limit: float) -> bool:
+def _is_within(values: npt.NDArray[Any], limit: float) -> bool:
     if values.dtype == np.float16:
         return bool((values.view(np.uint16) & _HALF_MAGNITUDE).max() <= _HALF_LIMIT)
     # min and max propagate NaN, which fails both comparisons.
@@ -163,23 +163,23 @@ def _within(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse(
     values: npt.NDArray[Any],
-    converted: npt.NDArray[Any],
+    converted_values: npt.NDArray[Any],
     letter: str,
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
-    """Raise an error that names the first value not finite in the file, if any."""
+    """Raise an error for the first value that would not be finite in the file."""
     limit = _LIMITS[letter]
-    not_finite = np.argwhere(~(np.abs(converted) <= limit))
+    not_finite = np.argwhere(~(np.abs(converted_values) <= limit))
     if not len(not_finite):
         return
     index = tuple(not_finite[0].tolist())
     value = float(values[index])
     element_index = index if codes is None else index[1:]
     at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
-    allowed = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
+    range_text = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
     raise _error(
-        labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {allowed}"
+        labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {range_text}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Jobs of USD output: what to write, to which files, and what was written."""
+"""USD output jobs: contents, files, and reports of what was written."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class LayerForm(StrEnum):
 
 
 def output_paths(output: Path, form: LayerForm) -> list[Path]:
-    """Return the files of a form in write order, ``output`` last."""
+    """Return the files of a layer form in write order, ``output`` last."""
     if form is not LayerForm.SPLIT:
         return [output]
     return [

@@ -13,7 +13,7 @@ from animtool.core.quantities import escaped_lines
 
 # Warnings of USD's own writers about every file with splines or time codes in metadata,
 # which a user cannot act on.
-_KNOWN = (
+_KNOWN_TEXTS = (
     b"inner looping is deprecated",
     b"A spline was detected which requires",
     b"A timecode or timecode[] value type was detected which requires",
@@ -34,7 +34,7 @@ def without_version_warnings() -> Iterator[None]:
     USD prints them to the process's stderr, bypassing Python. Other output to stderr is
     printed afterwards.
     """
-    with _captured(_KNOWN):
+    with _captured_stderr(_KNOWN_TEXTS):
         yield
 
 
@@ -44,15 +44,15 @@ def without_usd_warnings() -> Iterator[None]:
 
     Other output to stderr is printed afterwards.
     """
-    with _captured(_DIAGNOSTICS):
+    with _captured_stderr(_DIAGNOSTICS):
         yield
 
 
 @contextmanager
-def _captured(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
+def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
-        saved = os.dup(2)
+        saved_fd = os.dup(2)
     except OSError:  # stderr is closed
         yield
         return
@@ -65,9 +65,9 @@ def _captured(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            os.dup2(saved, 2)
+            os.dup2(saved_fd, 2)
         with suppress(OSError):
-            os.close(saved)
+            os.close(saved_fd)
         if buffer is not None:
             with suppress(OSError), buffer:
                 _print_others(buffer, dropped_texts)

@@ -11,8 +11,8 @@ from animtool.core.errors import Fault, excerpt
 
 FIRST_LINE = "#usda 1.0"
 # File, line, column, what is wrong, the text there, and the prim or attribute.
-_LOCATED = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
-_UNQUOTED = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
+_LOCATED_FAULT = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
+_UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
 _LONGEST = 300
 
 # Message and hint, by what USD says; both are given its words and the text there.
@@ -40,7 +40,7 @@ _FAULTS: dict[str, _Words] = {
     ),
     r"parse error|match": lambda _, there: (
         f"cannot be parsed from {excerpt(there)} on" if there else "ends too early",
-        _quoting(there),
+        _quoting_hint(there),
     ),
     r"[Ff]ile too small|bootstrap|truncated": lambda _, __: (
         "is not a binary USD file, or not all of one",
@@ -49,9 +49,9 @@ _FAULTS: dict[str, _Words] = {
 }
 
 
-def _quoting(there: str) -> str | None:
+def _quoting_hint(context: str) -> str | None:
     """Return a hint for a prim whose name has no quotes."""
-    match = _UNQUOTED.match(there)
+    match = _UNQUOTED_NAME.match(context)
     if match is None:
         return None
     return f'put the name in quotes: {match[1]}{match[2] or ""} "{match[3]}"'
@@ -68,21 +68,23 @@ def layer_fault(text: str, path: Path) -> Fault:
     >>> str(layer_fault(text, Path("a.usda"))).partition(";")[0]
     "a.usda:1:1: USD001 the first line is not '#usda 1.0'"
     """
-    located = _LOCATED.search(text)
-    words, there = (text, "") if located is None else (located[4], located[5])
-    more: dict[str, Any] = {}
-    if located is not None:
-        more = {"lines": (int(located[2]),), "column": int(located[3])}
-        if Path(located[1]).name != path.name:
-            path = Path(located[1])  # a layer that it brings in
-        if located[6] not in {"", "/"}:
-            more["where"] = located[6]
-    for said in (text, words):
-        for pattern, worded in _FAULTS.items():
-            match = re.search(pattern, said)
+    located_fault = _LOCATED_FAULT.search(text)
+    message_text, context = (
+        (text, "") if located_fault is None else (located_fault[4], located_fault[5])
+    )
+    location: dict[str, Any] = {}
+    if located_fault is not None:
+        location = {"lines": (int(located_fault[2]),), "column": int(located_fault[3])}
+        if Path(located_fault[1]).name != path.name:
+            path = Path(located_fault[1])  # a layer that it brings in
+        if located_fault[6] not in {"", "/"}:
+            location["where"] = located_fault[6]
+    for text_part in (text, message_text):
+        for pattern, describe in _FAULTS.items():
+            match = re.search(pattern, text_part)
             if match is not None:
-                message, hint = worded(match, there)
+                message, hint = describe(match, context)
                 if "first line" in message:
-                    more = {"lines": (1,), "column": 1}
-                return Fault("USD001", message, str(path), hint=hint, **more)
-    return Fault("USD001", text[:_LONGEST], str(path), **more)
+                    location = {"lines": (1,), "column": 1}
+                return Fault("USD001", message, str(path), hint=hint, **location)
+    return Fault("USD001", text[:_LONGEST], str(path), **location)

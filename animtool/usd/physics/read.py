@@ -255,7 +255,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     kinematic = bool(rigid.GetKinematicEnabledAttr().Get())
     shapes = [
         shape
-        for part in _parts(prim)
+        for part in _body_prims(prim)
         if collides(part)
         for shape in read_shapes(source, part, matrix, static=False)
     ]
@@ -286,7 +286,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     )
 
 
-def _parts(body: Any) -> Iterator[Any]:
+def _body_prims(body: Any) -> Iterator[Any]:
     """Yield a body and its descendants, except other bodies."""
     prims = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
     for prim in prims:

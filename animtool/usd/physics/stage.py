@@ -163,11 +163,11 @@ def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
 
 def is_body(prim: Any) -> bool:
     """Return whether a prim is a rigid body."""
-    enabled = prim.GetAttribute("physics:rigidBodyEnabled").Get()
-    return prim.HasAPI(UsdPhysics.RigidBodyAPI) and enabled is not False
+    is_enabled = prim.GetAttribute("physics:rigidBodyEnabled").Get()
+    return prim.HasAPI(UsdPhysics.RigidBodyAPI) and is_enabled is not False
 
 
 def collides(prim: Any) -> bool:
     """Return whether a prim is a collider."""
-    enabled = prim.GetAttribute("physics:collisionEnabled").Get()
-    return prim.HasAPI(UsdPhysics.CollisionAPI) and enabled is not False
+    is_enabled = prim.GetAttribute("physics:collisionEnabled").Get()
+    return prim.HasAPI(UsdPhysics.CollisionAPI) and is_enabled is not False

@@ -264,7 +264,7 @@ class _Group:
         attribute(root, "extent", _TYPES.Float3Array, box)
 
     def _sharing(self) -> BoolArray:
-        """Return which characters only stand and can share an animation ``(n,)``."""
+        """Return which characters stand still and can share an animation ``(n,)``."""
         track = self.track
         static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
         static &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
@@ -302,7 +302,7 @@ class _Group:
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         order = ["xformOp:translate"]
         translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing(positions, SAME_POSITION / unit)
+        rows = _changing_frames(positions, SAME_POSITION / unit)
         write_samples(
             self.layer,
             translate,
@@ -315,7 +315,7 @@ class _Group:
             order.append("xformOp:orient")
         translate = attribute(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
-        rows = _changing(degrees[:, None], np.degrees(SAME_HEADING))
+        rows = _changing_frames(degrees[:, None], np.degrees(SAME_HEADING))
         write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
@@ -391,7 +391,7 @@ class _Group:
         ]
 
     def _write_shared(self, path: str) -> None:
-        """Write the shared standing animation from 0 s, as long as any needs it."""
+        """Write the shared standing animation, from 0 s to its last use."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.animated)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
@@ -445,8 +445,8 @@ def _continuous(rotations: Float32Array) -> Float32Array:
     return continuous
 
 
-def _changing(values: Float32Array, tolerance: float) -> IntArray:
-    """Return the frames of values ``(F, K)`` without those between equal neighbors."""
+def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:
+    """Return the frames to keep of values ``(F, K)``, omitting repeated values."""
     steps = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
     if not steps.any():
         return np.zeros(1, np.int64)

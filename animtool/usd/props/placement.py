@@ -68,7 +68,7 @@ class PropPlacements:
             parent_space = space_above(self.target, path, codes, inside=False)
         if parent_space is not None:
             parent_space[:, :3, 3] *= self.unit(path)
-            transforms = _premultiplied(transforms, parent_space)
+            transforms = _premultiplied_transforms(transforms, parent_space)
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
     def _with_rig(self, transforms: Transforms, codes: FloatArray) -> Transforms:
@@ -177,8 +177,10 @@ def matrices_inside(
     return local if parent_space is None else parent_space @ local
 
 
-def _premultiplied(transforms: Transforms, matrices: FloatArray) -> Transforms:
-    """Return transforms multiplied by matrices; as T, R, S if these have no shear."""
+def _premultiplied_transforms(
+    transforms: Transforms, matrices: FloatArray
+) -> Transforms:
+    """Return transforms multiplied by matrices, as T, R, S if there is no shear."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))

@@ -202,7 +202,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             hint = f"did you mean {similar_name}?" if similar_name else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
-        elif _kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
+        elif _value_kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
             message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are copied"
             faults.append(Fault("SCN049", message, hint=hint))
@@ -213,14 +213,14 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     return attributes
 
 
-def _kind(attribute: Any) -> str:
+def _value_kind(attribute: Any) -> str:
     type_name = attribute.GetTypeName()
     return "array" if type_name.isArray else str(type_name.cppTypeName)
 
 
 def _attribute_of(attribute: Any) -> Attribute:
     name, type_name = attribute.GetName(), str(attribute.GetTypeName())
-    width = _WIDTHS.get(_kind(attribute), 0)
+    width = _WIDTHS.get(_value_kind(attribute), 0)
     if width:
         return Attribute(name, type_name, width, length=name in _LENGTHS)
     times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
@@ -258,9 +258,11 @@ class _Sampler:
     scales: FloatArray | None = None
 
     def find_constants(self) -> None:
-        """Collect the keys, and find out what is constant."""
-        varying = list(self._varying())
-        sample_times = {time for source in varying for time in source.GetTimeSamples()}
+        """Collect the keys, and detect constant values."""
+        varying_objects = list(self._varying())
+        sample_times = {
+            time for source in varying_objects for time in source.GetTimeSamples()
+        }
         self.keys = np.array(sorted(sample_times))
         codes = self.keys
         if not len(codes):
@@ -271,7 +273,7 @@ class _Sampler:
         transforms = self.at(codes)
         # Values such as splines vary over time without samples.
         self.is_animated = any(
-            not source.GetTimeSamples() for source in varying
+            not source.GetTimeSamples() for source in varying_objects
         ) or any(
             bool((values != values[:1]).any())
             for values in (transforms.matrix(), *transforms.values)
@@ -321,7 +323,7 @@ class _Sampler:
             positions, rotations, scales, matrices, self._values(codes)
         )
         if not self.is_animated:
-            return _repeated(transforms, len(times))
+            return _repeated_transforms(transforms, len(times))
         return replace(transforms, clamped=self._outside_samples(codes))
 
     def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
@@ -373,13 +375,15 @@ class _Sampler:
 
 def _without_rounding(scales: FloatArray) -> FloatArray:
     """Return scales without the rounding error of short decimals."""
-    rounded = np.round(scales, 9)
+    rounded_scales = np.round(scales, 9)
     return np.where(
-        np.abs(rounded - scales) <= ROUNDING * np.abs(scales), rounded, scales
+        np.abs(rounded_scales - scales) <= ROUNDING * np.abs(scales),
+        rounded_scales,
+        scales,
     )
 
 
-def _repeated(transforms: Transforms, count: int) -> Transforms:
+def _repeated_transforms(transforms: Transforms, count: int) -> Transforms:
     """Return one transform and its values repeated for all times."""
 
     def all_times(values: Any) -> Any:
@@ -400,8 +404,8 @@ def _split(
     """Return translations, rotations, scales, and the relative shear dropped."""
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
-    again = so3.to_matrix(rotations) * scales[:, None, :]
+    recomposed = so3.to_matrix(rotations) * scales[:, None, :]
     size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
-    difference = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
+    difference = np.abs(recomposed - matrices[:, :3, :3]).max(axis=(1, 2))
     shares = difference / np.where(size > 0, size, 1.0)
     return positions, rotations, scales, float(shares.max(initial=0.0))

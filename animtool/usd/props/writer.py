@@ -85,11 +85,11 @@ def check_props(
     model, root = paths.model, paths.root
     by_path = prop_paths(tracks, model)
     for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
-        existing = None if stage is None else stage.GetPrimAtPath(path)
+        existing_prim = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "choose another path, such as Props/box"
         if overlap(path, root) or is_within(model, path):
             message = f"{path} is part of the character at {model}"
-        elif existing and existing.IsInstanceProxy():
+        elif existing_prim and existing_prim.IsInstanceProxy():
             message = f"{path} is inside an instance, which a layer cannot reach"
         elif library and not is_within(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
@@ -356,8 +356,10 @@ def part_names(names: Sequence[str]) -> UsdNames:
     >>> part_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
-    every = [PROTOTYPES, PHYSICS, *names]
-    distinct = distinct_names(every, [name.removesuffix("]") for name in every], every)
+    all_names = [PROTOTYPES, PHYSICS, *names]
+    distinct = distinct_names(
+        all_names, [name.removesuffix("]") for name in all_names], all_names
+    )
     return replace(distinct, names=distinct.names[2:])
 
 

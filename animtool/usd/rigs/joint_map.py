@@ -25,7 +25,7 @@ from animtool.usd.rigs.skinned import is_shown_mesh
 from animtool.usd.rigs.target import RigTarget
 from animtool.usd.takes.over_rig import OverRig
 
-_NONE: IntArray = np.zeros(0, np.int64)
+_NO_JOINTS: IntArray = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,9 @@ class RigJointMap:
     # Returns the placement from take space to the rig's space at time codes ``(F,)``;
     # None is the identity.
     to_rig: Callable[[FloatArray], Placement] | None = None
-    roots: IntArray = field(default_factory=lambda: _NONE)  # root joints of the take
+    roots: IntArray = field(
+        default_factory=lambda: _NO_JOINTS
+    )  # root joints of the take
     size: float = 1.0  # length of a world metre in the rig's space [m]
 
     def at(self, codes: FloatArray, motion: Motion) -> Motion:
@@ -61,7 +63,7 @@ class RigJointMap:
         if scales is not None or (self.rest_scales != 1.0).any():
             if scales is None:
                 constant = np.zeros((motion.frames, 0, 3))
-                mapped_scales = Channel(self.rest_scales, _NONE, constant)
+                mapped_scales = Channel(self.rest_scales, _NO_JOINTS, constant)
             else:
                 mapped_scales = self._channel(scales, self.rest_scales)
         return Motion(
@@ -229,10 +231,14 @@ def match_shapes(
         message = f"{len(unknown)} shapes of the take are on no mesh of the rig: "
         hint, kind = "their weights have no effect there", Severity.WARNING
         notices.append(naming("USD114", message, unknown, where, hint, kind))
-    respelled = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
-    if respelled:
-        message = f"{len(respelled)} shapes are written with the rig's spelling: "
-        notices.append(naming("USD118", message, respelled, where, None, Severity.NOTE))
+    respelled_names = [
+        f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b
+    ]
+    if respelled_names:
+        message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
+        notices.append(
+            naming("USD118", message, respelled_names, where, None, Severity.NOTE)
+        )
     return tuple(matches), notices
 
 

@@ -48,10 +48,12 @@ def author_physics(
 
     ``meters_per_unit`` is the unit of the layer [m].
     """
-    movable = [
+    movable_joints = [
         i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE
     ]
-    bodies = sorted({*movable, *(rig.joints[i].parent for i in movable)} - {-1})
+    bodies = sorted(
+        {*movable_joints, *(rig.joints[i].parent for i in movable_joints)} - {-1}
+    )
     scope = f"{model}/Physics"
     prim(layer, model, over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
@@ -61,9 +63,9 @@ def author_physics(
     for i in bodies:
         position = world.positions[0, i] / meters_per_unit
         _body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
-    for i in movable:
+    for i in movable_joints:
         _joint(layer, scope, rig, i, names, meters_per_unit)
-    return len(movable)
+    return len(movable_joints)
 
 
 def _body(layer: Any, path: str, position: FloatArray, rotation: FloatArray) -> None:

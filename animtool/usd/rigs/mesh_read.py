@@ -102,17 +102,17 @@ def bound_shapes(skeleton: Any) -> tuple[str, ...]:
 def _bind(query: Any, skeleton: Any, at: PrimLocation) -> tuple[float, ...] | None:
     """Return the bind transform of a mesh; None if it is the identity."""
     if query.HasJointInfluences():
-        authored = query.GetGeomBindTransform()
+        authored_bind = query.GetGeomBindTransform()
     else:
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
         local_to_world = cache.GetLocalToWorldTransform(query.GetPrim())
-        authored = (
+        authored_bind = (
             local_to_world
             if world == Gf.Matrix4d(1)
             else local_to_world * world.GetInverse()
         )
-    matrix = np.array(authored, np.float64).T
+    matrix = np.array(authored_bind, np.float64).T
     if not np.isfinite(matrix).all():
         code = "USD235" if query.HasJointInfluences() else "USD017"
         at.fail(code, "its transform at bind time is not finite")

@@ -119,8 +119,8 @@ def mesh_names(
     """
     used_names = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
     used_names.append(STRANDS_SCOPE)
-    every = [*used_names, *(surface.name for surface in surfaces)]
-    names = distinct_names(every, every, every)
+    all_names = [*used_names, *(surface.name for surface in surfaces)]
+    names = distinct_names(all_names, all_names, all_names)
     paths_of_meshes = [
         f"{paths.root}/{name}" for name in names.names[len(used_names) :]
     ]
@@ -228,7 +228,7 @@ def _skin(
     meters_per_unit: float,
 ) -> list[Fault]:
     influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
-    indices, weights = _padded(influences)
+    indices, weights = _padded_influences(influences)
     if skin.joints != tuple(tokens):
         joints = Vt.TokenArray([tokens[name] for name in skin.joints])
         attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
@@ -252,7 +252,7 @@ def _skin(
     return _notices(surface.name, report)
 
 
-def _padded(influences: Influences) -> tuple[IntArray, FloatArray]:
+def _padded_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.first)
     is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
@@ -363,8 +363,8 @@ def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
     segments = np.array(ends, np.float64).reshape(-1, 2, 3)
     owners = np.array(joints, np.int64)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
-    real = lengths > 1e-6 * lengths.max(initial=0.0)
-    return segments[real], owners[real]
+    is_nonzero = lengths > 1e-6 * lengths.max(initial=0.0)
+    return segments[is_nonzero], owners[is_nonzero]
 
 
 def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) -> bool:

@@ -58,8 +58,8 @@ class SkeletonPlacement:
     @property
     def rest(self) -> Placement:
         """Placement of its rest pose: size, upright rotation and position."""
-        stands, sized = self._at_rest()
-        return stands.after(sized)
+        placement_rest, sizes_rest = self._at_rest()
+        return placement_rest.after(sizes_rest)
 
     @property
     def sized(self) -> Placement:
@@ -231,10 +231,10 @@ class _StageUnits:
             rotations = so3.multiply(self.upright, rotations)
         sizes = np.where(sizes > 0.0, sizes, 1.0)
         placement = Placement(translations, so3.align_signs(rotations), sizes)
-        return _snapped(placement.steady())
+        return _snapped_placement(placement.steady())
 
 
-def _snapped(placement: Placement) -> Placement:
+def _snapped_placement(placement: Placement) -> Placement:
     """Return a placement snapped to the identity within rounding."""
     if not placement.moves and placement.is_none:
         return Placement.from_rotation(so3.IDENTITY)

@@ -87,7 +87,7 @@ def rest_transforms(
     attr = skeleton.GetRestTransformsAttr()
     rest = matrix_array(attr)
     if not len(rest):
-        yield _missing(skeleton, joints, animated=animated)
+        yield _missing_rest_fault(skeleton, joints, animated=animated)
     elif len(rest) != len(joints):
         message = f"{counted(len(rest), 'restTransform')}"
         message += f" for {counted(len(joints), 'joint')}"
@@ -96,14 +96,20 @@ def rest_transforms(
         yield from finite_transforms(attr, rest, joints)
 
 
-def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
+def _missing_rest_fault(
+    skeleton: Any, joints: Sequence[str], *, animated: bool
+) -> Fault:
     """Return the fault of missing rest transforms: a warning if replaced."""
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
-    unanimated = _unanimated_joints(_animation(skeleton), joints) if animated else []
-    if unanimated:
-        message += f", and the animation does not have {len(unanimated)} of them: "
-        message += f"{listed(unanimated, MAX_NAMED)}; UsdSkel poses none"
+    unanimated_joints = (
+        _unanimated_joints(_animation(skeleton), joints) if animated else []
+    )
+    if unanimated_joints:
+        message += (
+            f", and the animation does not have {len(unanimated_joints)} of them: "
+        )
+        message += f"{listed(unanimated_joints, MAX_NAMED)}; UsdSkel poses none"
         return finding("USD239", where, message)
     pose = rest_pose(skeleton, joints)
     if pose is None:
@@ -144,11 +150,11 @@ def _unanimated_joints(animation: Any, joints: Sequence[str]) -> list[str]:
     """Return the joints missing from an animation that has joints."""
     if animation is None:
         return []
-    animated = set(tokens(animation.GetJointsAttr()))
+    animated_joints = set(tokens(animation.GetJointsAttr()))
     attributes = transform_attributes(animation).values()
-    if not animated or not all(attr.HasAuthoredValue() for attr in attributes):
+    if not animated_joints or not all(attr.HasAuthoredValue() for attr in attributes):
         return []
-    return [joint for joint in joints if joint not in animated]
+    return [joint for joint in joints if joint not in animated_joints]
 
 
 def _first_sample(animation: Any, joints: Sequence[str]) -> FloatArray | None:

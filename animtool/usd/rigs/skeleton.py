@@ -67,9 +67,9 @@ def with_recorded_rest(
         animation: Prim with the motion; None is the rest pose.
         where: Location for faults.
     """
-    rest_placement = None if skeleton is None else _recorded(skeleton, where)
+    rest_placement = None if skeleton is None else _recorded_placement(skeleton, where)
     motion_placement = (
-        rest_placement if animation is None else _recorded(animation, where)
+        rest_placement if animation is None else _recorded_placement(animation, where)
     )
     if motion_placement is None:
         return rig
@@ -85,7 +85,9 @@ def with_recorded_rest(
     return replace(rig, stands=None if stands.is_none else stands, rides=rides)
 
 
-def _recorded(prim: Any, where: PrimLocation) -> tuple[Placement, bool] | None:
+def _recorded_placement(
+    prim: Any, where: PrimLocation
+) -> tuple[Placement, bool] | None:
     """Return the recorded placement of a prim, and whether it moves; None if absent."""
     # Writing does not need stages.
     from animtool.usd.rigs.prims import stored_data

@@ -55,7 +55,7 @@ def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
 
 
 # Attributes that bind a prim's points to joints and shapes.
-_BINDING = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
+_BINDING_ATTRIBUTES = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
 
 
 def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
@@ -69,7 +69,7 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
         for prim in descendants
         if prim.IsA(UsdGeom.Gprim)
         and not prim.HasAPI(UsdSkel.BindingAPI)
-        and any(prim.HasProperty(name) for name in _BINDING)
+        and any(prim.HasProperty(name) for name in _BINDING_ATTRIBUTES)
     ]
     if not unbound_paths:
         return []

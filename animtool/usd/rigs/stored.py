@@ -53,7 +53,7 @@ def joined_attachments(
     unknown_strands = dict(strands)
     counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
     attachments: list[Attachment] = []
-    dropped: list[str] = []
+    dropped_names: list[str] = []
     for entry in rig.attach:
         if entry.kind == AttachKind.STRANDS and entry.name in unknown_strands:
             attachments.append(unknown_strands.pop(entry.name))
@@ -67,7 +67,7 @@ def joined_attachments(
                 )
             )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
-            dropped.append(entry.name)
+            dropped_names.append(entry.name)
         else:
             attachments.append(entry)
     used_names = {entry.name for entry in attachments}
@@ -75,7 +75,7 @@ def joined_attachments(
         replace(entry, name=unique_name(entry.name, used_names))
         for entry in unknown_strands.values()
     ]
-    return tuple(attachments), dropped
+    return tuple(attachments), dropped_names
 
 
 def _is_valid(
@@ -114,24 +114,24 @@ def joined_rig(
     # The referenced arrays are stored in USD.
     document.partial |= {"meshes", "attach"}
     try:
-        stored = rig_of_document(document)
+        stored_rig = rig_of_document(document)
     except FormatError as error:
         reason = error.faults[0].message
         message = f"customData animtool:rig is malformed: {reason}"
         raise FormatError(Fault("USD007", message, str(path))) from error
-    shapes = _shapes(stored, usd_rig)
-    joined = replace(
-        stored,
+    shapes = _shapes(stored_rig, usd_rig)
+    merged_rig = replace(
+        stored_rig,
         meshes=usd_rig.meshes,
         shapes=shapes,
         meters_per_unit=usd_rig.meters_per_unit,
     )
     notices: list[Fault] = []
     if data.get("hash") != skeleton_hash(tokens, rest, bind):
-        joined, notices = _merged_with_usd(joined, usd_rig, str(path))
-    names = dict(zip(usd_rig.names, joined.names, strict=True))
-    meshes = tuple(_with_joint_names(mesh, names) for mesh in joined.meshes)
-    return replace(joined, meshes=meshes), notices
+        merged_rig, notices = _merged_with_usd(merged_rig, usd_rig, str(path))
+    names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
+    meshes = tuple(_with_joint_names(mesh, names) for mesh in merged_rig.meshes)
+    return replace(merged_rig, meshes=meshes), notices
 
 
 def with_attachments(
@@ -166,58 +166,60 @@ def _with_joint_names(mesh: Mesh, names: dict[str, str]) -> Mesh:
     return replace(mesh, skin=replace(mesh.skin, joints=joints))
 
 
-def _shapes(stored: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
+def _shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
     """Return shapes in stored order, with USD's arrays."""
     by_name = {shape.name: shape for shape in usd_rig.shapes}
-    stored_names = {shape.name for shape in stored.shapes}
+    stored_names = {shape.name for shape in stored_rig.shapes}
     return (
         *(
             replace(by_name[shape.name], combine=shape.combine, driven=shape.driven)
             if shape.name in by_name
             else shape
-            for shape in stored.shapes
+            for shape in stored_rig.shapes
         ),
         *(shape for shape in usd_rig.shapes if shape.name not in stored_names),
     )
 
 
-def _merged_with_usd(stored: Rig, usd_rig: Rig, where: str) -> tuple[Rig, list[Fault]]:
-    stored_joints = {joint.name: joint for joint in stored.joints}
+def _merged_with_usd(
+    stored_rig: Rig, usd_rig: Rig, where: str
+) -> tuple[Rig, list[Fault]]:
+    stored_joints = {joint.name: joint for joint in stored_rig.joints}
     parents = {
-        joint.name: stored.joints[joint.parent].name if joint.parent >= 0 else ""
-        for joint in stored.joints
+        joint.name: stored_rig.joints[joint.parent].name if joint.parent >= 0 else ""
+        for joint in stored_rig.joints
     }
     joints: list[Joint] = []
     changed_names: list[str] = []
     for joint in usd_rig.joints:
-        old = stored_joints.get(joint.source_name or joint.name)
+        stored_joint = stored_joints.get(joint.source_name or joint.name)
         parent = joints[joint.parent].name if joint.parent >= 0 else ""
-        if old is None:
+        if stored_joint is None:
             changed_names.append(joint.name)
             joints.append(joint)
-        elif parents[old.name] == parent and _equal_rest(old, joint):
-            joints.append(replace(old, parent=joint.parent))
+        elif parents[stored_joint.name] == parent and _equal_rest(stored_joint, joint):
+            joints.append(replace(stored_joint, parent=joint.parent))
         else:
-            changed_names.append(old.name)
+            changed_names.append(stored_joint.name)
             joints.append(
                 replace(
-                    old,
+                    stored_joint,
                     parent=joint.parent,
                     translation=joint.translation,
                     rotation=joint.rotation,
                 )
             )
-    gone = sorted(set(stored_joints) - {joint.name for joint in joints})
-    if not changed_names and not gone and stored.bind == usd_rig.bind:
-        return stored, []
+    removed_names = sorted(set(stored_joints) - {joint.name for joint in joints})
+    if not changed_names and not removed_names and stored_rig.bind == usd_rig.bind:
+        return stored_rig, []
     message = "the Skeleton was edited after it was written; using the edited one"
     if changed_names:
         message += f"; joints that differ: {listed(changed_names)}"
-    if gone:
-        message += f"; removed: {listed(gone)}"
+    if removed_names:
+        message += f"; removed: {listed(removed_names)}"
     notice = Fault("USD117", message, where, severity=Severity.WARNING)
     return _without_joints(
-        replace(stored, joints=tuple(joints), bind=usd_rig.bind), gone
+        replace(stored_rig, joints=tuple(joints), bind=usd_rig.bind), removed_names
     ), [notice]
 
 
@@ -294,7 +296,7 @@ def read_rig(path: Path) -> Rig:
 def read_rig_with_data(
     path: Path, prim_path: str | None = None
 ) -> tuple[Rig, list[Fault]]:
-    """Return the rig of a USD file's Skeleton, that of its default prim first.
+    """Return the rig of a USD file's Skeleton; the default prim's comes first.
 
     Includes bind pose, meshes, shapes and strands, and the customData that USD cannot
     express.
@@ -326,7 +328,7 @@ def read_rig_with_data(
             attach=read_strands(skeleton, of_skeleton, str(path)),
         )
         data = stored_data(skeleton.GetPrim())
-        joined, edits = joined_rig(
+        merged_rig, edits = joined_rig(
             rig,
             data,
             of_skeleton.tokens,
@@ -334,7 +336,7 @@ def read_rig_with_data(
             matrix_array(skeleton.GetBindTransformsAttr()),
             path,
         )
-        complete, losses = with_attachments(joined, rig, data, path)
+        complete, losses = with_attachments(merged_rig, rig, data, path)
         placement = local_placement(skeleton.GetPrim(), of_skeleton.rig)
         notices += uneven_notice(placement, where)
         return rest_rig(complete, placement), notices + edits + losses

@@ -108,7 +108,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         str(root.GetPath()),
         str(prim.GetPath()),
         str(root.GetPath().AppendChild("Anim")),
-        _binding(prim, root, model),
+        _binding_path(prim, root, model),
     )
     if moved_to is not None:
         paths = _moved_paths(paths, str(model), moved_to)
@@ -210,7 +210,7 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
     return root.GetPath().GetPrefixes()[0]
 
 
-def _binding(skeleton: Any, root: Any, model: Any) -> str:
+def _binding_path(skeleton: Any, root: Any, model: Any) -> str:
     """Return the nearest prim above the Skeleton that binds an animation, or the root.
 
     A binding above the model is not specific to the character, so the root is used.

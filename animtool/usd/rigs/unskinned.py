@@ -33,7 +33,7 @@ def unskinned_notice(
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
-    skinned_paths = _skinned(root)
+    skinned_paths = _skinned_paths(root)
     distances = {
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
@@ -54,7 +54,7 @@ def unskinned_notice(
     return [Fault("USD147", message, where, (), hint, Severity.WARNING)]
 
 
-def _skinned(root: Any) -> set[Any]:
+def _skinned_paths(root: Any) -> set[Any]:
     """Return the paths of skinned prims below a SkelRoot."""
     cache = UsdSkel.Cache()
     cache.Populate(root, Usd.TraverseInstanceProxies())

@@ -109,7 +109,7 @@ def nearest_samples(
 
 
 def _time_text(time: Any) -> str:
-    """Return a time as text; the earliest stands for a constant value."""
+    """Return a time as text; the earliest time means a constant value."""
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
@@ -169,16 +169,16 @@ class SampleGrid:
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """First frame, and the last if the take or its stage authors one."""
+    """First frame, and the last frame if the take or its stage authors it."""
 
     first: Fraction
     last: Fraction | None
 
 
 def _span(stage: Any, animation: Any) -> _Span:
-    authored = take_range(animation)
-    if authored is not None:
-        return _Span(*authored)
+    authored_range = take_range(animation)
+    if authored_range is not None:
+        return _Span(*authored_range)
     is_authored = stage.HasAuthoredTimeCodeRange()
     last_code = time_fraction(stage.GetEndTimeCode()) if is_authored else None
     return _Span(time_fraction(stage.GetStartTimeCode()), last_code)
@@ -187,7 +187,7 @@ def _span(stage: Any, animation: Any) -> _Span:
 def with_rest(
     rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
-    """Return values of some joints, the others at rest ``(F, J, …)``.
+    """Return values of all joints ``(F, J, …)``; joints without values are at rest.
 
     ``columns`` are the rig joints of the rows, -1 if unknown; without rows all are at
     rest.
@@ -289,17 +289,17 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
 
 
 def _snapped_grid(times: list[float]) -> SampleGrid | None:
-    """Return the integer grid of samples of which some are slightly off.
+    """Return the integer grid of samples, some of them slightly off.
 
     None if two samples would fall on one frame, or if the others fit no grid either.
     """
     codes = np.array(times)
     nearest = np.round(codes)
     distances = np.abs(codes - nearest)
-    snapped = np.where(distances <= MAX_OFF_FRAME, nearest, codes)
-    if (np.diff(snapped) <= 0).any():
+    snapped_codes = np.where(distances <= MAX_OFF_FRAME, nearest, codes)
+    if (np.diff(snapped_codes) <= 0).any():
         return None
-    grid = _exact_grid(snapped.tolist())
+    grid = _exact_grid(snapped_codes.tolist())
     if grid is None:
         return None
     distances[distances > MAX_OFF_FRAME] = 0.0
@@ -324,7 +324,7 @@ def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
 
 
 def _from_authored_start(grid: SampleGrid, span: _Span) -> SampleGrid:
-    """Return a grid that starts at the authored first frame, if just before its own.
+    """Return a grid extended to the authored first frame, if that is just before it.
 
     Samples up to a frame earlier are used for its motion blur.
     """

@@ -125,7 +125,7 @@ class _LayerPart:
 def _author_take(
     job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
 ) -> _LayerPart:
-    """Author a SkelAnimation and its binding; extents and curves come later."""
+    """Author a SkelAnimation and its binding; extents and curves are added later."""
     layer, paths = authored.animation, job.paths
     if take.name:
         from animtool.usd.takes.library import take_paths
@@ -392,11 +392,13 @@ def _layer_job(
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    converted = over_rig(
+    converted_take = over_rig(
         stream, target.placement, None, str(layer), target.skeleton.rig
     )
-    take = converted.stream.collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, converted=converted)
+    take = converted_take.stream.collect()
+    mapping = map_joints(
+        take.rig, target, 0, force_fit=force_fit, converted=converted_take
+    )
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
@@ -422,7 +424,7 @@ def _layer_job(
         written_joints=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
-    notices = target.notices + converted.notices + mapping.notices
+    notices = target.notices + converted_take.notices + mapping.notices
     return job, usd_take, notices
 
 

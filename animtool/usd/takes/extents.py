@@ -1,4 +1,4 @@
-"""Extents of a SkelRoot over time, and a check of the binding that UsdSkel resolves."""
+"""Extents of a SkelRoot over time, and a check of the resolved UsdSkel binding."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def author_extents(
                 writer.author_bounds(writer.padded_bounds(0.0))
         if not any(name for name, _ in writers):
             return
-    stage = _composed(job, layers)
+    stage = _composed_stage(job, layers)
     for name, writer in writers:
         if name:
             _select(stage, job, name)
@@ -121,7 +121,7 @@ def author_extents(
             check_variant(stage, layers[0], writer.paths, job.where)
 
 
-def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
+def _composed_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
     """Return a stage of the authored layers over the rig."""
     from pxr import Usd
 
@@ -154,17 +154,17 @@ def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
         and not skeleton.GetXformOpOrderAttr().Get()
     )
 
-    bounds = writer.padded_bounds(_padding(job, stage, root)) if simple else []
+    bounds = writer.padded_bounds(_bounds_padding(job, stage, root)) if simple else []
     if not simple or not _are_computed(root, writer.codes, bounds):
         bounds = [
-            np.stack([_computed(root, code) for code in codes.tolist()])
+            np.stack([_computed_extent(root, code) for code in codes.tolist()])
             for codes in writer.codes
         ]
     with Sdf.ChangeBlock():
         writer.author_bounds(bounds)
 
 
-def _computed(root: Any, code: Any) -> Float32Array:
+def _computed_extent(root: Any, code: Any) -> Float32Array:
     """Return the extent that USD computes ``(2, 3)``."""
     from pxr import UsdGeom
 
@@ -175,18 +175,18 @@ def _computed(root: Any, code: Any) -> Float32Array:
 def _are_computed(
     root: Any, codes: Sequence[FloatArray], bounds: Sequence[Float32Array]
 ) -> bool:
-    """Return whether bounds equal those of USD to the last bit.
+    """Return whether bounds are bit-identical to those that USD computes.
 
     Compares the first, the middle and the last.
     """
-    times, authored = np.concatenate(codes), np.concatenate(bounds)
+    times, stored_bounds = np.concatenate(codes), np.concatenate(bounds)
     return all(
-        np.array_equal(authored[i], _computed(root, float(times[i])))
+        np.array_equal(stored_bounds[i], _computed_extent(root, float(times[i])))
         for i in {0, len(times) // 2, len(times) - 1}
     )
 
 
-def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
+def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     """Return UsdSkel's padding of the joint bounds.
 
     With every joint at the origin, the extent is only the padding.
@@ -195,8 +195,8 @@ def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
 
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
     joints = skeleton.GetJointsAttr().Get() or []
-    collapsed = Sdf.Layer.CreateAnonymous(".usda")
-    animation_spec = prim(collapsed, job.paths.animation, over=True)
+    collapsed_layer = Sdf.Layer.CreateAnonymous(".usda")
+    animation_spec = prim(collapsed_layer, job.paths.animation, over=True)
     count, types = len(joints), Sdf.ValueTypeNames
     attribute(animation_spec, "joints", types.TokenArray, joints, uniform=True)
     attribute(animation_spec, "translations", types.Float3Array, [(0, 0, 0)] * count)
@@ -205,9 +205,9 @@ def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     )
     attribute(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
     session = stage.GetSessionLayer()
-    session.subLayerPaths.insert(0, collapsed.identifier)
-    extent = _computed(root, Usd.TimeCode.Default())
-    session.subLayerPaths.remove(collapsed.identifier)
+    session.subLayerPaths.insert(0, collapsed_layer.identifier)
+    extent = _computed_extent(root, Usd.TimeCode.Default())
+    session.subLayerPaths.remove(collapsed_layer.identifier)
     return np.float32(extent[1].max())
 
 

@@ -89,7 +89,7 @@ def round_blocks(
 def _split(
     blocks: Iterator[tuple[FloatArray, Motion]], joints: int
 ) -> Iterator[tuple[FloatArray, Motion]]:
-    """Yield blocks split to at most `DENSE_JOINTS`: a clip comes as one block."""
+    """Yield blocks of at most `DENSE_JOINTS`: a clip arrives as one block."""
     size = max(1, DENSE_JOINTS // max(joints, 1))
     for codes, motion in blocks:
         for start in range(0, len(codes), size):
@@ -246,7 +246,7 @@ class AnimationWriter:
         return self._weights
 
     def _author_weights(self) -> None:
-        """Author the weights of shapes that are nonzero in some frame."""
+        """Author the weights of shapes that are nonzero in any frame."""
         is_used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
         if not is_used.any():
             return

@@ -48,13 +48,13 @@ def take_paths(paths: RigPaths, name: str) -> RigPaths:
     model = Sdf.Path(paths.model)
     variant = model.AppendVariantSelection(TAKE_SET, name)
 
-    def inside(path: str) -> str:
+    def path_in_take(path: str) -> str:
         return str(Sdf.Path(path).ReplacePrefix(model, variant))
 
     return replace(
         paths,
-        root=inside(paths.root),
-        binding=inside(paths.binding),
+        root=path_in_take(paths.root),
+        binding=path_in_take(paths.binding),
         animation=f"{paths.animation}_{name}",
     )
 
@@ -180,21 +180,21 @@ def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
 
     Every other take, and the selection, stays unchanged.
     """
-    merged = new_layer(path)
-    merged.TransferContent(find_layer(path))
+    merged_layer = new_layer(path)
+    merged_layer.TransferContent(find_layer(path))
     model = Sdf.Path(paths.model)
     animation = Sdf.Path(f"{paths.animation}_{name}")
     variant = model.AppendVariantSelection(TAKE_SET, name)
     with Sdf.ChangeBlock():
         for spec_path in (animation.GetParentPath(), model):
-            if merged.GetPrimAtPath(spec_path) is None:
-                Sdf.CreatePrimInLayer(merged, spec_path)
-        _make_variant(merged.GetPrimAtPath(model), name)
-        Sdf.CopySpec(layer, animation, merged, animation)
-        Sdf.CopySpec(layer, variant, merged, variant)
-    merged.startTimeCode = min(merged.startTimeCode, layer.startTimeCode)
-    merged.endTimeCode = max(merged.endTimeCode, layer.endTimeCode)
-    return merged
+            if merged_layer.GetPrimAtPath(spec_path) is None:
+                Sdf.CreatePrimInLayer(merged_layer, spec_path)
+        _make_variant(merged_layer.GetPrimAtPath(model), name)
+        Sdf.CopySpec(layer, animation, merged_layer, animation)
+        Sdf.CopySpec(layer, variant, merged_layer, variant)
+    merged_layer.startTimeCode = min(merged_layer.startTimeCode, layer.startTimeCode)
+    merged_layer.endTimeCode = max(merged_layer.endTimeCode, layer.endTimeCode)
+    return merged_layer
 
 
 def _make_variant(model: Any, name: str) -> None:

@@ -91,7 +91,7 @@ def over_rig(
         notices += placement_notice(
             rig, where, kept=keeps_placement, over=rig_placement.stands
         )
-        return OverRig(stream, _NONE, None, notices)
+        return OverRig(stream, _IDENTITY_PLACEMENT, None, notices)
     somewhere = rig_placement.rides or not stands.is_none
     keeps_placement = choice == KEEP or (
         choice is None and (stream.rig.rides or not somewhere)
@@ -114,7 +114,9 @@ def over_rig(
     )
 
 
-_NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1))
+_IDENTITY_PLACEMENT = Placement(
+    np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1)
+)
 
 
 # Rest poses closer than this, relative to their size, are equal.

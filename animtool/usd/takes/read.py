@@ -196,7 +196,7 @@ def _placement(
     where: PrimLocation,
     choice: str | None,
 ) -> tuple[SkeletonPlacement, list[Fault]]:
-    """Return the placement of a Skeleton at time codes, which its take includes."""
+    """Return the placement of a Skeleton at time codes; its take includes it."""
     if prim is None:
         return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
@@ -207,7 +207,7 @@ def _placement(
     return (NO_PLACEMENT if placement.uneven else placement), notices
 
 
-def _placed(
+def _placed_on_stage(
     motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
 ) -> Motion:
     """Return the motion moved to the stage placement of its rig."""
@@ -288,7 +288,7 @@ def _join_stored(
 def _with_columns(
     blocks: Iterator[Motion], columns: IntArray, count: int
 ) -> Iterator[Motion]:
-    """Yield blocks whose weights fill some columns; the others are 0."""
+    """Yield blocks with weights in the given columns; other columns are 0."""
     for block in blocks:
         channel = block.weights
         if channel is None:
@@ -379,7 +379,7 @@ def _rest_take(
     placement, notices = _placement(
         prim, rig, None, PrimLocation.of(path, prim), choice
     )
-    motion = _placed(motion, rig, placement, choice)
+    motion = _placed_on_stage(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
@@ -460,7 +460,7 @@ def _read(
     ancestor_codes = nearest_samples(sample_times, codes, grid.drift)
     placement, placement_notices = _placement(prim, rig, ancestor_codes, where, choice)
     notices += placement_notices
-    motion = _placed(motion, rig, placement, choice)
+    motion = _placed_on_stage(motion, rig, placement, choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))
     stream.notices.extend(notices)
@@ -504,15 +504,15 @@ def _columns(
 def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
     """Return notices of samples that are irregular or off frames."""
     notices = []
-    every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
+    interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
     if not grid.regular:
-        message = f"samples are unevenly spaced; read every {every}"
+        message = f"samples are unevenly spaced; read every {interval}"
         notices.append(where.fault("USD105", message, severity=Severity.NOTE))
     if grid.drift:
         message = (
             f"samples are up to {grid.drift:.2g} time codes off the frames (at "
             f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
-            f"one every {every}"
+            f"one every {interval}"
         )
         notices.append(where.fault("USD121", message, severity=Severity.NOTE))
     if grid.between:

@@ -121,7 +121,9 @@ def author_curve(
         raise ValueError("at least one curve needs a key")
     spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
     pieces = [
-        piece for i in range(len(curves.times) - 1) for piece in _pieces(curves, i)
+        piece
+        for i in range(len(curves.times) - 1)
+        for piece in _curve_segments(curves, i)
     ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
         for knot in _knots(pieces, curves, where):
@@ -143,8 +145,8 @@ def author_curve(
 
 
 @dataclass(frozen=True, slots=True)
-class _Piece:
-    """A segment of a curve, or a part of one.
+class _CurveSegment:
+    """A curve segment, or part of one.
 
     The control points ``(4, 2)`` are (time from the segment's first key, value).
     """
@@ -156,14 +158,17 @@ class _Piece:
     points: FloatArray
 
 
-def _pieces(curves: Curves, i: int) -> list[_Piece]:
+def _curve_segments(curves: Curves, i: int) -> list[_CurveSegment]:
     kind = SegmentKind(int(curves.kinds[i]))
     end_points = np.stack([curves.times[i : i + 2], curves.values[i : i + 2]], axis=1)
     h = float(end_points[1, 0] - end_points[0, 0])
     out_handle, in_handle = curves.outs[i].copy(), curves.ins[i + 1].copy()
     if kind is SegmentKind.CUBIC:
         out_handle[0], in_handle[0] = h / 3, -h / 3
-    out_handle, in_handle = _clamped(out_handle, h), _clamped(in_handle, h)
+    out_handle, in_handle = (
+        _clamped_handle(out_handle, h),
+        _clamped_handle(in_handle, h),
+    )
     begin = float(end_points[0, 0])
     points = np.stack(
         [
@@ -175,7 +180,7 @@ def _pieces(curves: Curves, i: int) -> list[_Piece]:
     )
     points[:, 0] = 0.0, out_handle[0], h + in_handle[0], h
     if kind is not SegmentKind.BEZIER:
-        return [_Piece(i, 0, kind, begin, points)]
+        return [_CurveSegment(i, 0, kind, begin, points)]
     point_sets = [points]
     if _is_vertical(out_handle):
         point_sets = _split(points, _parameter_at(points[:, 0], h * SPLIT_TIME))
@@ -195,14 +200,14 @@ def _pieces(curves: Curves, i: int) -> list[_Piece]:
     if _is_vertical(in_handle):
         kinds[-1] = SegmentKind.LINEAR
     return [
-        _Piece(i, piece_points, kind, begin, points)
+        _CurveSegment(i, piece_points, kind, begin, points)
         for piece_points, (kind, points) in enumerate(
             zip(kinds, point_sets, strict=True)
         )
     ]
 
 
-def _clamped(handle: FloatArray, h: float) -> FloatArray:
+def _clamped_handle(handle: FloatArray, h: float) -> FloatArray:
     """Return a handle clamped to its segment, slope kept."""
     length = abs(handle[0])
     return handle * (h / length) if length > h else handle
@@ -237,12 +242,12 @@ def _split(points: FloatArray, u: float) -> list[FloatArray]:
     ]
 
 
-def _knots(pieces: list[_Piece], curves: Curves, where: str) -> list[Any]:
+def _knots(pieces: list[_CurveSegment], curves: Curves, where: str) -> list[Any]:
     """Return the knots at the ends of all pieces."""
     piece_starts = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
     end_point = (float(curves.times[-1]), float(curves.values[-1]), None)
     knots = []
-    previous: _Piece | None = None
+    previous: _CurveSegment | None = None
     for time, value, piece in [*piece_starts, end_point]:
         fields: dict[str, Any] = {"nextInterp": Ts.InterpHeld}
         if previous is not None and previous.kind >= SegmentKind.CUBIC:
