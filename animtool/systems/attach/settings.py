@@ -136,16 +136,16 @@ class AttachSettings:
 
 def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
     """Return the option values for a kind of attachment."""
-    known = AttachKind(kind)
+    attach_kind = AttachKind(kind)
     frequency, bend, stretch = options.frequency, options.bend, options.stretch
     if frequency is None:
-        frequency = _FREQUENCIES.get(known, 0.0)
+        frequency = _FREQUENCIES.get(attach_kind, 0.0)
     if bend is None:
-        bend = _BENDS.get(known, 0.0)
+        bend = _BENDS.get(attach_kind, 0.0)
     if stretch is None:
-        stretch = _STRETCHES.get(known, STRETCH)
+        stretch = _STRETCHES.get(attach_kind, STRETCH)
     thickness: float | None = 0.0
-    if options.self_contact and known is AttachKind.CLOTH:
+    if options.self_contact and attach_kind is AttachKind.CLOTH:
         thickness = None
         if options.thickness is not None:
             thickness = length_of(options.thickness)
@@ -202,9 +202,9 @@ def _check_what(options: SimulateOptions) -> None:
     if not options.what:
         message = "what names no attachment of the rig"
         raise OptionError(Fault("SIM030", message, hint="write what: [cape]"))
-    twice = sorted({name for name in options.what if options.what.count(name) > 1})
-    if twice:
-        message = f"what names {twice[0]!r} more than once"
+    duplicates = sorted({name for name in options.what if options.what.count(name) > 1})
+    if duplicates:
+        message = f"what names {duplicates[0]!r} more than once"
         raise OptionError(Fault("SIM030", message))
 
 
