@@ -48,13 +48,13 @@ class PosePaths:
     """Character poses within one frame, cached by number of steps."""
 
     rig: Rig  # the character
-    before: LocalPose  # pose at the begin
+    before: LocalPose  # pose at the start
     after: LocalPose  # pose at the end
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
-        """Return the poses at the begin and at the end of each step."""
+        """Return the poses at the start and end of each step."""
         if steps not in self._by_steps:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
@@ -149,7 +149,7 @@ class Actor:
             else []
         )
         self.grid = self._springs.start(self.target)
-        # Cloth with self-contact, as a collider of attachments that come later.
+        # Cloth with self-contact, as a collider of later attachments.
         self.sheet: Sheet | None = None
         if self._springs.thickness:
             self.sheet = cloth_sheet(

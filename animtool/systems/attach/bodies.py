@@ -48,8 +48,8 @@ class ChainBody(AttachedBody):
 
     joints: IntArray  # from the root on ``(C,)``
     tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
-    # Whether the rotation of the last joint moves nothing: it has no tip, and no joint,
-    # skin, collider or strands below it.
+    # Whether nothing follows the rotation of the last joint: it has no tip, and no
+    # joint, skin, collider or strands below it.
     bare: bool = False
 
     def targets(self, path: PosePath) -> FloatArray:
@@ -64,7 +64,7 @@ class ChainBody(AttachedBody):
 class SurfaceBody(AttachedBody):
     """Cloth or strands: skinned points that are simulated."""
 
-    # Skinned mesh; its name is that of the points in a motion.
+    # Skinned mesh; a motion stores its points under the same name.
     mesh: CharacterMesh
 
     def targets(self, path: PosePath) -> FloatArray:

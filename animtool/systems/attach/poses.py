@@ -13,7 +13,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# A root that returns to within this many of its steps is stationary [1].
+# A root that ends within this many steps of its start is stationary [1].
 STATIONARY_STEPS = 2.0
 # Fraction of the cycle over which the seam residual is blended [1].
 SEAM = 0.25
@@ -25,7 +25,7 @@ class LocalPose:
 
     translations: FloatArray  # ``(J, 3)`` [m], parent space
     rotations: FloatArray  # ``(J, 4)``
-    scales: FloatArray | None  # ``(J, 3)`` [1]; None is none
+    scales: FloatArray | None  # ``(J, 3)`` [1]; None is unscaled
     # Shape weights ``(S,)`` [1]; None if the take has none.
     weights: FloatArray | None
 
@@ -40,7 +40,7 @@ class PosePath:
 
 
 def pose_at(motion: Motion, frame: int) -> LocalPose:
-    """Return one frame of a motion."""
+    """Return the local pose at one frame of a motion."""
 
     def values(channel: Channel | None) -> FloatArray | None:
         if channel is None:
@@ -99,7 +99,7 @@ def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
 def extrapolated(
     rig: Rig, first: LocalPose, second: LocalPose, frames: float
 ) -> LocalPose:
-    """Return the first pose moved back some frames at the speed of its roots."""
+    """Return the pose some frames before the first, at the speed of the roots."""
     translations = first.translations.copy()
     roots = np.array(rig.roots)
     step = second.translations[roots] - first.translations[roots]

@@ -46,7 +46,7 @@ from animtool.systems.framework.saved import Clocked
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import LOOK_BACK
 
-# Most point values in a block: more points mean fewer frames.
+# Largest number of point values in a block.
 BLOCK_VALUES = 1 << 20
 
 
@@ -115,8 +115,8 @@ class AttachSimulation:
         """Set up the simulation without reading the take.
 
         Frames are ``step`` time codes apart from ``start`` on. ``early`` frames before
-        the take hold its first frame; a cycle has none. The take starts at 0 s of world
-        time.
+        the take hold its first frame; a cycle has none. The take starts at world time
+        0.
         """
         self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
@@ -149,7 +149,7 @@ class AttachSimulation:
     def _skins_of(self, body: AttachedBody) -> Sequence[SkinSurface]:
         """Return the collision meshes of an attachment.
 
-        Those of a chain have no faces that it moves.
+        A chain ignores faces that it moves itself.
         """
         if not self._collides_with_skins(body):
             return ()

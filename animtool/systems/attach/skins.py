@@ -22,8 +22,8 @@ from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
 from animtool.systems.framework.meter import ClosedSurface
 
-# Distance that cloth keeps from skins, relative to its edges [1]: an edge then cuts a
-# limb by at most this.
+# Minimum distance of cloth from skins, relative to its edge length [1]: it bounds how
+# deep an edge cuts into a limb.
 CORNERS = 1 / 4
 
 
@@ -55,7 +55,7 @@ class SkinSurface:
 def skins_of(rig: Rig, moving: Sequence[int] = ()) -> list[SkinSurface]:
     """Return the skinned meshes of a rig, except its cloth.
 
-    Without the faces that some joints move.
+    Faces skinned to the ``moving`` joints are left out.
     """
     cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
     surfaces = [
@@ -135,9 +135,9 @@ def capped(
 
 
 def margin_for(edge: float, radius: float) -> float:
-    """Return the distance beyond its radius that cloth keeps from skins [m].
+    """Return the additional distance between cloth and skins, beyond the radius [m].
 
-    Long edges need it: their particles are outside, but they cut the corner of a limb.
+    Long edges need it: their ends are outside, but they cut the corner of a limb.
 
     >>> round(margin_for(0.04, 0.005), 6), margin_for(0.01, 0.005)
     (0.005, 0.0)
@@ -148,10 +148,10 @@ def margin_for(edge: float, radius: float) -> float:
 def nearness(
     solid: ClosedSurface, points: FloatArray, kept: float, *, inside: bool = False
 ) -> FloatArray:
-    """Return the offset of the kept distance for points on a skin ``(N,)`` [m].
+    """Return contact distance offsets of points near a skin ``(N,)`` [m].
 
-    At most 0: points that start closer keep their distance. They stay outside unless
-    those that start inside may stay as deep.
+    Offsets are at most 0: points that start closer keep their initial distance. With
+    ``inside``, points that start inside may stay as deep.
     """
     collider = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
     distances = collider.sample(points, 0.0, 1.0).distances[0]
@@ -177,9 +177,9 @@ class SkinContacts:
     def depths(
         self, path: PosePath, targets: FloatArray, radius: float, *, inside: bool
     ) -> list[FloatArray]:
-        """Return the offset of the kept distance for each skin ``(N,)`` [m].
+        """Return contact distance offsets for each skin ``(N,)`` [m].
 
-        From the first pose of a path; particles keep a radius and the margin.
+        They are measured in the first pose of a path.
         """
         distance = radius + self._numbers[2]
         solids = [

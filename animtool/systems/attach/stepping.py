@@ -105,9 +105,9 @@ class AttachedSprings:
         down: FloatArray,
         span: float,
     ) -> None:
-        """Build the kernel arguments of frames [s].
+        """Build the kernel arguments for frames of length ``span`` [s].
 
-        Down is the direction of gravity ``(3,)``.
+        ``down`` is the direction of gravity ``(3,)``.
         """
         min_steps = math.ceil(steps_per_second(network, settings) * span - 1e-9)
         self.cells, self.substeps = cells_of(max(1, min_steps))
@@ -140,8 +140,8 @@ class AttachedSprings:
             grid: State at its begin.
             path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
             met: Colliders in these cells.
-            own: Rigid ones of the character: the first, and how many. Only particles
-                of strands collide with them.
+            own: Rigid colliders of the character: first index and count. Only
+                particles of strands collide with them.
         """
         min_substeps, strain = self.substeps, grid.stretch
         if self._network.strands:

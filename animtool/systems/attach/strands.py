@@ -66,7 +66,7 @@ def chain_rotations(
 ) -> FloatArray:
     """Return local rotations ``(F, C, 4)`` that align bones with moved points.
 
-    Each joint inherits the rotation of those above it and gets the shortest rotation
+    Each joint inherits the rotation of its parents and gets the shortest rotation
     that aligns its bone, without twist. Joint limits apply: a pin keeps its axis, and
     the bones below continue from there. With non-uniform scales, directions are
     approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are

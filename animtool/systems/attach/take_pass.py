@@ -54,7 +54,7 @@ MAX_INDEX = 1 << 31
 
 
 def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
-    """Return notices about frames in options, after the whole take.
+    """Return notices about frames named in options, after the take has ended.
 
     Frames missing in the take have no effect (SIM185). Frames before a resumed one are
     those of the take (SIM186).
@@ -253,8 +253,8 @@ def simulate(
     """Simulate attachments of a rig through a take, block by block.
 
     Chains rotate their joints. Cloth and strands get points, which are written as point
-    caches. Cloth and strands collide with cloth that is named before them and has
-    self-contact; that cloth does not feel them.
+    caches. They also collide with cloth that is named before them and has
+    self-contact; that cloth is not affected.
 
     Args:
         stream: The take.

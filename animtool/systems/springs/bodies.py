@@ -36,7 +36,7 @@ from animtool.systems.springs.spec import (
     VolumeModel,
 )
 
-# Most particles of a system: more springs than these do not fit into memory.
+# Largest number of particles of a system, limited by memory.
 MAX_PARTICLES = 10_000_000
 # Smallest mass of a system, or of a particle with a configured mass [kg].
 LIGHTEST = 1e-30
@@ -56,8 +56,8 @@ class SpringBody:
 class BodyEntry:
     """Builds the body of an entry and collects its faults.
 
-    Doubtful values are replaced by a default, so that the rest is still checked. Any
-    other fault prevents the body from being built.
+    Faulty values with a safe default are replaced by it, so that other keys are still
+    checked. Any other fault prevents the body from being built.
     """
 
     spec: Any

@@ -16,7 +16,7 @@ from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 
-# Number of intersection checks over a motion: one costs as much as several steps.
+# Number of intersection checks in a motion: each costs as much as several steps.
 LOOKS = 12
 # Most colliders named in a warning.
 MAX_NAMED = 3
@@ -30,7 +30,7 @@ class SelfCrossings:
         triangles: Corners ``(T, 3)``.
         begin: The first time [s].
         last: The last time [s].
-        most: Largest number of edges through faces, minus the first one.
+        most: Largest number of edges through faces, minus the initial number.
         when: Time of the largest number [s].
     """
 

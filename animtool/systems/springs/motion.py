@@ -22,7 +22,7 @@ MAX_SUBSTEPS = 4096
 
 @dataclass(frozen=True, slots=True)
 class Piercing:
-    """Largest counts of self-piercing of a surface at one time."""
+    """Largest self-piercing counts of a surface at any one time."""
 
     passed: int = 0  # particles through triangles, not yet brought back
     cut: int = 0  # pairs of edges that passed through each other

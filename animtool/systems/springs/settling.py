@@ -21,7 +21,7 @@ RESTING = 1e-6
 MAX_CELLS, MAX_WORK = 20_000, 500_000_000
 # Steps are halved as long as the gap falls below this fraction of the last.
 HELPS = 0.7
-# Gap to the static equilibrium that is not reported, relative to the system size.
+# Largest unreported gap to the static equilibrium, relative to the system size.
 NEAR = 1e-3
 
 
@@ -46,9 +46,9 @@ def rest_of_xpbd(
     """Return springs that start at the rest state of xpbd, near the equilibrium.
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
-    equilibrium and would fall at the start. They fall here and are stopped whenever the
-    kinetic energy peaks, until they rest. With `auto`, steps are halved as long as that
-    reduces the gap.
+    equilibrium and would fall at the start. They fall here instead, with velocities
+    reset whenever the kinetic energy peaks, until they rest. With `auto`, steps are
+    halved as long as that reduces the gap.
 
     Args:
         system: Springs that start in equilibrium.

@@ -70,7 +70,7 @@ class SpringSimulation:
     """Simulates springs in cells of time; counters serve warnings only.
 
     Attributes:
-        grid: Where it is, with counts over all cells so far.
+        grid: Current grid position, with counts over all cells so far.
         left: The system without torn springs.
         wrenches: Impulses on rigid bodies of other systems in the last cells.
         unsolved: Start of the cell that was not solved.
@@ -85,7 +85,7 @@ class SpringSimulation:
     longest = applied = 1.0
     stretch = 0.0
     unsolved: TimeGrid | None = None
-    # Whether surfaces of other systems may forget what is behind it.
+    # Whether surfaces of other systems may release states before its time.
     forgets = True
 
     def __init__(
@@ -207,7 +207,7 @@ class SpringSimulation:
             self._watch.watch_system(self.left)
 
     def _advance(self, cells: int) -> None:
-        """Advance by some cells at most; raise if it cannot go on."""
+        """Advance by at most some cells; raise if it cannot continue."""
         start_grid, self.wrenches = self._after_teleports(), []
         cells = int(min(cells, self.system.jumps.cells(start_grid)))
         with np.errstate(all="ignore"):

@@ -39,14 +39,14 @@ SOLVED = 1e-6
 TIED = 1e-11
 # Rotation of bodies per part of a cell [rad], and most parts of a cell.
 MAX_ANGLE, MAX_PARTS = 0.125, 16
-# Refinements tried for a cell that was not solved, and the safety factor of the
-# proposed step.
+# Refinement factors tried for an unsolved cell, and the safety factor of the proposed
+# step.
 SHORTER, ROOM = (2, 4, 8, 16), 4
 # Default cell [s]: frames at 24, 30, 48, 60 and 120 per second are multiples of it.
 CELL = 1 / 240
 # Safety factor of the explicit step limit.
 SAFE = 0.8
-# Compute time per second of motion below which explicit steps are always fine [s].
+# Compute time per second of motion below which explicit steps are always chosen [s].
 LITTLE = 0.03
 # Explicit step rate above which implicit solves lose precision in float64.
 SOLVABLE = 1e9
@@ -301,7 +301,7 @@ def followed(
     """Advance strands of equal masses by a span [s], each solved directly.
 
     They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
-    collide with rigid colliders too, except ``own``: the first, and how many.
+    collide with rigid colliders too, except ``own``: first index and count.
     """
     state, cells = grid.state, len(path) - 1
     motion, touched, inside, strain = _kernels.follow_strands(

@@ -267,7 +267,7 @@ class TiedCell:
     def _pull(
         self, u: int, end: Any, goals: Sequence[FloatArray], pulls: FloatArray
     ) -> FloatArray:
-        """Return impulse and moment on a body from springs and carried masses ``(6,)``.
+        """Return impulse and moment of springs and carried masses on a body ``(6,)``.
 
         The inertia of carried particles is added: springs do not include it.
         """
