@@ -40,10 +40,12 @@ def clear_starts(
         x, _ = separate_agents(agents, x, walls.starts, walls.rows)
         if np.abs(x - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
-    moved = np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
-    if moved.any():
-        first = agents.label(int(np.argmax(moved)))
-        message = f"{counted(int(moved.sum()), 'agent')} would start in an obstacle "
+    is_moved = (
+        np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
+    )
+    if is_moved.any():
+        first = agents.label(int(np.argmax(is_moved)))
+        message = f"{counted(int(is_moved.sum()), 'agent')} would start in an obstacle "
         message += f"or off the ground, {first} first: moved out"
         notices.append(warning("SIM148", message, "begin elsewhere"))
     return x, notices
@@ -57,7 +59,7 @@ def unreachable(
     if grid is None or not grid.free.any():
         return []
     components = grid.components.ravel()
-    reachable = components[grid.nearest_free_node(start)]
+    start_components = components[grid.nearest_free_node(start)]
     for g, goal in enumerate(spec.goals):
         position = steering.points[g : g + 1]
         if is_blocked(grid, position)[0]:
@@ -66,7 +68,7 @@ def unreachable(
             faults.append(warning("SIM146", message, "move the goal"))
         goal_component = components[grid.nearest_free_node(position)[0]]
         for kind, population in enumerate(spec.populations):
-            cut_off = (agents.kinds == kind) & (reachable != goal_component)
+            cut_off = (agents.kinds == kind) & (start_components != goal_component)
             if goal.name in population.route and cut_off.any():
                 message = f"no path leads {counted(int(cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "

@@ -70,7 +70,7 @@ def next_heading(
     Members bank like aircraft: their up vector follows the lift, which is perpendicular
     to the velocity and compensates gravity and the turn.
     """
-    banking = members.each([one.banking for one in members.entries])[:, None]
+    banking = members.each([entry.banking for entry in members.entries])[:, None]
     lift = banking * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
@@ -86,7 +86,7 @@ def next_heading(
     rotations = so3.align_signs(aligned[None], heading.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(heading.rotations))
     spins = so3.log(step_rotation) / dt
-    beats = members.each([one.beat / one.speed.cruise for one in members.entries])
+    beats = members.each([entry.beat / entry.speed.cruise for entry in members.entries])
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
     return Heading(rotations, spins, heading.phases + beats * speeds * dt)
 
@@ -173,8 +173,8 @@ class FlockForces(SecondOrder):
         v = clamp_speeds(self.members, v)
         if self.colliders.active:
             radii = self.members.radii
-            collided = collide(x, v, before, self.colliders, t - h, t, radii)
-            x, v = collided.points, collided.velocities
+            collision = collide(x, v, before, self.colliders, t - h, t, radii)
+            x, v = collision.points, collision.velocities
         return after if x is after[0] and v is after[1] else np.stack([x, v])
 
     def _brake_velocities(

@@ -232,7 +232,7 @@ class BodyColliders(_StateObserver):
     ) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
 
-        At a time [s], as a step begins or one ends; inertias in the world [1/(kg m²)].
+        At a time [s], at the start or end of a step; inertias in the world [1/(kg m²)].
         """
         state, _ = self._run.past_state(t, begins=True) if begins else self._states(t)
         return self._simulation.inertias(state)

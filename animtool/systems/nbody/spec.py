@@ -216,8 +216,12 @@ class NbodyModel(SystemSpec):
         if count != 2:
             message = f"an encounter needs two galaxies, but there are {count}"
             yield message, "encounter", None
-        e, near = orbit.eccentricity, orbit.pericentre
-        far = near * (1 + e) / (1 - e) if e < 1 else float("inf")
-        if not near <= orbit.separation <= far:
+        e, pericentre = orbit.eccentricity, orbit.pericentre
+        apocentre = pericentre * (1 + e) / (1 - e) if e < 1 else float("inf")
+        if not pericentre <= orbit.separation <= apocentre:
             message = f"the separation is {orbit.separation:g} m, and on this orbit it "
-            yield f"{message}is from {near:g} to {far:g} m", "encounter", None
+            yield (
+                f"{message}is from {pericentre:g} to {apocentre:g} m",
+                "encounter",
+                None,
+            )

@@ -82,7 +82,7 @@ def locked_joints(
             remaining = _remaining_motion(motions, free)
             if not len(motions) or remaining > LOCKED_MOTION:
                 continue
-            by = []
+            blocking = []
             for i, other_joint in enumerate(loop):
                 if other_joint != k:
                     other_constraints = [
@@ -96,8 +96,8 @@ def locked_joints(
                         )
                         > LOCKED_MOTION
                     ):
-                        by.append(other_joint)
-            locked.append(Locked(k, tuple(by), remaining))
+                        blocking.append(other_joint)
+            locked.append(Locked(k, tuple(blocking), remaining))
     return locked
 
 
@@ -132,8 +132,8 @@ def locked_notices(
 
 def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
     """Return a local frame of a body in the world ``(7,)``."""
-    at = body[:3] + so3.rotate(body[3:7], local[:3])
-    return np.concatenate([at, so3.multiply(body[3:7], local[3:])])
+    origin = body[:3] + so3.rotate(body[3:7], local[:3])
+    return np.concatenate([origin, so3.multiply(body[3:7], local[3:])])
 
 
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
@@ -154,7 +154,7 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
     for k in sorted(remaining):
         # Static bodies connect no loops.
         members, joints = {i for i in ends[k] if i < count}, [k]
-        for group in [one for one in groups if one[0] & members]:
+        for group in [candidate for candidate in groups if candidate[0] & members]:
             groups.remove(group)
             members |= group[0]
             joints = group[1] + joints

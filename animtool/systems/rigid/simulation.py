@@ -305,10 +305,10 @@ class RigidSimulation(SharedBodies):
         if not len(state.broken):
             return state.broken, all_impulses
         loads = joint_loads(phase.joints, impulses)
-        over = (loads > phase.joints.breaks).any(axis=1)
+        is_over = (loads > phase.joints.breaks).any(axis=1)
         broken = state.broken.copy()
-        broken[phase.holding[over], 0] = t
-        broken[phase.holding[over], 1:] = loads[over]
+        broken[phase.holding[is_over], 0] = t
+        broken[phase.holding[is_over], 1:] = loads[is_over]
         return broken, all_impulses
 
     def _wake_sleepers(
@@ -334,11 +334,11 @@ class RigidSimulation(SharedBodies):
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
         rotations = np.tile(so3.IDENTITY, (count, 1))
-        moved = bodies.dynamic
-        points[moved], rotations[moved] = bodies.body_frames(motion)
-        spins[moved] = bodies.spins(motion)
-        arms = points[moved] - motion[:, :3]
-        velocities[moved] = motion[:, 7:10] + so3.cross(spins[moved], arms)
+        dynamic = bodies.dynamic
+        points[dynamic], rotations[dynamic] = bodies.body_frames(motion)
+        spins[dynamic] = bodies.spins(motion)
+        arms = points[dynamic] - motion[:, :3]
+        velocities[dynamic] = motion[:, 7:10] + so3.cross(spins[dynamic], arms)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             row, step = bodies.poses[i].at(t), self._spec.step
             before, after = (
@@ -412,8 +412,12 @@ class RigidSimulation(SharedBodies):
         """Return names of shapes' bodies, then of colliders."""
         bodies, colliders = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
-        names += [one.name or f"colliders[{i}]" for i, one in enumerate(colliders)]
+        names += [
+            collider.name or f"colliders[{i}]" for i, collider in enumerate(colliders)
+        ]
         names += [sheet.name for sheet in colliders.sheets]
         return names + [
-            one.name for system in colliders.bodies for one in system.colliders
+            collider.name
+            for system in colliders.bodies
+            for collider in system.colliders
         ]
