@@ -68,7 +68,7 @@ class PosePaths:
 
 
 class AttachedSurroundings(NamedTuple):
-    """What an attachment collides with at the end of a frame."""
+    """Colliders of an attachment at the end of a frame."""
 
     world: WorldTransforms  # joint transforms
     time: float  # [s]
@@ -174,7 +174,7 @@ class Actor:
         self.grid = replace(self.grid, state=state)
 
     def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
-        """Set the motion of the collider over a frame, from points at its begin."""
+        """Set the motion of the collider over a frame, from points at its start."""
         if self.sheet is not None:
             motion = self.sheet.motion
             assert isinstance(motion, ClothMotion)
@@ -213,7 +213,7 @@ class Actor:
         self.seconds += time.perf_counter() - started
 
     def surroundings(self) -> AttachedSurroundings:
-        """Return what it collides with at the end of a frame."""
+        """Return the colliders at the end of a frame."""
         solids = [*self._solids, *self._contacts.solids(self._time)]
         layers = [
             ClosedSurface(layer.points(self._time), layer.triangles(self._time))

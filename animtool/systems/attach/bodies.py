@@ -160,7 +160,7 @@ def _moves_nothing(rig: Rig, joint: int) -> bool:
 def _tip(rig: Rig, joints: list[int]) -> FloatArray:
     """Return the end of a chain's last bone in the frame of its joint.
 
-    That is its tip, else its first child, else a copy of the bone before it.
+    It is the tip of the joint, or its first child, or a copy of the bone before it.
     """
     last = rig.joints[joints[-1]]
     if last.tips:

@@ -64,8 +64,8 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 def pose_path(rig: Rig, before: LocalPose, after: LocalPose, steps: int) -> PosePath:
     """Return a character at even times between two poses.
 
-    Local rotations are interpolated by slerp, all else linearly, as motion blur samples
-    are.
+    Local rotations are interpolated by slerp and other values linearly, as for motion
+    blur.
     """
     fractions = np.arange(steps + 1) / steps
     world = forward(

@@ -273,7 +273,7 @@ class AttachSimulation:
                 self._progress(min(self._crossed / total, 1.0))
         self._frame += 1
         if not self.options.loop:
-            # The next frame samples surfaces a little before its begin.
+            # The next frame samples surfaces a little before its start.
             since = self._frame / float(self._rate) - LOOK_BACK
             for bodies in self._world.bodies:
                 bodies.forget(since)
@@ -419,7 +419,7 @@ def _first_block_of_two(blocks: Iterator[Motion]) -> Iterator[Motion]:
 
 
 def _moved_to_begin(motion: FloatArray, travel: CycleShift) -> FloatArray:
-    """Return the end state of a cycle moved back to its begin."""
+    """Return the end state of a cycle moved back to its start."""
     rotation = so3.conjugate(travel.rotation)
     return rigidly_moved(motion, -so3.rotate(rotation, travel.shift), rotation)
 

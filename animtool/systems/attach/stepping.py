@@ -137,7 +137,7 @@ class AttachedSprings:
         """Return the grid a frame later.
 
         Args:
-            grid: State at its begin.
+            grid: State at its start.
             path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
             met: Colliders in these cells.
             own: Rigid colliders of the character: first index and count. Only

@@ -31,7 +31,7 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import about_up, rotated_about_y, wrap_angles
 
-# Slower clips stand still; in leg lengths per second [1/s].
+# Slower clips count as standing; in leg lengths per second [1/s].
 MIN_TRAVEL_SPEED = 0.2
 # Bounds of the period of a gait, two steps [s].
 MIN_PERIOD, MAX_PERIOD = 0.4, 2.5

@@ -338,7 +338,7 @@ class SimulationRun(EntryRun):
     def past_state(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
         """Return a past or current state at a time [s], and its time.
 
-        Times before the begin return the first state. With ``begins``, pushes until
+        Times before the start return the first state. With ``begins``, pushes until
         then are applied.
         """
         assert self._past_states is not None

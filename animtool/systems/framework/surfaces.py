@@ -54,7 +54,7 @@ class SystemBodies:
 
     @property
     def owners(self) -> IntArray:
-        """Index of each shape's body among the dynamic ones, else -1."""
+        """Index of each shape's body among the dynamic bodies; -1 if kinematic."""
         numbers = np.full(len(self.names), -1)
         numbers[self.dynamic] = np.arange(self.count)
         return numbers[self.shape_bodies]

@@ -160,7 +160,7 @@ def _velocities(
     kinds: npt.NDArray[np.int64],
     from_files: list[FloatArray | None],
 ) -> FloatArray:
-    """Return velocities of files, else thermal ones; no net momentum ``(N, 3)``."""
+    """Return velocities from files or thermal ones, without net momentum ``(N, 3)``."""
     is_thermal = np.array([file_velocities is None for file_velocities in from_files])[
         kinds
     ]

@@ -82,7 +82,7 @@ class ParticleForces(_MovingParticles, SecondOrder):
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
         """Return the energy of a state; None if a force has no potential."""
-        # Resumed states may hold masses whose energies overflow.
+        # Energies of resumed states may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             sums, known = energies(self.setup, self.particles, state)
             if not known:

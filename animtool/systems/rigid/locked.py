@@ -44,7 +44,7 @@ class Locked:
 
     Attributes:
         joint_index: Index of the joint.
-        by: Joints any of whose removal would unlock it; empty if several lock it.
+        by: Joints that would each unlock it if removed; empty if several lock it.
         left: Remaining fraction of its motion.
     """
 

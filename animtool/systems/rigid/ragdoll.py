@@ -47,12 +47,12 @@ class RagdollOptions:
     """Options of a ragdoll."""
 
     start: float | None = None  # start frame; None for the first
-    end: float | None = None  # frame at which the take returns; None for never
+    end: float | None = None  # frame at which the take resumes; None for never
     # Blend frames at the start, and after `end` [frames].
     blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
     # Total mass [kg], distributed as the rig states.
     mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
-    # Density if neither this nor the rig gives a mass [kg/m³].
+    # Density if neither `mass` nor the rig sets a mass [kg/m³].
     density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
     # Stiffness towards the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
@@ -66,7 +66,7 @@ class RagdollOptions:
     # Along the rig's negative up axis [m/s²].
     gravity: Annotated[float, within(-MAX_NUMBER, "SIM062")] = 9.81
     friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
-    colliders: ColliderEntries = ()  # what it collides with
+    colliders: ColliderEntries = ()  # colliders of the ragdoll
     step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
     substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # substeps of each step
 

@@ -314,7 +314,7 @@ class RigidSimulation(SharedBodies):
     def _wake_sleepers(
         self, motion: FloatArray, loads: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return the motion with the bodies woken whose forces change ``(N, 14)``."""
+        """Return the motion; wakes bodies whose forces change ``(N, 14)``."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion

@@ -69,7 +69,7 @@ class SpringEntry:
 
     @property
     def reads(self) -> list[str]:
-        """What acts on the particles, as text."""
+        """External influences on the particles, as text."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.to.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.spec.air is not None else []

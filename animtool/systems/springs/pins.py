@@ -75,7 +75,7 @@ class Pin:
         )
 
     def start(self, poses: Poses, points: FloatArray, begin: float) -> FloatArray:
-        """Return the world positions at the begin [s] ``(P, 3)`` [m]."""
+        """Return the world positions at the start time [s] ``(P, 3)`` [m]."""
         pose = poses.at(begin)
         return pose[:3] + so3.rotate(pose[3:], self.inside(poses, points))
 
@@ -262,7 +262,7 @@ def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
 def moved_to_pins(pins: Framed, points: FloatArray, begin: float) -> FloatArray:
     """Return points ``(N, 3)`` [m] moved rigidly to pins with an offset.
 
-    Uses the least rotation that fits the pins at the begin [s].
+    It uses the smallest rotation that fits the pins at the start time [s].
     """
     offset_pins = [(pin, frame) for pin, frame in pins if pin.offset is not None]
     if not offset_pins:

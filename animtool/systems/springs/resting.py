@@ -102,7 +102,7 @@ def find_rest(
 def _descended(system: SpringSystem, start: _Configuration) -> _Configuration:
     """Return the result of a damped descent, or the start if that is expensive.
 
-    Sheets fold on the way, for which Newton's method takes many short steps.
+    Sheets fold during the descent, where Newton's method needs many short steps.
     """
     body = replace(system.body, positions=start.x)
     size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))

@@ -145,7 +145,7 @@ def _within_error(
 def _motion(
     plan: SpringPlan, start_grid: TimeGrid, times: FloatArray, progress: Progress
 ) -> SpringMotion:
-    """Return the motion at times, up to where it stops."""
+    """Return the motion at times, until the simulation stops."""
     simulation = SpringSimulation(plan, start_grid, float(times[-1]), progress)
     simulation.forgets = False
     start = Reached(start_grid.index, start_grid.state)

@@ -31,7 +31,7 @@ from animtool.systems.springs.ties import BodyTies, TiedCell
 # Shortest step of xpbd [s], and of xpbd chosen by auto, which also has to limit strain
 # with self-contact.
 SHORTEST, SHORTEST_OF_AUTO = 1 / 61440, 1 / 983040
-# Largest number of these in a long cell.
+# Largest number of steps in a long cell.
 LONG_CELL = 131072
 # Newton tolerance of implicit steps, relative to the mean spring length.
 SOLVED = 1e-6

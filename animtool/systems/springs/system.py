@@ -83,7 +83,7 @@ class SpringSystem(SecondOrder):
         resistance: Drag per speed, of each particle ``(N,)`` or all [N s/m].
         air: Air that acts on the triangles.
         velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
-        colliders: What particles collide with.
+        colliders: Colliders of the particles.
         radius: Distance that particles keep from colliders [m].
         speed_limit: Faster pins and targets count as teleports: attached particles move
             along rigidly and gain no velocity [m/s].

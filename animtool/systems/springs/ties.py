@@ -116,7 +116,7 @@ class TiedCell:
             for tie in ties.ties
         ]
         self._unknown = list(self._bodies())
-        # Velocities of carried particles at the begin, by body.
+        # Velocities of carried particles at the start, by body.
         self._begun = [
             {
                 k: self._steps[body.carrier].begun_at(body.number, self._positions[k])
