@@ -162,15 +162,15 @@ def _without_overlaps(
         starts, overlap = separate_agents(agents, previous, *no_walls)
         # Separated agents may now be inside another.
         overlap = overlap if (starts == previous).all() else np.inf
-    moved = np.linalg.norm(starts - agents.starts, axis=1)
-    moved_far = (moved > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
+    distances = np.linalg.norm(starts - agents.starts, axis=1)
+    moved_far = (distances > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
         from_points, bool
     )[agents.kinds]
     faults = []
     if moved_far.any():
         message = f"{counted(int(moved_far.sum()), 'agent')} would start inside each "
         message += f"other, {agents.label(int(np.argmax(moved_far)))} first: moved "
-        message += f"apart by up to {moved.max():.3g} m"
+        message += f"apart by up to {distances.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > OVERLAP_TOLERANCE * radius:
         message = "agents start inside each other: too many for their region"

@@ -29,8 +29,10 @@ def clear_starts(
     x, notices = agents.starts, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.free.any():
-        blocked = is_blocked(grid, x)
-        x = np.where(blocked[:, None], grid.positions_of(grid.nearest_free_node(x)), x)
+        is_off_grid = is_blocked(grid, x)
+        x = np.where(
+            is_off_grid[:, None], grid.positions_of(grid.nearest_free_node(x)), x
+        )
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_PASSES):
         walls = obstacles.walls(begin, 0.0, x)
@@ -80,12 +82,12 @@ def unreachable(
 
 def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
     """Return a world direction projected on the ground ``(2,)``, normalised."""
-    projected = frame.vector_to_local(np.array(direction, float))[[0, 2]]
-    length = float(np.linalg.norm(projected))
+    ground_direction = frame.vector_to_local(np.array(direction, float))[[0, 2]]
+    length = float(np.linalg.norm(ground_direction))
     if not length > 0:
         message = "the direction of a queue is vertical"
         refuse("SIM145", message, "goals", "use a direction along the ground")
-    return np.asarray(projected / length)
+    return np.asarray(ground_direction / length)
 
 
 def ground_of(context: SimContext) -> tuple[Frame, Terrain]:

@@ -260,12 +260,12 @@ class Crowd:
         kinds = agents.kinds[ids]
         primvars = {"population": kinds} if len(agents.entries) > 1 else {}
         if self.casting is not None and state.bodies is not None:
-            placed = frame, velocities
+            placement = frame, velocities
             return self.casting.frame(
                 state.bodies,
                 _motion_of(state),
                 heights,
-                placed,
+                placement,
                 visible,
                 primvars,
                 self._fallen(state.falls),

@@ -168,11 +168,11 @@ class Steering:
         return self._in_groups(preferred, is_queued | is_waiting, x)
 
     def _in_groups(
-        self, preferred: FloatArray, excluded: BoolArray, x: FloatArray
+        self, preferred: FloatArray, is_excluded: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities that keep groups side by side."""
         groups = self.agents.groups
-        members = np.flatnonzero((groups >= 0) & ~excluded & preferred.any(axis=1))
+        members = np.flatnonzero((groups >= 0) & ~is_excluded & preferred.any(axis=1))
         if not len(members):
             return preferred
         group_of_member = groups[members]
@@ -257,12 +257,14 @@ class Steering:
             queue_end = self.points[g] + int(is_waiting.sum()) * self.lines[g]
             spacing = float(np.linalg.norm(self.lines[g]))
             distances = np.linalg.norm(x - queue_end, axis=1)
-            joining = np.flatnonzero(
+            joining_agents = np.flatnonzero(
                 is_queuing & ~is_waiting & (distances < JOINING_DISTANCE * spacing)
             )
-            if len(joining):
+            if len(joining_agents):
                 result = result.copy()
                 # The nearest comes first; equal ones in order.
-                order = joining[np.argsort(distances[joining], kind="stable")]
+                order = joining_agents[
+                    np.argsort(distances[joining_agents], kind="stable")
+                ]
                 result[order] = result.max() + 1 + np.arange(len(order))
         return result

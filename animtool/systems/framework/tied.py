@@ -65,7 +65,8 @@ class TiedBodies(BodyColliders):
     def gap(self, carrier: OnBody, points: FloatArray) -> tuple[float, float]:
         """Return the initial distance of points ``(P, 3)`` from a body's surface [m].
 
-        The distance is that of the nearest point, 0 inside the body.
+        The distance is that of the nearest point, 0 inside the body. Also returns the
+        size of the body [m].
         """
         shared, number = self.system.shared, self.number(carrier)
         (shape_indices,) = np.nonzero(shared.shape_bodies == number)
