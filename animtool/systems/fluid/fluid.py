@@ -224,12 +224,12 @@ class Fluid:
             result.compression > max_compression
             and 2 * substeps <= self._substeps.max_substeps
         ):
-            refined = self._run_kernel(
+            finer_result = self._run_kernel(
                 state, t, dt, accelerations, 2 * sound, 2 * substeps
             )
-            if refined.compression > DOUBLING_GAIN * result.compression:
+            if finer_result.compression > DOUBLING_GAIN * result.compression:
                 break
-            result, sound, substeps = refined, 2 * sound, 2 * substeps
+            result, sound, substeps = finer_result, 2 * sound, 2 * substeps
         if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression

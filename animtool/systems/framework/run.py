@@ -296,11 +296,11 @@ class SimulationRun(EntryRun):
         self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
         self._pushed_states[steps] = self.state
         if pushes:
-            pushed = self.simulation.pushed(
+            pushed_state = self.simulation.pushed(
                 self.state.state,
                 Wrenches.sum([push[2].after(time - push[0]) for push in pushes]),
             )
-            self._pushed_states[steps] = Reached(steps, pushed)
+            self._pushed_states[steps] = Reached(steps, pushed_state)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:

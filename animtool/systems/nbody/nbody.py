@@ -86,10 +86,10 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
 
 
 def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
-    where, hint = "bodies", "move one of them"
+    key, hint = "bodies", "move one of them"
     whys = "their attraction is infinite", "they cannot be told apart"
-    pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-    check_distinct(bodies.points, pair, spec.code, where, hint, why)
+    pair, reason = "bodies {} and {}".format, whys[spec.softening > 0]
+    check_distinct(bodies.points, pair, spec.code, key, hint, reason)
     if not np.isfinite([bodies.points, bodies.velocities]).all():
         message = "galaxies are so small, large or heavy that numbers overflow"
         refuse(spec.code, message, "bodies")

@@ -139,19 +139,21 @@ def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
     """Return joints of each closed loop, without dangling branches."""
     ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
-    remaining = set(range(len(ends)))
+    remaining_joints = set(range(len(ends)))
     while True:
         degree = np.bincount(
-            [i for k in remaining for i in ends[k]], minlength=count + 1
+            [i for k in remaining_joints for i in ends[k]], minlength=count + 1
         )
         dangling = {
-            k for k in remaining if any(degree[i] == 1 and i < count for i in ends[k])
+            k
+            for k in remaining_joints
+            if any(degree[i] == 1 and i < count for i in ends[k])
         }
         if not dangling:
             break
-        remaining -= dangling
+        remaining_joints -= dangling
     groups: list[tuple[set[int], list[int]]] = []
-    for k in sorted(remaining):
+    for k in sorted(remaining_joints):
         # Static bodies connect no loops.
         members, joints = {i for i in ends[k] if i < count}, [k]
         for group in [candidate for candidate in groups if candidate[0] & members]:
