@@ -1,4 +1,4 @@
-"""Contact materials: the options of files, and what simulations use."""
+"""Contact materials: options in files, and values for simulations."""
 
 from __future__ import annotations
 

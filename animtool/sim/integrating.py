@@ -92,7 +92,7 @@ def integrate(
 
     Built-in methods end a step at each time; SciPy's solvers interpolate between their
     steps. Stopping early is not an error: the states reached so far are returned, with
-    a status that says where and why it stopped.
+    a status with the time and reason it stopped.
 
     Args:
         system: The system, with its initial state.

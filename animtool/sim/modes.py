@@ -48,8 +48,8 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     if state.size > MAX_COMPONENTS or not np.isfinite(state).all():
         return None
 
-    def rate(flat: FloatArray) -> FloatArray:
-        rates: FloatArray = equations.rate(t, flat.reshape(state.shape)).ravel()
+    def rate(flat_state: FloatArray) -> FloatArray:
+        rates: FloatArray = equations.rate(t, flat_state.reshape(state.shape)).ravel()
         return rates
 
     jacobian = differences(rate, state.ravel(), rate(state.ravel()))

@@ -43,15 +43,15 @@ def _first_order(
 ) -> FloatArray | None:
     shape = base.shape
 
-    def residual(flat: FloatArray) -> FloatArray:
-        y = flat.reshape(shape)
+    def residual(unknowns: FloatArray) -> FloatArray:
+        y = unknowns.reshape(shape)
         difference: FloatArray = base + scale * equations.rate(t, y) - y
         return difference.ravel()
 
-    def matrix(flat: FloatArray, value: FloatArray) -> Matrix:
-        jacobian = equations.jacobian(t, flat.reshape(shape))
+    def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
+        jacobian = equations.jacobian(t, unknowns.reshape(shape))
         if jacobian is None:
-            return -differences(residual, flat, value)
+            return -differences(residual, unknowns, value)
         return _identity_minus(jacobian * scale)
 
     solution = _newton(residual, matrix, guess.ravel(), 0.0)
@@ -63,19 +63,19 @@ def _second_order(
 ) -> FloatArray | None:
     shape = base[1].shape
 
-    def state(flat: FloatArray) -> FloatArray:
-        v = flat.reshape(shape)
+    def state(unknowns: FloatArray) -> FloatArray:
+        v = unknowns.reshape(shape)
         return np.array((base[0] + scale * v, v))
 
-    def residual(flat: FloatArray) -> FloatArray:
-        x, v = state(flat)
+    def residual(unknowns: FloatArray) -> FloatArray:
+        x, v = state(unknowns)
         difference: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
         return difference.ravel()
 
-    def matrix(flat: FloatArray, value: FloatArray) -> Matrix:
-        jacobians = equations.jacobians(t, *state(flat))
+    def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
+        jacobians = equations.jacobians(t, *state(unknowns))
         if jacobians is None:
-            return -differences(residual, flat, value)
+            return -differences(residual, unknowns, value)
         by_x, by_v = jacobians
         return _identity_minus(by_v * scale + by_x * (scale * scale))
 

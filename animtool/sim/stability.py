@@ -105,10 +105,10 @@ def _first_positive(polynomial: FloatArray) -> float:
     if coefficients[0] > 0:
         return 0.0
     roots = poly.polyroots(coefficients)
-    real = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
-    bounds = sorted(real[real > 0].tolist())
+    real_roots = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
+    bounds = sorted(real_roots[real_roots > 0].tolist())
     for low, high in pairwise([*bounds, math.inf]):
-        between = low + 1 if math.isinf(high) else (low + high) / 2
-        if poly.polyval(between, coefficients) > 0:
+        midpoint = low + 1 if math.isinf(high) else (low + high) / 2
+        if poly.polyval(midpoint, coefficients) > 0:
             return float(low)
     return math.inf

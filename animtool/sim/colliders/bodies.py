@@ -85,8 +85,8 @@ class Wrenches:
     def sum(wrenches: Sequence[Wrenches]) -> Wrenches:
         """Return the sum of impulses."""
         return Wrenches(
-            np.sum([each.impulses for each in wrenches], axis=0),
-            np.sum([each.delayed for each in wrenches], axis=0),
+            np.sum([wrench.impulses for wrench in wrenches], axis=0),
+            np.sum([wrench.delayed for wrench in wrenches], axis=0),
         )
 
     def after(self, span: float) -> Wrenches:
@@ -99,7 +99,8 @@ def body_owners(
 ) -> npt.NDArray[np.int32]:
     """Return the body index of each collider ``(C,)``; -1 without a body.
 
-    The first ``others`` colliders have no body. Bodies are numbered across all systems.
+    The first ``static_count`` colliders have no body. Bodies are numbered across all
+    systems.
     """
     owners, first = [np.full(static_count, -1)], 0
     for system in bodies:

@@ -79,8 +79,8 @@ class Poses:
 
     def to_world(self, points: FloatArray) -> FloatArray:
         """Return A local points in world space at sample times ``(T, A, 3)`` [m]."""
-        rotated = so3.rotate(self.rows[:, None, 3:], points)
-        return np.asarray(self.rows[:, None, :3] + rotated, np.float64)
+        offsets = so3.rotate(self.rows[:, None, 3:], points)
+        return np.asarray(self.rows[:, None, :3] + offsets, np.float64)
 
     def teleports(self, points: FloatArray, limit: float) -> BoolArray:
         """Return a mask of intervals in which points exceed a speed ``(T - 1,)``."""

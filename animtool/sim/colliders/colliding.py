@@ -218,8 +218,8 @@ class Colliders(Sequence[Collider]):
 
         For surfaces and bodies, the highest so far.
         """
-        moving = (system.fastest for system in self.bodies)
-        return max(self._fastest, self.surfaces.fastest, *moving)
+        body_speeds = (system.fastest for system in self.bodies)
+        return max(self._fastest, self.surfaces.fastest, *body_speeds)
 
     @cached_property
     def _fastest(self) -> float:
@@ -245,8 +245,10 @@ def _side(collider: Collider) -> int:
 
 
 def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
-    speed, when = collider.speed_limit, collider.poses.sample_times[k + 1]
-    message = f"it moves faster than {speed:g} m/s until {when:g} s: it collides with "
+    speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
+    message = (
+        f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides with "
+    )
     message += "nothing"
     hint = "raise its speed limit if it should collide on its way"
     return warning("SIM120", message, hint, where)
@@ -290,7 +292,9 @@ def collide(
     >>> result.points.tolist(), result.velocities.tolist()
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
-    prepared = colliders if isinstance(colliders, Colliders) else Colliders(colliders)
+    collider_set = (
+        colliders if isinstance(colliders, Colliders) else Colliders(colliders)
+    )
     positions = as_floats(points, ("N", 3), "points")
     after = np.stack(
         [positions, as_floats(velocities, (len(positions), 3), "velocities")]
@@ -303,10 +307,10 @@ def collide(
         np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
     )
     sheet_contacts = _stop_at_sheets(
-        prepared, start, after, (t0, t1), radius_array, spawn_times
+        collider_set, start, after, (t0, t1), radius_array, spawn_times
     )
     state, touches, normals = _kernels.collide_particles(
-        prepared.arrays(t0, t1), start, after, radius_array, spawn_times, t1 - t0
+        collider_set.arrays(t0, t1), start, after, radius_array, spawn_times, t1 - t0
     )
     for rows, kinds, sheet_normals in sheet_contacts:
         untouched = touches[rows, 0] < 0
@@ -319,7 +323,7 @@ def collide(
 
 
 def _stop_at_sheets(
-    prepared: Colliders,
+    collider_set: Colliders,
     start: FloatArray,
     after: FloatArray,
     span: tuple[float, float],
@@ -332,7 +336,7 @@ def _stop_at_sheets(
     """
     step, contacts = span[1] - span[0], []
 
-    def settle(
+    def collide_static(
         collider: Collider,
         begin: FloatArray,
         end: FloatArray,
@@ -342,18 +346,18 @@ def _stop_at_sheets(
         arrays = Colliders([collider]).arrays(*span)
         return _kernels.collide_particles(arrays, begin, end, radii, begins, step)
 
-    for i, sheet in enumerate(prepared.sheets if step > 0 else ()):
+    for i, sheet in enumerate(collider_set.sheets if step > 0 else ()):
         result = collide_with_sheet(
-            sheet, start, after, span, radii, spawn_times, settle
+            sheet, start, after, span, radii, spawn_times, collide_static
         )
         if result is None:
             continue
         nearby, (state, touches, normals) = result
-        touching = touches[:, 0] >= 0
-        rows = nearby[touching]
-        after[:, rows] = state[:, touching]
-        touches[touching, 0] = prepared.rigid + i
-        contacts.append((rows, touches[touching], normals[touching]))
+        is_touching = touches[:, 0] >= 0
+        rows = nearby[is_touching]
+        after[:, rows] = state[:, is_touching]
+        touches[is_touching, 0] = collider_set.rigid + i
+        contacts.append((rows, touches[is_touching], normals[is_touching]))
     return contacts
 
 

@@ -108,7 +108,7 @@ def rig_colliders(
         rig: Rig with capsules.
         world: World transforms of its joints over F frames.
         times: Times of the frames ``(F,)`` [s].
-        template: Collider whose contact material they have; None for the default one.
+        template: Collider that provides the contact material; None for the default.
     """
     capsules = Capsules.of(rig)
     rows, ends = capsules.joint_poses_and_ends(world)

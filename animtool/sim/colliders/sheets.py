@@ -196,9 +196,9 @@ def _near_sheet(
     high = np.maximum(begin.max(axis=0), end.max(axis=0))
     # A path is a parabola: it leaves the box of its end points by at most its length.
     margin = radius[:, None] + np.linalg.norm(goal - start, axis=1, keepdims=True)
-    above = np.maximum(start, goal) + margin >= low
-    below = np.minimum(start, goal) - margin <= high
-    return np.asarray((above & below).all(axis=1))
+    above_low = np.maximum(start, goal) + margin >= low
+    below_high = np.minimum(start, goal) - margin <= high
+    return np.asarray((above_low & below_high).all(axis=1))
 
 
 def _displacement(
@@ -210,8 +210,8 @@ def _displacement(
     """Return a surface's displacement at its nearest points ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
-    used = np.unique(triangles)
-    nearest = used[cKDTree(positions[used]).query(points)[1]]
+    used_points = np.unique(triangles)
+    nearest = used_points[cKDTree(positions[used_points]).query(points)[1]]
     neighbours = _triangles_of_points(triangles, len(positions))[nearest]
     corners = triangles[neighbours]
     a, b, c = (positions[corners[..., k]] for k in range(3))
@@ -219,9 +219,9 @@ def _displacement(
     nearest_points = np.einsum("ndk,ndkx->ndx", weights, positions[corners])
     distances = np.linalg.norm(nearest_points - points[:, None], axis=2)
     distances[neighbours < 0] = np.inf
-    best = distances.argmin(axis=1)[:, None, None]
+    nearest_triangle = distances.argmin(axis=1)[:, None, None]
     candidates = np.einsum("ndk,ndkx->ndx", weights, displacements[corners])
-    return np.asarray(np.take_along_axis(candidates, best, axis=1)[:, 0])
+    return np.asarray(np.take_along_axis(candidates, nearest_triangle, axis=1)[:, 0])
 
 
 def _triangles_of_points(triangles: IntArray, count: int) -> IntArray:

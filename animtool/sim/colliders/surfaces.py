@@ -76,12 +76,12 @@ class Surfaces:
         speeds = distances / np.diff(knots)
         is_teleport = speeds > SPEED_LIMIT
         self.fastest = max(self.fastest, float(speeds[~is_teleport].max(initial=0.0)))
-        for when in knots[1:][is_teleport].tolist():
-            message = f"it moves faster than {SPEED_LIMIT:g} m/s until {when:g} s: it "
+        for time in knots[1:][is_teleport].tolist():
+            message = f"it moves faster than {SPEED_LIMIT:g} m/s until {time:g} s: it "
             message += "collides with nothing"
-            where = sheet.name or f"sheets[{i}]"
-            fault = warning("SIM120", message, where=where)
-            self._teleports[i, when] = fault
+            label = sheet.name or f"sheets[{i}]"
+            fault = warning("SIM120", message, where=label)
+            self._teleports[i, time] = fault
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport so far (SIM120)."""

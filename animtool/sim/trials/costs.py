@@ -85,10 +85,10 @@ def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
     ]
     if not candidates:
         return None
-    least = min(cost.value for cost, _ in candidates)
+    lowest_cost = min(cost.value for cost, _ in candidates)
     nearly_cheapest = [
         (c.work, c.value, i)
         for c, i in candidates
-        if c.value <= least * (1 + TIMING_NOISE)
+        if c.value <= lowest_cost * (1 + TIMING_NOISE)
     ]
     return min(nearly_cheapest)[-1]

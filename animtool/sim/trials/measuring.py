@@ -245,8 +245,12 @@ class _Runs:
         with np.errstate(all="ignore"):
             outcome = self._trial.run(setting)
             timings = [outcome.seconds]
-            timed = self._trial.cost is CostMeasure.SECONDS
-            while timed and len(timings) < MAX_REPEATS and sum(timings) < REPEAT_TIME:
+            repeats_timing = self._trial.cost is CostMeasure.SECONDS
+            while (
+                repeats_timing
+                and len(timings) < MAX_REPEATS
+                and sum(timings) < REPEAT_TIME
+            ):
                 timings.append(self._trial.run(setting).seconds)
         return replace(outcome, seconds=min(timings))
 
@@ -279,15 +283,19 @@ def _reference_of(
         for coarse_run, fine_run in pairwise(outcomes)
     ]
     reach = reach_of(outcomes[-1].snapshots)
-    coarse_error, fine_run = (
+    coarse_error, fine_error = (
         gap.error(measure, reach) for gap in (differences[0], differences[-1])
     )
     extent = extent_of(outcomes[-1].snapshots) + reach
     order = (
-        observed_order(coarse_error, fine_run) if fine_run > ROUNDING * extent else None
+        observed_order(coarse_error, fine_error)
+        if fine_error > ROUNDING * extent
+        else None
     )
     sensitive = (
-        order is not None and order < MIN_ORDER and fine_run > INVISIBLE_ERROR * extent
+        order is not None
+        and order < MIN_ORDER
+        and fine_error > INVISIBLE_ERROR * extent
     )
     factor = 1.0 if order is None else max(2**order - 1, 1.0)
     return Reference(setting, differences[-1].scaled(1 / factor), order, sensitive)
@@ -300,16 +308,16 @@ def _rows(
     reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
     rows: list[TrialRow] = []
-    slow: dict[str, TrialRow] = {}
+    slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
-    timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
+    is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
     limit = (
         SLOW_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
-        if reference_outcome and timed
+        if reference_outcome and is_timed
         else None
     )
     for setting in settings:
-        row = slow.get(setting.method)
+        row = slow_rows.get(setting.method)
         if row is not None and setting != trial.chosen and not runs.is_done(setting):
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
@@ -319,7 +327,7 @@ def _rows(
             chosen=setting == trial.chosen,
         )
         if limit is not None and row.seconds > limit:
-            slow[setting.method] = row
+            slow_rows[setting.method] = row
         rows.append(row)
     return rows
 

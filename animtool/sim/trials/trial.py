@@ -212,12 +212,12 @@ def distances(
     distance_arrays, unmatched, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
     largest_gap, at = -1.0, None
-    for k, (true, compared) in enumerate(zip(truth, snapshots, strict=True)):
-        a, b = true.points, compared.points
-        true_rotations, rotations = true.orientations, compared.orientations
-        if true.ids is not None and compared.ids is not None:
+    for k, (reference, snapshot) in enumerate(zip(truth, snapshots, strict=True)):
+        a, b = reference.points, snapshot.points
+        true_rotations, rotations = reference.orientations, snapshot.orientations
+        if reference.ids is not None and snapshot.ids is not None:
             _, i, j = np.intersect1d(
-                true.ids, compared.ids, assume_unique=True, return_indices=True
+                reference.ids, snapshot.ids, assume_unique=True, return_indices=True
             )
             unmatched += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
@@ -256,7 +256,7 @@ def _rms(values: FloatArray) -> float:
 
 def extent_of(snapshots: Sequence[Snapshot]) -> float:
     """Return the diagonal of the bounding box of all points [m]."""
-    point_arrays = [shot.points for shot in snapshots if len(shot.points)]
+    point_arrays = [snapshot.points for snapshot in snapshots if len(snapshot.points)]
     if not point_arrays:
         return 0.0
     low = np.min([points.min(axis=0) for points in point_arrays], axis=0)
@@ -266,7 +266,7 @@ def extent_of(snapshots: Sequence[Snapshot]) -> float:
 
 def reach_of(snapshots: Sequence[Snapshot]) -> float:
     """Return the largest extent of instances from their points, at any time [m]."""
-    return max((shot.reach for shot in snapshots), default=0.0)
+    return max((snapshot.reach for snapshot in snapshots), default=0.0)
 
 
 def observed_order(coarse: float, fine: float) -> float | None:

@@ -1,1 +1,1 @@
-"""Secondary motion: what a rig's ``attach`` lists, moved by its joints."""
+"""Secondary motion of a rig's attachments: chains, strands and cloth."""

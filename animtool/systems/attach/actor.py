@@ -48,13 +48,13 @@ class PosePaths:
     """Character poses within one frame, cached by number of steps."""
 
     rig: Rig  # the character
-    before: LocalPose  # pose at the begin
+    before: LocalPose  # pose at the start
     after: LocalPose  # pose at the end
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
-        """Return the poses at the begin and at the end of each step."""
+        """Return the poses at the start and end of each step."""
         if steps not in self._by_steps:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
@@ -68,7 +68,7 @@ class PosePaths:
 
 
 class AttachedSurroundings(NamedTuple):
-    """What an attachment collides with at the end of a frame."""
+    """Colliders of an attachment at the end of a frame."""
 
     world: WorldTransforms  # joint transforms
     time: float  # [s]
@@ -122,21 +122,25 @@ class Actor:
             # Joints with a skin collide with that instead of their capsules.
             covered = np.any([skin.joints for skin in skins], axis=0)
             capsules = capsules.select(~covered[capsules.joints])
-        bound = body.network.points
-        depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
+        bind_points = body.network.points
+        depths = scale * depth_at_bind(
+            capsules, rig, bind_points, settings.radius / scale
+        )
         self.target = body.targets(first)[0]
         is_chain = isinstance(body, ChainBody)
-        below = self._skins.depths(first, self.target, settings.radius, inside=is_chain)
+        skin_depths = self._skins.depths(
+            first, self.target, settings.radius, inside=is_chain
+        )
         self._contacts = CharacterColliders(
             capsules,
             capsules.world_radii(first.world),
-            (depths, below),
+            (depths, skin_depths),
             settings.radius,
             settings.options.friction,
             world,
             layers,
         )
-        self._layers = [one.motion for one in layers]
+        self._layers = [layer.motion for layer in layers]
         self._world, self._time = first.world, 0.0
         self.lost = lost_links(network, self.target)
         self.tangles = (
@@ -145,7 +149,7 @@ class Actor:
             else []
         )
         self.grid = self._springs.start(self.target)
-        # Cloth with self-contact, as a collider of attachments that come later.
+        # Cloth with self-contact, as a collider of later attachments.
         self.sheet: Sheet | None = None
         if self._springs.thickness:
             self.sheet = cloth_sheet(
@@ -165,12 +169,12 @@ class Actor:
     def move(self, motion: FloatArray, passages: IntArray | None = None) -> None:
         """Set the state: positions and velocities ``(2, N, 3)`` [m, m/s]."""
         state = self.grid.state
-        kept = state.passages if passages is None else passages
-        state = replace(state, motion=motion, passages=kept)
+        new_passages = state.passages if passages is None else passages
+        state = replace(state, motion=motion, passages=new_passages)
         self.grid = replace(self.grid, state=state)
 
     def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
-        """Set the motion of the collider over a frame, from points at its begin."""
+        """Set the motion of the collider over a frame, from points at its start."""
         if self.sheet is not None:
             motion = self.sheet.motion
             assert isinstance(motion, ClothMotion)
@@ -184,7 +188,7 @@ class Actor:
 
     def cross(self, paths: PosePaths, frame: int) -> None:
         """Advance by a frame; frame 0 is the first of the take."""
-        began = time.perf_counter()
+        started = time.perf_counter()
         count = self._springs.cells
         motion = paths.of(count)
         targets = self.body.targets(motion)
@@ -197,21 +201,23 @@ class Actor:
                 for skin, rows in zip(self._meshes, points, strict=True)
             ]
         cells = Cells(0.0, self.grid.cell, frame * count, count)
-        met = self._contacts.over(motion.world, cells, surfaces)
-        begun = self.positions
-        self.grid = self._springs.cross(self.grid, targets, met, self._contacts.own)
+        colliders = self._contacts.over(motion.world, cells, surfaces)
+        begin_points = self.positions
+        self.grid = self._springs.cross(
+            self.grid, targets, colliders, self._contacts.own
+        )
         self.target = targets[-1]
         self._world = motion.world
         self._time = (frame + 1) * self._span
-        self._move_sheet((frame * self._span, self._time), begun)
-        self.seconds += time.perf_counter() - began
+        self._move_sheet((frame * self._span, self._time), begin_points)
+        self.seconds += time.perf_counter() - started
 
     def surroundings(self) -> AttachedSurroundings:
-        """Return what it collides with at the end of a frame."""
+        """Return the colliders at the end of a frame."""
         solids = [*self._solids, *self._contacts.solids(self._time)]
         layers = [
-            ClosedSurface(one.points(self._time), one.triangles(self._time))
-            for one in self._layers
+            ClosedSurface(layer.points(self._time), layer.triangles(self._time))
+            for layer in self._layers
         ]
         return AttachedSurroundings(self._world, self._time, solids, layers)
 
@@ -256,18 +262,20 @@ def _sides(network: Network) -> MeasuredSurface:
     pinned = np.zeros(network.count, np.bool_)
     pinned[network.pinned] = True
     ends, rests = network.sides, network.rests
-    kept = (rests > 0) & ~pinned[ends].all(axis=1)
-    kept &= len(network.triangles) > 0
-    return MeasuredSurface(network.free, network.triangles, ends[kept], rests[kept])
+    measured = (rests > 0) & ~pinned[ends].all(axis=1)
+    measured &= len(network.triangles) > 0
+    return MeasuredSurface(
+        network.free, network.triangles, ends[measured], rests[measured]
+    )
 
 
 def rigidly_moved(
     motion: FloatArray, shift: FloatArray, rotation: FloatArray
 ) -> FloatArray:
     """Return a state ``(2, N, 3)`` rotated about the origin and then shifted."""
-    moved = so3.rotate(rotation, motion)
-    moved[0] += shift
-    return moved
+    result = so3.rotate(rotation, motion)
+    result[0] += shift
+    return result
 
 
 def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:

@@ -48,8 +48,8 @@ class ChainBody(AttachedBody):
 
     joints: IntArray  # from the root on ``(C,)``
     tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
-    # Whether the rotation of the last joint moves nothing: it has no tip, and no joint,
-    # skin, collider or strands below it.
+    # Whether nothing follows the rotation of the last joint: it has no tip, and no
+    # joint, skin, collider or strands below it.
     bare: bool = False
 
     def targets(self, path: PosePath) -> FloatArray:
@@ -64,7 +64,7 @@ class ChainBody(AttachedBody):
 class SurfaceBody(AttachedBody):
     """Cloth or strands: skinned points that are simulated."""
 
-    # Skinned mesh; its name is that of the points in a motion.
+    # Skinned mesh; a motion stores its points under the same name.
     mesh: CharacterMesh
 
     def targets(self, path: PosePath) -> FloatArray:
@@ -82,22 +82,22 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
         OptionError: A name is unknown or its kind cannot be simulated (SIM030), with
             every such fault.
     """
-    known = {entry.name: entry for entry in rig.attach}
+    by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
     for name in names:
-        hint = f"the rig has {', '.join(known)}" if known else "it has none"
-        if name not in known:
+        hint = f"the rig has {', '.join(by_name)}" if by_name else "it has none"
+        if name not in by_name:
             message = f"unknown attachment {name!r} of {rig.name!r}"
             faults.append(Fault("SIM030", message, hint=hint))
-        elif known[name].kind not in kinds:
+        elif by_name[name].kind not in kinds:
             message = (
-                f"{name!r} is of kind {known[name].kind!r}, which cannot be simulated"
+                f"{name!r} is of kind {by_name[name].kind!r}, which cannot be simulated"
             )
             faults.append(Fault("SIM030", message, hint=f"kinds: {', '.join(kinds)}"))
     if faults:
         raise OptionError(faults)
-    return [known[name] for name in names]
+    return [by_name[name] for name in names]
 
 
 def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
@@ -113,7 +113,7 @@ def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
     faults: list[Fault] = []
     for entry in entries:
         try:
-            bodies.append(_MAKERS[AttachKind(entry.kind)](rig, entry))
+            bodies.append(_BUILDERS[AttachKind(entry.kind)](rig, entry))
         except OptionError as error:
             faults += error.faults
     if faults:
@@ -123,9 +123,9 @@ def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
 
 def _chain(rig: Rig, entry: Attachment) -> AttachedBody:
     joints = [rig.index(name) for name in entry.joints]
-    for above, below in pairwise(joints):
-        if rig.joints[below].parent != above:
-            names = rig.joints[above].name, rig.joints[below].name
+    for upper, lower in pairwise(joints):
+        if rig.joints[lower].parent != upper:
+            names = rig.joints[upper].name, rig.joints[lower].name
             message = (
                 f"joints of {entry.name!r} are not a chain: {names[1]!r} is not a child"
             )
@@ -138,29 +138,29 @@ def _chain(rig: Rig, entry: Attachment) -> AttachedBody:
     network = Network(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
-    bare = _is_bare(rig, joints[-1])
+    is_bare = _moves_nothing(rig, joints[-1])
     return ChainBody(
-        entry.name, entry.kind, network, carrier, np.array(joints), tip, bare
+        entry.name, entry.kind, network, carrier, np.array(joints), tip, is_bare
     )
 
 
-def _is_bare(rig: Rig, joint: int) -> bool:
+def _moves_nothing(rig: Rig, joint: int) -> bool:
     """Return whether the rotation of a joint moves nothing."""
     name = rig.joints[joint].name
-    skinned = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
-    carrying = {collider.joint for collider in rig.colliders}
-    carrying |= {strands.joint for strands in strands_of(rig)}
+    skin_joints = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
+    attach_joints = {collider.joint for collider in rig.colliders}
+    attach_joints |= {strands.joint for strands in strands_of(rig)}
     return not (
         rig.joints[joint].tips
-        or any(below.parent == joint for below in rig.joints)
-        or name in skinned | carrying
+        or any(child.parent == joint for child in rig.joints)
+        or name in skin_joints | attach_joints
     )
 
 
 def _tip(rig: Rig, joints: list[int]) -> FloatArray:
     """Return the end of a chain's last bone in the frame of its joint.
 
-    That is its tip, else its first child, else a copy of the bone before it.
+    It is the tip of the joint, or its first child, or a copy of the bone before it.
     """
     last = rig.joints[joints[-1]]
     if last.tips:
@@ -172,7 +172,9 @@ def _tip(rig: Rig, joints: list[int]) -> FloatArray:
 
 
 def _strands(rig: Rig, entry: Attachment) -> AttachedBody:
-    (strands,) = [one for one in strands_of(rig) if one.name == entry.name]
+    (strands,) = [
+        candidate for candidate in strands_of(rig) if candidate.name == entry.name
+    ]
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
     index = np.arange(count * length).reshape(count, length)
@@ -189,7 +191,9 @@ def _strands(rig: Rig, entry: Attachment) -> AttachedBody:
 
 
 def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
-    (surface,) = [one for one in surfaces_of(rig) if one.name == entry.mesh]
+    (surface,) = [
+        candidate for candidate in surfaces_of(rig) if candidate.name == entry.mesh
+    ]
     shapes = [shape.name for shape in rig.shapes]
     (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
     faces = surface.counts, surface.indices
@@ -197,16 +201,20 @@ def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     if not len(ends):
         message = f"the mesh of {entry.name!r} has no faces"
         raise OptionError(Fault("SIM033", message))
-    loose = np.setdiff1d(np.arange(len(surface.points)), ends)
-    if len(loose):
-        message = f"points of {entry.name!r} are in no face: {listed(loose.tolist())}"
+    without_face = np.setdiff1d(np.arange(len(surface.points)), ends)
+    if len(without_face):
+        message = (
+            f"points of {entry.name!r} are in no face: {listed(without_face.tolist())}"
+        )
         raise OptionError(Fault("SIM033", message))
     pins = np.zeros(0, np.int64)
     if entry.pins is not None:
         pins = np.unique(entry.pins.load()).astype(np.int64)
-    placed = surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
+    bind_points = (
+        surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
+    )
     network = Network(
-        placed,
+        bind_points,
         pins,
         ends,
         diagonals_of_faces(*faces),
@@ -229,7 +237,7 @@ def _carrier(rig: Rig, surface: Surface, network: Network) -> int:
     return rig.index(skin.joints[int(sums.argmax())])
 
 
-_MAKERS = {
+_BUILDERS = {
     AttachKind.SPRING_CHAIN: _chain,
     AttachKind.STRANDS: _strands,
     AttachKind.CLOTH: _cloth,

@@ -17,9 +17,9 @@ class ClothMotion:
     """
 
     faces: IntArray  # triangles ``(T, 3)``
-    begin: FloatArray  # points at the begin of the frame ``(N, 3)`` [m]
+    begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
     end: FloatArray  # points at its end ``(N, 3)`` [m]
-    times: tuple[float, float] = (0.0, 0.0)  # of begin and end [s]
+    times: tuple[float, float] = (0.0, 0.0)  # of start and end [s]
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m]."""

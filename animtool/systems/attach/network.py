@@ -27,7 +27,7 @@ CLOTH_WEIGHT = 0.3
 MIN_MASS_FRACTION = 1e-3
 
 
-def _none(columns: int) -> IntArray:
+def _empty_rows(columns: int) -> IntArray:
     return np.zeros((0, columns), np.int64)
 
 
@@ -39,11 +39,11 @@ class Network:
     pinned: IntArray  # points that follow the animation ``(P,)``, ascending
     sides: IntArray  # ends of structural springs ``(L, 2)``
     # Face diagonals, against shear ``(L, 2)``.
-    diagonals: IntArray = field(default_factory=lambda: _none(2))
+    diagonals: IntArray = field(default_factory=lambda: _empty_rows(2))
     # Across folds, against bending ``(L, 2)``.
-    bends: IntArray = field(default_factory=lambda: _none(2))
+    bends: IntArray = field(default_factory=lambda: _empty_rows(2))
     # Corners of the surface ``(T, 3)``.
-    triangles: IntArray = field(default_factory=lambda: _none(3))
+    triangles: IntArray = field(default_factory=lambda: _empty_rows(3))
     # Number of strands of equal length, each from its pinned root, one after the other;
     # 0 for a surface.
     strands: int = 0
@@ -79,23 +79,23 @@ class Network:
         thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
         masses = np.bincount(corners.ravel(), thirds, self.count)
         # Particles with degenerate faces alone get a small mass.
-        least = MIN_MASS_FRACTION * float(masses.max(initial=0.0))
-        return np.maximum(masses, least if least > 0 else 1.0)
+        min_mass = MIN_MASS_FRACTION * float(masses.max(initial=0.0))
+        return np.maximum(masses, min_mass if min_mass > 0 else 1.0)
 
     def body(self, diagonals: float, bends: float) -> Body:
         """Return the spring body, with spring frequencies [Hz]."""
-        loose = np.isin(np.arange(self.count), self.pinned, invert=True)
+        is_free = np.isin(np.arange(self.count), self.pinned, invert=True)
         families = (
             (self.sides, RIGID / (2 * math.pi)),
             (self.diagonals, diagonals),
             (self.bends, bends),
         )
-        pulling = [
-            (ends[loose[ends].any(axis=1)], Family(frequency=frequency))
+        springs = [
+            (ends[is_free[ends].any(axis=1)], Family(frequency=frequency))
             for ends, frequency in families
             if frequency
         ]
-        return built(self.points, self.masses, pulling, self.triangles)
+        return built(self.points, self.masses, springs, self.triangles)
 
 
 def reach(network: Network) -> int:
@@ -111,15 +111,15 @@ def reach(network: Network) -> int:
         neighbours[i].append(j)
         neighbours[j].append(i)
     starts = network.pinned.tolist() or [0]
-    away = dict.fromkeys(starts, 0)
-    waiting = deque(starts)
-    while waiting:
-        at = waiting.popleft()
-        for other in neighbours[at]:
-            if other not in away:
-                away[other] = away[at] + 1
-                waiting.append(other)
-    return max(away.values(), default=0)
+    distances = dict.fromkeys(starts, 0)
+    queue = deque(starts)
+    while queue:
+        point = queue.popleft()
+        for neighbour in neighbours[point]:
+            if neighbour not in distances:
+                distances[neighbour] = distances[point] + 1
+                queue.append(neighbour)
+    return max(distances.values(), default=0)
 
 
 def typical_edge(network: Network) -> float:
@@ -139,9 +139,9 @@ def lost_links(network: Network, points: FloatArray) -> int:
     1
     """
     i, j = network.sides.T
-    lost = (points[i] == points[j]).all(axis=1)
+    coincident = (points[i] == points[j]).all(axis=1)
     rests = network.rests
-    return int((lost & ((rests > 0) | ~rests.any())).sum())
+    return int((coincident & ((rests > 0) | ~rests.any())).sum())
 
 
 def surface_problems(network: Network) -> list[str]:
@@ -156,12 +156,12 @@ def surface_problems(network: Network) -> list[str]:
     if not len(corners):
         return []
     a, b, c = (network.points[corners[:, k]] for k in range(3))
-    flat = int((~np.cross(b - a, c - a).any(axis=1)).sum())
-    often = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
-    shared = int((often > 2).sum())
-    problems = [f"{counted(flat, 'triangle')} without area"] if flat else []
-    if shared:
-        problems.append(f"{counted(shared, 'edge')} of more than two triangles")
+    degenerate = int((~np.cross(b - a, c - a).any(axis=1)).sum())
+    face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
+    nonmanifold = int((face_counts > 2).sum())
+    problems = [f"{counted(degenerate, 'triangle')} without area"] if degenerate else []
+    if nonmanifold:
+        problems.append(f"{counted(nonmanifold, 'edge')} of more than two triangles")
     return problems
 
 
@@ -185,14 +185,14 @@ def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     [[2, 3]]
     """
     starts, sizes = np.repeat([np.cumsum(counts) - counts, counts], counts, axis=1)
-    around = np.arange(len(indices)) - starts
+    corner_offsets = np.arange(len(indices)) - starts
     side_corners = directed_edges(counts, indices)
     # Neighbours of the first end of a side, and of the second.
     neighbours = np.stack(
-        [indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1
+        [indices[starts + (corner_offsets + k) % sizes] for k in (-1, 2)], axis=1
     )
-    turned = side_corners[:, 0] > side_corners[:, 1]
-    neighbours[turned] = neighbours[turned, ::-1]
-    one, other = coincident_edges(side_corners)
-    pairs = np.stack([neighbours[one], neighbours[other]], axis=-1)
+    is_reversed = side_corners[:, 0] > side_corners[:, 1]
+    neighbours[is_reversed] = neighbours[is_reversed, ::-1]
+    first_sides, second_sides = coincident_edges(side_corners)
+    pairs = np.stack([neighbours[first_sides], neighbours[second_sides]], axis=-1)
     return distinct_pairs(pairs.reshape(-1, 2))

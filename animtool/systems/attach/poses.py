@@ -13,7 +13,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# A root that returns to within this many of its steps is stationary [1].
+# A root that ends within this many steps of its start is stationary [1].
 STATIONARY_STEPS = 2.0
 # Fraction of the cycle over which the seam residual is blended [1].
 SEAM = 0.25
@@ -25,7 +25,7 @@ class LocalPose:
 
     translations: FloatArray  # ``(J, 3)`` [m], parent space
     rotations: FloatArray  # ``(J, 4)``
-    scales: FloatArray | None  # ``(J, 3)`` [1]; None is none
+    scales: FloatArray | None  # ``(J, 3)`` [1]; None is unscaled
     # Shape weights ``(S,)`` [1]; None if the take has none.
     weights: FloatArray | None
 
@@ -40,7 +40,7 @@ class PosePath:
 
 
 def pose_at(motion: Motion, frame: int) -> LocalPose:
-    """Return one frame of a motion."""
+    """Return the local pose at one frame of a motion."""
 
     def values(channel: Channel | None) -> FloatArray | None:
         if channel is None:
@@ -64,42 +64,42 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 def pose_path(rig: Rig, before: LocalPose, after: LocalPose, steps: int) -> PosePath:
     """Return a character at even times between two poses.
 
-    Local rotations are interpolated by slerp, all else linearly, as motion blur samples
-    are.
+    Local rotations are interpolated by slerp and other values linearly, as for motion
+    blur.
     """
     fractions = np.arange(steps + 1) / steps
     world = forward(
         rig,
-        _straight(before.translations, after.translations, fractions),
-        _turned(before.rotations, after.rotations, fractions),
+        _lerp(before.translations, after.translations, fractions),
+        _slerp(before.rotations, after.rotations, fractions),
         None
         if before.scales is None or after.scales is None
-        else _straight(before.scales, after.scales, fractions),
+        else _lerp(before.scales, after.scales, fractions),
     )
     weights = None
     if before.weights is not None and after.weights is not None:
-        weights = _straight(before.weights, after.weights, fractions)
+        weights = _lerp(before.weights, after.weights, fractions)
     return PosePath(world, weights)
 
 
-def _straight(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
-    between = a + (b - a) * fractions.reshape(-1, *(1,) * a.ndim)
-    between[-1] = b
-    return np.asarray(between)
+def _lerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
+    values = a + (b - a) * fractions.reshape(-1, *(1,) * a.ndim)
+    values[-1] = b
+    return np.asarray(values)
 
 
-def _turned(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
+def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
     rotations = np.repeat(a[None], len(fractions), axis=0)
-    moving = np.flatnonzero((a != b).any(axis=-1))
-    rotations[:, moving] = so3.slerp(a[moving], b[moving], fractions[:, None])
-    rotations[0, moving], rotations[-1, moving] = a[moving], b[moving]
+    changed = np.flatnonzero((a != b).any(axis=-1))
+    rotations[:, changed] = so3.slerp(a[changed], b[changed], fractions[:, None])
+    rotations[0, changed], rotations[-1, changed] = a[changed], b[changed]
     return rotations
 
 
 def extrapolated(
     rig: Rig, first: LocalPose, second: LocalPose, frames: float
 ) -> LocalPose:
-    """Return the first pose moved back some frames at the speed of its roots."""
+    """Return the pose some frames before the first, at the speed of the roots."""
     translations = first.translations.copy()
     roots = np.array(rig.roots)
     step = second.translations[roots] - first.translations[roots]
@@ -130,12 +130,12 @@ def travel_between(
     if np.linalg.norm(last - first) <= STATIONARY_STEPS * step + 1e-9:
         return CycleShift(np.zeros(3), so3.IDENTITY)
     rotations = [pose.rotations[root] for pose in poses]
-    onward = so3.multiply(
+    next_rotation = so3.multiply(
         rotations[3], so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     )
-    change = so3.multiply(onward, so3.conjugate(rotations[0]))
-    along = float((change[:3] * up).sum()) * up
-    rotation = so3.normalize(np.append(along, change[3]))
+    change = so3.multiply(next_rotation, so3.conjugate(rotations[0]))
+    twist = float((change[:3] * up).sum()) * up
+    rotation = so3.normalize(np.append(twist, change[3]))
     goal = last + (incoming + so3.rotate(rotation, outgoing)) / 2
     shift = goal - so3.rotate(rotation, first)
     return CycleShift(shift - float((shift * up).sum()) * up, rotation)

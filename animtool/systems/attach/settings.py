@@ -48,76 +48,74 @@ class Lead(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """What moves by itself, and how."""
+    """Options of the pass ``simulate``."""
 
     what: tuple[str, ...] = ()  # names of the rig's attachments
-    # How fast they swing back to the animated pose [Hz]; 0 does not draw them there.
-    # None is 2 for chains and strands, and 0 for cloth.
+    # Frequency of the pull to the animated pose [Hz]; 0 is no pull. None is 2 for
+    # chains and strands, and 0 for cloth.
     frequency: Annotated[float | None, within(0.0, "SIM004")] = None
-    # Of that, 1 comes back without swinging over [1].
+    # Damping ratio of that pull [1]; 1 is critical.
     ratio: Annotated[float, within(0.0, "SIM004")] = 0.3
-    # How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
+    # Bending frequency of cloth and strands [Hz]. None is 2.
     bend: Annotated[float | None, within(0.0, "SIM004")] = None
-    # How fast cloth that is drawn askew springs back [Hz].
+    # Shear frequency of cloth [Hz].
     diagonals: Annotated[float, within(0.0, "SIM004")] = 20.0
-    # How much longer than at rest springs may become [1]. None is 0.01 for chains, and
-    # 0.05 for others.
+    # Strain limit of springs [1]. None is 0.01 for chains, and 0.05 for others.
     stretch: Annotated[float | None, within(0.0, "SIM004", reached=False)] = None
-    # Downwards along the rig's up axis [m/s²]. 0 leaves a still character's attachments
-    # where they are.
+    # Gravity, down along the rig's up axis [m/s²]. With 0, attachments of a static
+    # character do not move.
     gravity: Annotated[float, within(-MAX_NUMBER, "SIM004")] = 9.81
-    # How fast the air takes speed [1/s]; of cloth, the coefficient of drag of its faces
-    # [1].
+    # Linear drag [1/s]; for cloth, the drag coefficient of its faces [1].
     drag: Annotated[float, within(0.0, "SIM004")] = 0.5
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    capsules: bool = True  # keep out of the rig's capsules
-    # Keep out of the skins of the rig, instead of the capsules of their joints. None is
-    # for cloth alone: strands have many points, and take several times as long; of
-    # chains, the faces that they move themselves are left out.
+    capsules: bool = True  # collide with the rig's capsules
+    # Collide with the skins of the rig instead of the capsules of their joints. None
+    # does so for cloth only, as strands have many points and take several times as
+    # long. Chains ignore faces that they move themselves.
     skin: bool | None = None
-    # What else is met, as systems have it: shapes in the axes of the rig, characters
-    # of other files, systems of the scene, and meshes of USD files.
+    # Other colliders, as for systems: shapes in the axes of the rig, characters of
+    # other files, systems of the scene, and meshes of USD files.
     colliders: ColliderEntries = ()
     characters: tuple[CharacterModel, ...] = ()
     systems: tuple[SystemSurfaceModel, ...] = ()
     meshes: tuple[MovingMeshModel, ...] = ()
-    radius: str | float = "5mm"  # distance kept from all, a number in [m] or ``5mm``
-    # On them, and between layers, Coulomb's coefficient [1].
+    radius: str | float = "5mm"  # distance from all colliders, in [m] or as ``5mm``
+    # Coulomb's coefficient on colliders and between layers [1].
     friction: Annotated[float, within(0.0, "SIM004")] = 0.2
-    # Cloth does not go through itself, nor what is named after it through the cloth.
+    # Cloth collides with itself and with attachments that are named after it.
     self_contact: bool = True
-    # Distance that it keeps from itself, as ``radius`` is written. None is that, or a
-    # third of its edges where these are short.
+    # Self-contact distance, written like ``radius``. None is the smaller of the radius
+    # and a third of the edge length.
     thickness: str | float | None = None
-    # Time in the first pose before anything moves [s].
+    # Settling time in the first pose [s].
     settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
-    # Time of the way into the first frame, behind ``settle`` [s].
+    # Time from the settled pose to the first frame [s].
     preroll: Annotated[float, within(0.0, "SIM004", 600.0)] = 0.0
-    lead: Lead = Lead.HOLD  # how that way goes
-    loop: bool = False  # the take is a cycle, whose first pose follows on its last
-    # The cycle is repeated until nothing differs from the repeat before by more, such
-    # as ``0.1mm``.
+    lead: Lead = Lead.HOLD  # motion during the preroll
+    loop: bool = False  # the take is a cycle: its first pose follows its last
+    # The cycle is repeated until the largest change from the last repeat is below this,
+    # such as ``0.1mm``.
     loop_tolerance: str = "0.1mm"
     loop_repeats: Annotated[int, within(1.0, "SIM004", 10_000.0)] = 20  # most repeats
-    # Share of the simulation, one number or ``[[frame, weight], …]`` [1].
+    # Blend weight of the simulation, one number or ``[[frame, weight], …]`` [1].
     weight: Weight = 1.0
-    # How weights run from key to key.
+    # Interpolation of weights between keys.
     interpolation: KeyInterpolation = KeyInterpolation.LINEAR
-    # What carries an attachment jumps where it would be faster [m/s]; 0 never does.
+    # Speed of the carrier above which it teleports [m/s]; 0 is never.
     teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
-    teleports: tuple[float, ...] = ()  # frames that begin with a jump
-    # Steps a second; None is as many as ``stretch`` needs.
+    teleports: tuple[float, ...] = ()  # frames that begin with a teleport
+    # Steps per second; None is as many as ``stretch`` needs.
     rate: Annotated[float | None, within(0.0, "SIM004", 1e6, reached=False)] = None
-    # File (``.npz``) for the states at the frames of ``save_at``, beside the scene.
+    # File (``.npz``) for the states at the frames of ``save_at``, next to the scene.
     save: str = ""
     save_at: tuple[float, ...] = ()  # frames
-    # Such a file to go on from, at the latest frame that it has.
+    # State file to resume from, at its latest frame.
     resume: Path | None = None
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files that are written beside the take."""
+        """Files written alongside the take."""
         return (self.save,) if self.save else ()
 
 
@@ -136,16 +134,16 @@ class AttachSettings:
 
 def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
     """Return the option values for a kind of attachment."""
-    known = AttachKind(kind)
+    attach_kind = AttachKind(kind)
     frequency, bend, stretch = options.frequency, options.bend, options.stretch
     if frequency is None:
-        frequency = _FREQUENCIES.get(known, 0.0)
+        frequency = _FREQUENCIES.get(attach_kind, 0.0)
     if bend is None:
-        bend = _BENDS.get(known, 0.0)
+        bend = _BENDS.get(attach_kind, 0.0)
     if stretch is None:
-        stretch = _STRETCHES.get(known, STRETCH)
+        stretch = _STRETCHES.get(attach_kind, STRETCH)
     thickness: float | None = 0.0
-    if options.self_contact and known is AttachKind.CLOTH:
+    if options.self_contact and attach_kind is AttachKind.CLOTH:
         thickness = None
         if options.thickness is not None:
             thickness = length_of(options.thickness)
@@ -202,9 +200,9 @@ def _check_what(options: SimulateOptions) -> None:
     if not options.what:
         message = "what names no attachment of the rig"
         raise OptionError(Fault("SIM030", message, hint="write what: [cape]"))
-    twice = sorted({name for name in options.what if options.what.count(name) > 1})
-    if twice:
-        message = f"what names {twice[0]!r} more than once"
+    duplicates = sorted({name for name in options.what if options.what.count(name) > 1})
+    if duplicates:
+        message = f"what names {duplicates[0]!r} more than once"
         raise OptionError(Fault("SIM030", message))
 
 

@@ -46,7 +46,7 @@ from animtool.systems.framework.saved import Clocked
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import LOOK_BACK
 
-# Most point values in a block: more points mean fewer frames.
+# Largest number of point values in a block.
 BLOCK_VALUES = 1 << 20
 
 
@@ -115,8 +115,8 @@ class AttachSimulation:
         """Set up the simulation without reading the take.
 
         Frames are ``step`` time codes apart from ``start`` on. ``early`` frames before
-        the take hold its first frame; a cycle has none. The take starts at 0 s of world
-        time.
+        the take hold its first frame; a cycle has none. The take starts at world time
+        0.
         """
         self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
@@ -127,7 +127,7 @@ class AttachSimulation:
         self.resumed = resumed  # states to resume from
         self.closing: Closing | None = None  # result of a cycle
         self._skins: list[SkinSurface] = []  # collision meshes of the character
-        if any(self._meets_skins(body) for body in bodies):
+        if any(self._collides_with_skins(body) for body in bodies):
             self._skins = skins_of(rig)
         self.swung: dict[str, float] = {}  # largest rotation of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
@@ -140,7 +140,7 @@ class AttachSimulation:
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
 
-    def _meets_skins(self, body: AttachedBody) -> bool:
+    def _collides_with_skins(self, body: AttachedBody) -> bool:
         """Return whether an attachment collides with the skins of the rig."""
         if self.options.skin is None:
             return body.kind == AttachKind.CLOTH
@@ -149,17 +149,17 @@ class AttachSimulation:
     def _skins_of(self, body: AttachedBody) -> Sequence[SkinSurface]:
         """Return the collision meshes of an attachment.
 
-        Those of a chain have no faces that it moves.
+        A chain ignores faces that it moves itself.
         """
-        if not self._meets_skins(body):
+        if not self._collides_with_skins(body):
             return ()
         if not isinstance(body, ChainBody):
             return self._skins
-        moving = set(body.joints.tolist())
+        chain_joints = set(body.joints.tolist())
         for number, joint in enumerate(self.rig.joints):
-            if joint.parent in moving:
-                moving.add(number)
-        return skins_of(self.rig, sorted(moving))
+            if joint.parent in chain_joints:
+                chain_joints.add(number)
+        return skins_of(self.rig, sorted(chain_joints))
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield motions with simulated attachments."""
@@ -169,11 +169,11 @@ class AttachSimulation:
             yield cycle.select(np.maximum(np.arange(-early, cycle.frames), 0))
             return
         values = 3 * sum(body.network.count for body in self.bodies)
-        most = max(BLOCK_VALUES // max(values, 1), 2)
-        for block in _begun(motions):
+        block_frames = max(BLOCK_VALUES // max(values, 1), 2)
+        for block in _first_block_of_two(motions):
             self._crossed, self._to_cross = 0, block.frames
-            for begin in range(0, block.frames, most):
-                yield self._block(block.select(slice(begin, begin + most)))
+            for begin in range(0, block.frames, block_frames):
+                yield self._block(block.select(slice(begin, begin + block_frames)))
 
     def _block(self, block: Motion) -> Motion:
         codes = self._codes(self._done, block.frames)
@@ -187,30 +187,32 @@ class AttachSimulation:
             self._before = pose
             self._note(float(codes[i]))
             for row, actor in zip(rows, self.actors, strict=True):
-                around = actor.surroundings()
-                actor.measure(float(codes[i]), actor.positions, around)
+                surroundings = actor.surroundings()
+                actor.measure(float(codes[i]), actor.positions, surroundings)
                 row.moved.append(actor.positions)
                 row.targets.append(actor.target)
         self._done += block.frames
         self.codes += codes.tolist()
-        return self._moved(block, codes, rows)
+        return self._blended(block, codes, rows)
 
     def _codes(self, first: int, count: int) -> FloatArray:
         return time_codes(self._start + first * self._step, self._step, count)
 
-    def _begin(self, pose: LocalPose, following: LocalPose) -> None:
+    def _begin(self, pose: LocalPose, next_pose: LocalPose) -> None:
         """Create the actors, settle them and advance to the first frame."""
         options, rate = self.options, float(self._rate)
-        leading = math.ceil(options.preroll * rate)
-        travels = Lead(options.lead) is Lead.EXTRAPOLATE
+        preroll_frames = math.ceil(options.preroll * rate)
+        extrapolates = Lead(options.lead) is Lead.EXTRAPOLATE
         begin = pose
-        if travels:
-            begin = extrapolated(self.rig, pose, following, leading)
+        if extrapolates:
+            begin = extrapolated(self.rig, pose, next_pose, preroll_frames)
         self.actors = []
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
-            skinned = isinstance(body, SurfaceBody)
-            sheets = [one.sheet for one in self.actors if one.sheet is not None]
+            is_skinned = isinstance(body, SurfaceBody)
+            sheets = [
+                previous.sheet for previous in self.actors if previous.sheet is not None
+            ]
             actor = Actor(
                 self.rig,
                 body,
@@ -219,27 +221,27 @@ class AttachSimulation:
                 begin,
                 self._skins_of(body),
                 self._world,
-                sheets if skinned else (),
+                sheets if is_skinned else (),
             )
             self.actors.append(actor)
         if self.resumed is not None:
             return
         static = self._paths(begin, begin)
-        settling = math.ceil(options.settle * rate)
-        self._frame -= settling + leading
-        self._to_cross += settling + leading
-        for _ in range(settling):
+        settle_frames = math.ceil(options.settle * rate)
+        self._frame -= settle_frames + preroll_frames
+        self._to_cross += settle_frames + preroll_frames
+        for _ in range(settle_frames):
             self._cross(static)
         root = self.rig.roots[0]
-        step = following.translations[root] - pose.translations[root]
-        for i in range(leading):
+        step = next_pose.translations[root] - pose.translations[root]
+        for i in range(preroll_frames):
             earlier, later = pose, pose
-            if travels:
+            if extrapolates:
                 earlier, later = (
-                    extrapolated(self.rig, pose, following, leading - i - k)
+                    extrapolated(self.rig, pose, next_pose, preroll_frames - i - k)
                     for k in (0, 1)
                 )
-            if travels and not i:
+            if extrapolates and not i:
                 for actor in self.actors:
                     actor.rush(step * rate)
             self._cross(self._paths(earlier, later))
@@ -259,9 +261,9 @@ class AttachSimulation:
         return PosePaths(self.rig, before, after)
 
     def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
-        most = self.options.teleport_speed
+        max_speed = self.options.teleport_speed
         for actor in self.actors:
-            if jumps or (most and actor.speed(paths) > most):
+            if jumps or (max_speed and actor.speed(paths) > max_speed):
                 actor.jump(paths)
             else:
                 actor.cross(paths, self._frame)
@@ -271,7 +273,7 @@ class AttachSimulation:
                 self._progress(min(self._crossed / total, 1.0))
         self._frame += 1
         if not self.options.loop:
-            # The next frame samples surfaces a little before its begin.
+            # The next frame samples surfaces a little before its start.
             since = self._frame / float(self._rate) - LOOK_BACK
             for bodies in self._world.bodies:
                 bodies.forget(since)
@@ -282,15 +284,19 @@ class AttachSimulation:
         """Load the resumed states at their frame; save requested ones."""
         if self.resumed is not None and code == self.resumed.frame:
             for actor in self.actors:
-                saved = self.resumed.states[actor.body.name]
-                motion = np.stack([saved.positions, saved.velocities])
-                actor.move(motion, saved.passages)
+                resumed_state = self.resumed.states[actor.body.name]
+                motion = np.stack([resumed_state.positions, resumed_state.velocities])
+                actor.move(motion, resumed_state.passages)
         if code in self.options.save_at:
             for actor in self.actors:
-                name, clocked = saved_state(actor.body, code)
-                now = actor.grid.state
-                state = AttachState(now.motion[0], now.motion[1], now.passages)
-                self.saved[name] = clocked, Reached(actor.steps, state)
+                name, clock = saved_state(actor.body, code)
+                spring_state = actor.grid.state
+                state = AttachState(
+                    spring_state.motion[0],
+                    spring_state.motion[1],
+                    spring_state.passages,
+                )
+                self.saved[name] = clock, Reached(actor.steps, state)
 
     def _cycle(self, motion: Motion) -> Motion:
         """Return a cycle whose attachments end as they start."""
@@ -299,8 +305,8 @@ class AttachSimulation:
         if count == 1:
             travel = CycleShift(np.zeros(3), so3.IDENTITY)
         else:
-            four = (poses[0], poses[1], poses[-2], poses[-1])
-            travel = travel_between(self.rig, upwards(self.rig), four)
+            end_poses = (poses[0], poses[1], poses[-2], poses[-1])
+            travel = travel_between(self.rig, upwards(self.rig), end_poses)
         poses.append(onward(self.rig, poses[0], travel))
         self._crossed, self._to_cross = 0, count * self.options.loop_repeats
         self._begin(poses[0], poses[1])
@@ -308,26 +314,31 @@ class AttachSimulation:
         for repeat in range(1, self.options.loop_repeats + 1):
             firsts = [actor.positions for actor in self.actors]
             rows = self._round(poses)
-            back = [_back(actor.grid.state.motion, travel) for actor in self.actors]
-            left = [first - end[0] for first, end in zip(firsts, back, strict=True)]
-            residual = max(float(np.abs(one).max(initial=0.0)) for one in left)
+            end_states = [
+                _moved_to_begin(actor.grid.state.motion, travel)
+                for actor in self.actors
+            ]
+            gaps = [
+                first - end[0] for first, end in zip(firsts, end_states, strict=True)
+            ]
+            residual = max(float(np.abs(gap).max(initial=0.0)) for gap in gaps)
             self.closing = Closing(repeat, residual, tolerance)
             if residual <= tolerance:
                 break
-            for actor, end in zip(self.actors, back, strict=True):
+            for actor, end in zip(self.actors, end_states, strict=True):
                 actor.move(end)
         weights = seam_weights(count)
-        for row, one, actor in zip(rows, left, self.actors, strict=True):
-            off = so3.rotate(travel.rotation, one)
+        for row, gap, actor in zip(rows, gaps, self.actors, strict=True):
+            off = so3.rotate(travel.rotation, gap)
             row.moved = [
                 moved + weight * off
                 for moved, weight in zip(row.moved, weights.tolist(), strict=True)
             ]
             actor.meter = ContactMeter()
             looks = zip(self.codes, row.moved, row.surroundings, strict=True)
-            for code, points, around in looks:
-                actor.measure(code, points, around)
-        return self._moved(motion, self._codes(self._early, count), rows)
+            for code, points, surroundings in looks:
+                actor.measure(code, points, surroundings)
+        return self._blended(motion, self._codes(self._early, count), rows)
 
     def _round(self, poses: list[LocalPose]) -> list[_Rows]:
         """Simulate a cycle once; return its frames except the last."""
@@ -346,7 +357,7 @@ class AttachSimulation:
             self._cross(self._paths(before, after), jumps=jumps)
         return rows
 
-    def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:
+    def _blended(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:
         """Return a motion with simulated values blended over animated ones."""
         options = self.options
         weights = weights_at(options.weight, codes, options.interpolation)
@@ -356,14 +367,16 @@ class AttachSimulation:
         for body, row in zip(self.bodies, rows, strict=True):
             moved, targets = np.stack(row.moved), np.stack(row.targets)
             if isinstance(body, ChainBody):
-                turned = self._turned(rotations, body, moved, targets, weights)
-                put = block.rotations.put(body.joints, turned)
-                block = replace(block, rotations=put)
+                simulated = self._blended_rotations(
+                    rotations, body, moved, targets, weights
+                )
+                channel = block.rotations.put(body.joints, simulated)
+                block = replace(block, rotations=channel)
             elif isinstance(body, SurfaceBody):
-                block = _pointed(block, body.mesh.name, moved, targets, weights)
+                block = _with_points(block, body.mesh.name, moved, targets, weights)
         return block
 
-    def _turned(
+    def _blended_rotations(
         self,
         rotations: FloatArray,
         body: ChainBody,
@@ -373,52 +386,56 @@ class AttachSimulation:
     ) -> FloatArray:
         """Return chain rotations that match simulated points ``(F, C, 4)``."""
         animated = rotations[:, body.joints]
-        turned = chain_rotations(self.rig, body.joints, rotations, targets, moved)
-        mixed = so3.slerp(animated, turned, weights[:, None])
-        blended = np.where((weights == 1)[:, None, None], turned, mixed)
+        simulated = chain_rotations(self.rig, body.joints, rotations, targets, moved)
+        interpolated = so3.slerp(animated, simulated, weights[:, None])
+        blended = np.where((weights == 1)[:, None, None], simulated, interpolated)
         first = int(body.joints[0])
-        before = self._signs.get(first, animated[0])
-        aligned = so3.align_signs(blended, before)
+        reference = self._signs.get(first, animated[0])
+        aligned = so3.align_signs(blended, reference)
         self._signs[first] = aligned[-1]
-        last = so3.angle_between(animated[:, -1], aligned[:, -1]) * (weights != 0)
-        most = max(self.swung.get(body.name, 0.0), float(last.max(initial=0.0)))
-        self.swung[body.name] = most
+        last_angles = so3.angle_between(animated[:, -1], aligned[:, -1]) * (
+            weights != 0
+        )
+        largest = max(
+            self.swung.get(body.name, 0.0), float(last_angles.max(initial=0.0))
+        )
+        self.swung[body.name] = largest
         # With weight 0 keep the animation bit for bit.
         return np.where((weights == 0)[:, None, None], animated, aligned)
 
 
-def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
+def _first_block_of_two(blocks: Iterator[Motion]) -> Iterator[Motion]:
     """Yield blocks, merging so that the first has two frames if possible."""
-    early: list[Motion] = []
+    pending: list[Motion] = []
     for block in blocks:
-        early.append(block)
-        if sum(one.frames for one in early) < 2:
+        pending.append(block)
+        if sum(motion.frames for motion in pending) < 2:
             continue
-        yield Motion.concatenate(early) if len(early) > 1 else early[0]
+        yield Motion.concatenate(pending) if len(pending) > 1 else pending[0]
         yield from blocks
         return
-    if early:
-        yield Motion.concatenate(early)
+    if pending:
+        yield Motion.concatenate(pending)
 
 
-def _back(motion: FloatArray, travel: CycleShift) -> FloatArray:
-    """Return the end state of a cycle moved back to its begin."""
+def _moved_to_begin(motion: FloatArray, travel: CycleShift) -> FloatArray:
+    """Return the end state of a cycle moved back to its start."""
     rotation = so3.conjugate(travel.rotation)
     return rigidly_moved(motion, -so3.rotate(rotation, travel.shift), rotation)
 
 
-def _pointed(
+def _with_points(
     block: Motion,
     name: str,
-    moved: FloatArray,
+    points: FloatArray,
     targets: FloatArray,
     weights: FloatArray,
 ) -> Motion:
     """Return a motion with simulated points blended over animated ones."""
-    values = moved
+    values = points
     if (weights != 1).any():
         weight = weights[:, None, None]
-        values = np.where(weight == 1, moved, targets + weight * (moved - targets))
+        values = np.where(weight == 1, points, targets + weight * (points - targets))
         values = np.where(weight == 0, targets, values)
     channel = Channel(values[0].copy(), np.arange(values.shape[1]), values)
     return replace(block, points={**block.points, name: channel})

@@ -22,8 +22,8 @@ from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
 from animtool.systems.framework.meter import ClosedSurface
 
-# Distance that cloth keeps from skins, relative to its edges [1]: an edge then cuts a
-# limb by at most this.
+# Minimum distance of cloth from skins, relative to its edge length [1]: it bounds how
+# deep an edge cuts into a limb.
 CORNERS = 1 / 4
 
 
@@ -55,7 +55,7 @@ class SkinSurface:
 def skins_of(rig: Rig, moving: Sequence[int] = ()) -> list[SkinSurface]:
     """Return the skinned meshes of a rig, except its cloth.
 
-    Without the faces that some joints move.
+    Faces skinned to the ``moving`` joints are left out.
     """
     cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
     surfaces = [
@@ -73,16 +73,16 @@ def skins_of(rig: Rig, moving: Sequence[int] = ()) -> list[SkinSurface]:
 
 
 def _skin(
-    rig: Rig, surface: Surface, mesh: CharacterMesh, moving: Sequence[int]
+    rig: Rig, surface: Surface, mesh: CharacterMesh, moving_joints: Sequence[int]
 ) -> SkinSurface:
     skin, vertices = surface.skin, surface.points
     assert skin is not None
-    numbers = np.array([rig.index(name) for name in skin.joints], np.int64)
-    held = (skin.weights > 0) & np.isin(numbers[skin.indices], moving)
-    corners = np.asarray(held.any(axis=1))[surface.indices]
-    face = np.repeat(np.arange(len(surface.counts)), surface.counts)
-    kept = np.bincount(face, corners, len(surface.counts)) == 0
-    faces = surface.counts[kept], surface.indices[kept[face]]
+    joint_numbers = np.array([rig.index(name) for name in skin.joints], np.int64)
+    is_moved = (skin.weights > 0) & np.isin(joint_numbers[skin.indices], moving_joints)
+    corners = np.asarray(is_moved.any(axis=1))[surface.indices]
+    face_numbers = np.repeat(np.arange(len(surface.counts)), surface.counts)
+    is_kept = np.bincount(face_numbers, corners, len(surface.counts)) == 0
+    faces = surface.counts[is_kept], surface.indices[is_kept[face_numbers]]
     triangles, points, borders = capped(*faces, len(vertices))
     middles = [vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
     corners = np.concatenate([vertices, np.array(middles).reshape(-1, 3)])[triangles]
@@ -90,8 +90,8 @@ def _skin(
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
     used_joints = np.zeros(len(rig.joints), np.bool_)
-    used_joints[numbers[skin.indices[skin.weights > 0]]] = True
-    used_joints[list(moving)] = False
+    used_joints[joint_numbers[skin.indices[skin.weights > 0]]] = True
+    used_joints[list(moving_joints)] = False
     return SkinSurface(mesh, triangles, points, borders, used_joints)
 
 
@@ -118,24 +118,26 @@ def capped(
 
     triangles = triangulated(counts, indices)
     side_corners = directed_edges(counts, indices)
-    numbers = np.sort(side_corners, axis=1) @ [size, 1]
-    _, which, often = np.unique(numbers, return_inverse=True, return_counts=True)
-    open_ = side_corners[often[which.reshape(-1)] == 1]
-    points, ends = np.unique(open_, return_inverse=True)
+    edge_keys = np.sort(side_corners, axis=1) @ [size, 1]
+    _, edge_numbers, face_counts = np.unique(
+        edge_keys, return_inverse=True, return_counts=True
+    )
+    border_edges = side_corners[face_counts[edge_numbers.reshape(-1)] == 1]
+    points, ends = np.unique(border_edges, return_inverse=True)
     ends = ends.reshape(-1, 2)
-    joined = coo_array((np.ones(len(ends)), ends.T), (len(points), len(points)))
+    graph = coo_array((np.ones(len(ends)), ends.T), (len(points), len(points)))
     borders = np.zeros(0, np.int64)
     if len(points):
-        borders = connected_components(joined, directed=False)[1].astype(np.int64)
+        borders = connected_components(graph, directed=False)[1].astype(np.int64)
     middles = size + borders[ends[:, 0]]
-    fans = np.stack([open_[:, 1], open_[:, 0], middles], axis=1)
+    fans = np.stack([border_edges[:, 1], border_edges[:, 0], middles], axis=1)
     return np.concatenate([triangles, fans]), points, borders
 
 
 def margin_for(edge: float, radius: float) -> float:
-    """Return the distance beyond its radius that cloth keeps from skins [m].
+    """Return the additional distance between cloth and skins, beyond the radius [m].
 
-    Long edges need it: their particles are outside, but they cut the corner of a limb.
+    Long edges need it: their ends are outside, but they cut the corner of a limb.
 
     >>> round(margin_for(0.04, 0.005), 6), margin_for(0.01, 0.005)
     (0.005, 0.0)
@@ -146,15 +148,15 @@ def margin_for(edge: float, radius: float) -> float:
 def nearness(
     solid: ClosedSurface, points: FloatArray, kept: float, *, inside: bool = False
 ) -> FloatArray:
-    """Return the offset of the kept distance for points on a skin ``(N,)`` [m].
+    """Return contact distance offsets of points near a skin ``(N,)`` [m].
 
-    At most 0: points that start closer keep their distance. They stay outside unless
-    those that start inside may stay as deep.
+    Offsets are at most 0: points that start closer keep their initial distance. With
+    ``inside``, points that start inside may stay as deep.
     """
-    near = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
-    distances = near.sample(points, 0.0, 1.0).distances[0]
-    least = -np.inf if inside else 0.0
-    return np.asarray(np.clip(distances, least, kept) - kept)
+    collider = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
+    distances = collider.sample(points, 0.0, 1.0).distances[0]
+    lower = -np.inf if inside else 0.0
+    return np.asarray(np.clip(distances, lower, kept) - kept)
 
 
 class SkinContacts:
@@ -175,15 +177,15 @@ class SkinContacts:
     def depths(
         self, path: PosePath, targets: FloatArray, radius: float, *, inside: bool
     ) -> list[FloatArray]:
-        """Return the offset of the kept distance for each skin ``(N,)`` [m].
+        """Return contact distance offsets for each skin ``(N,)`` [m].
 
-        From the first pose of a path; particles keep a radius and the margin.
+        They are measured in the first pose of a path.
         """
-        kept = radius + self._numbers[2]
+        distance = radius + self._numbers[2]
         solids = [
             ClosedSurface(skin.points(path)[0], skin.triangles) for skin in self._skins
         ]
-        return [nearness(one, targets, kept, inside=inside) for one in solids]
+        return [nearness(solid, targets, distance, inside=inside) for solid in solids]
 
     def __bool__(self) -> bool:
         """Return whether there are any skins."""

@@ -64,8 +64,10 @@ def check_motion(motion: FloatArray) -> None:
     """Raise SIM102 if a state ``(2, N, 3)`` is not finite or out of bounds."""
     if np.abs(motion).max(initial=0.0) <= MAX_VALUE:
         return
-    far = np.abs(motion[0])
-    number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
+    magnitudes = np.abs(motion[0])
+    number = int(
+        np.argmax(np.where(np.isnan(magnitudes), np.inf, magnitudes).max(axis=-1))
+    )
     message = f"the simulation blew up: particle {number} is at "
     message += f"{np.array2string(motion[0, number], precision=3)} m"
     hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
@@ -80,9 +82,9 @@ def cells_of(steps: int) -> tuple[int, int]:
     """
     if steps <= MAX_CELLS:
         return steps, 1
-    some = range(MAX_CELLS, MIN_CELLS - 1, -1)
-    every = [(cells, math.ceil(steps / cells)) for cells in some]
-    return min(every, key=math.prod)
+    cell_counts = range(MAX_CELLS, MIN_CELLS - 1, -1)
+    divisions = [(cells, math.ceil(steps / cells)) for cells in cell_counts]
+    return min(divisions, key=math.prod)
 
 
 class AttachedSprings:
@@ -103,12 +105,12 @@ class AttachedSprings:
         down: FloatArray,
         span: float,
     ) -> None:
-        """Build the kernel arguments of frames [s].
+        """Build the kernel arguments for frames of length ``span`` [s].
 
-        Down is the direction of gravity ``(3,)``.
+        ``down`` is the direction of gravity ``(3,)``.
         """
-        needed = math.ceil(steps_per_second(network, settings) * span - 1e-9)
-        self.cells, self.substeps = cells_of(max(1, needed))
+        min_steps = math.ceil(steps_per_second(network, settings) * span - 1e-9)
+        self.cells, self.substeps = cells_of(max(1, min_steps))
         self.thickness, self._span = thickness_of(network, settings), span
         self._network, self._settings = network, settings
         if network.strands:
@@ -135,13 +137,13 @@ class AttachedSprings:
         """Return the grid a frame later.
 
         Args:
-            grid: State at its begin.
+            grid: State at its start.
             path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
             met: Colliders in these cells.
-            own: Rigid ones of the character: the first, and how many. Only particles
-                of strands collide with them.
+            own: Rigid colliders of the character: first index and count. Only
+                particles of strands collide with them.
         """
-        least, strain = self.substeps, grid.stretch
+        min_substeps, strain = self.substeps, grid.stretch
         if self._network.strands:
             grid = followed(
                 self._strands, grid, path, self._span, met, own, threads_allowed()
@@ -149,25 +151,27 @@ class AttachedSprings:
         else:
             system, stretch = self._system, self._settings.stretch
             system.lead(self._span, path)
-            state = replace(grid.state, substeps=least, calm=0)
+            state = replace(grid.state, substeps=min_substeps, calm=0)
             grid = replace(grid, index=0, state=state)
-            most = least if self._settings.options.rate else FINER * least
+            max_substeps = (
+                min_substeps if self._settings.options.rate else FINER * min_substeps
+            )
             # The strain of stiff cloth springs is clamped too.
             limit = stretch if len(self._network.triangles) else 0.0
             grid = projected(
                 system.network(0), grid, self.cells, met, system.layers, stretch,
-                most, limit,
+                max_substeps, limit,
             )  # fmt: skip
-            now = self._strain(grid.state.motion[0])
-            grid = replace(grid, stretch=max(strain, now))
+            frame_strain = self._strain(grid.state.motion[0])
+            grid = replace(grid, stretch=max(strain, frame_strain))
         check_motion(grid.state.motion)
         return grid
 
     def _strain(self, x: FloatArray) -> float:
         rests, (i, j) = self._network.rests, self._network.sides.T
-        moved = ~(self._system.fixed[i] & self._system.fixed[j]) & (rests > 0)
-        lengths = np.linalg.norm(x[j[moved]] - x[i[moved]], axis=1)
-        return float((lengths / rests[moved] - 1).max(initial=0.0))
+        is_measured = ~(self._system.fixed[i] & self._system.fixed[j]) & (rests > 0)
+        lengths = np.linalg.norm(x[j[is_measured]] - x[i[is_measured]], axis=1)
+        return float((lengths / rests[is_measured] - 1).max(initial=0.0))
 
 
 def thickness_of(network: Network, settings: AttachSettings) -> float:
@@ -185,22 +189,22 @@ def _system(
     """Return the spring system of a network, pinned and pulled to rest positions."""
     options = settings.options
     body = network.body(options.diagonals, settings.bend)
-    drawn = network.free if settings.frequency else network.free[:0]
-    masses, omega = body.masses[drawn], 2 * math.pi * settings.frequency
+    pulled = network.free if settings.frequency else network.free[:0]
+    masses, omega = body.masses[pulled], 2 * math.pi * settings.frequency
     # Air acts on the triangles of cloth; other kinds have linear drag.
     wind, cloth = np.array(options.wind), len(network.triangles) > 0
-    slowing = 0.0 if cloth else options.drag
+    linear_drag = 0.0 if cloth else options.drag
     return SpringSystem(
         body,
         pins=Pins(network.pinned),
         targets=PointTargets(
-            drawn,
-            body.positions[drawn],
+            pulled,
+            body.positions[pulled],
             masses * omega**2,
             masses * (2 * options.ratio * omega),
         ),
-        gravity=options.gravity * down + slowing * wind,
-        drag=slowing,
+        gravity=options.gravity * down + linear_drag * wind,
+        drag=linear_drag,
         air=Air(wind, options.drag, options.drag / 2) if cloth else None,
         self_contact=SelfContact(thickness, options.friction) if thickness else None,
     )

@@ -39,20 +39,22 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     >>> shortest_rotations(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    lengths = [np.linalg.norm(part, axis=-1, keepdims=True) for part in (before, after)]
-    solid = (lengths[0] > SHORTEST) & (lengths[1] > SHORTEST)
-    a = before / np.where(solid, lengths[0], 1.0)
-    b = after / np.where(solid, lengths[1], 1.0)
+    lengths = [
+        np.linalg.norm(vectors, axis=-1, keepdims=True) for vectors in (before, after)
+    ]
+    has_length = (lengths[0] > SHORTEST) & (lengths[1] > SHORTEST)
+    a = before / np.where(has_length, lengths[0], 1.0)
+    b = after / np.where(has_length, lengths[1], 1.0)
     dots = (a * b).sum(axis=-1, keepdims=True)
-    across = np.cross(a, b)
-    rotations = so3.normalize(np.concatenate([across, 1.0 + dots], axis=-1))
-    opposed = solid[:, 0] & (dots[:, 0] < -1 + 1e-12)
-    if opposed.any():
-        least = np.eye(3)[np.abs(a[opposed]).argmin(axis=-1)]
-        axes = np.cross(a[opposed], least)
+    cross = np.cross(a, b)
+    rotations = so3.normalize(np.concatenate([cross, 1.0 + dots], axis=-1))
+    opposite = has_length[:, 0] & (dots[:, 0] < -1 + 1e-12)
+    if opposite.any():
+        smallest_axes = np.eye(3)[np.abs(a[opposite]).argmin(axis=-1)]
+        axes = np.cross(a[opposite], smallest_axes)
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        rotations[opposed] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
-    return np.where(solid, rotations, so3.IDENTITY)
+        rotations[opposite] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
+    return np.where(has_length, rotations, so3.IDENTITY)
 
 
 def chain_rotations(
@@ -64,13 +66,13 @@ def chain_rotations(
 ) -> FloatArray:
     """Return local rotations ``(F, C, 4)`` that align bones with moved points.
 
-    Each joint inherits the rotation of those above it and gets the shortest rotation
+    Each joint inherits the rotation of its parents and gets the shortest rotation
     that aligns its bone, without twist. Joint limits apply: a pin keeps its axis, and
     the bones below continue from there. With non-uniform scales, directions are
     approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are
     ``(F, C + 1, 3)`` [m].
     """
-    world = _above(rig, int(joints[0]), rotations)
+    world = _parent_rotation(rig, int(joints[0]), rotations)
     inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
     result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
@@ -82,7 +84,7 @@ def chain_rotations(
         )
         goal = so3.multiply(swing, so3.multiply(parent, source))
         local = so3.normalize(so3.multiply(so3.conjugate(parent), goal))
-        result[:, k] = _allowed(rig.joints[joint], local, source)
+        result[:, k] = _limited(rig.joints[joint], local, source)
         world = so3.multiply(world, source)
         # World rotation of the joints so far relative to the animation.
         inherited = so3.multiply(
@@ -91,7 +93,7 @@ def chain_rotations(
     return result
 
 
-def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
+def _parent_rotation(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
     """Return the world rotation of the parent of a joint ``(F, 4)``."""
     rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     parent = rig.joints[joint].parent
@@ -101,13 +103,13 @@ def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
     return rotation
 
 
-def _allowed(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArray:
+def _limited(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArray:
     """Return rotations within the joint limits ``(F, 4)``; fallback if fixed."""
     rest = np.array(joint.rotation)
     motion = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
-        along = (motion[:, :3] * np.array(joint.axis)).sum(axis=-1)
-        angle = 2 * np.arctan2(along, motion[:, 3])
+        projection = (motion[:, :3] * np.array(joint.axis)).sum(axis=-1)
+        angle = 2 * np.arctan2(projection, motion[:, 3])
         angle = np.remainder(angle + np.pi, 2 * np.pi) - np.pi
         if isinstance(joint.limits, RangeLimit):
             angle = joint.limits.clamped(angle)
@@ -129,14 +131,14 @@ def depth(
     """
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
-    away = points - ends[0]
+    offsets = points - ends[0]
     fractions = np.zeros(len(points))
     if square > 0:
-        fractions = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
-    radial = away - fractions[:, None] * axis
+        fractions = np.clip((offsets * axis).sum(axis=1) / square, 0.0, 1.0)
+    radial = offsets - fractions[:, None] * axis
     length = np.sqrt((radial * radial).sum(axis=1))[:, None]
-    out = np.divide(radial, length, out=np.zeros_like(radial), where=length > 0)
-    return length[:, 0] - radius, out, fractions
+    outward = np.divide(radial, length, out=np.zeros_like(radial), where=length > 0)
+    return length[:, 0] - radius, outward, fractions
 
 
 def depth_at_bind(
@@ -147,10 +149,10 @@ def depth_at_bind(
     Capsules may be thicker than the body, so that points on the body start inside; they
     may stay that deep.
     """
-    placed = capsules.world_ends(bind_world(rig))[0]
+    bind_ends = capsules.world_ends(bind_world(rig))[0]
     depths = np.zeros((len(capsules), len(points)))
     for c, radius in enumerate((capsules.radii + margin).tolist()):
-        depths[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
+        depths[c] = np.minimum(depth(points, bind_ends[c], radius)[0], 0.0)
     return depths
 
 
@@ -175,19 +177,25 @@ class CharacterColliders:
         """
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
-        like = Collider(
+        capsule_collider = Collider(
             Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
         )
-        every = [*world, *([like] * len(capsules))]
-        self._colliders = Colliders(every, [*world.sheets, *layers], world.bodies)
+        rigid_colliders = [*world, *([capsule_collider] * len(capsules))]
+        self._colliders = Colliders(
+            rigid_colliders, [*world.sheets, *layers], world.bodies
+        )
         first = len(world)
         self.own = first, len(capsules)  # rigid colliders of the character
-        self._sizes = self._colliders.arrays(0.0, 0.0)[1][first : len(every)].copy()
+        self._sizes = self._colliders.arrays(0.0, 0.0)[1][
+            first : len(rigid_colliders)
+        ].copy()
         self._sizes[:, 6] = radii
         self._allowed, skins = depths
         rigid = np.zeros((self._colliders.rigid, self._allowed.shape[1]))
-        rigid[first : len(every)] = self._allowed
-        self._depths = np.concatenate([rigid, *(one[None] for one in skins)])
+        rigid[first : len(rigid_colliders)] = self._allowed
+        self._depths = np.concatenate(
+            [rigid, *(distances[None] for distances in skins)]
+        )
 
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float
@@ -199,8 +207,8 @@ class CharacterColliders:
         deepest = depths_of(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
         for c, ends in enumerate(self._capsules.world_ends(world)[-1]):
-            inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
-            np.maximum(deepest, inside, out=deepest)
+            penetration = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
+            np.maximum(deepest, penetration, out=deepest)
         return deepest
 
     def solids(self, t: float) -> list[ClosedSurface]:

@@ -54,7 +54,7 @@ MAX_INDEX = 1 << 31
 
 
 def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
-    """Return notices about frames in options, after the whole take.
+    """Return notices about frames named in options, after the take has ended.
 
     Frames missing in the take have no effect (SIM185). Frames before a resumed one are
     those of the take (SIM186).
@@ -62,13 +62,13 @@ def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
     options, codes, resumed = simulation.options, simulation.codes, simulation.resumed
     if not codes:
         return []
-    named = {"save_at": options.save_at, "teleports": options.teleports}
+    frames_by_option = {"save_at": options.save_at, "teleports": options.teleports}
     if resumed is not None:
-        named["resume"] = (resumed.frame,)
+        frames_by_option["resume"] = (resumed.frame,)
     visited = set(codes)
     notices = [
-        _in_vain(name, missing, codes)
-        for name, frames in named.items()
+        _missing_frames(name, missing, codes)
+        for name, frames in frames_by_option.items()
         if (missing := [frame for frame in frames if frame not in visited])
     ]
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
@@ -78,7 +78,7 @@ def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
     return notices
 
 
-def _in_vain(option: str, frames: list[float], codes: list[float]) -> Fault:
+def _missing_frames(option: str, frames: list[float], codes: list[float]) -> Fault:
     noun = "frame" if len(frames) == 1 else "frames"
     message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
     message += f", but the take has {codes[0]:g} to {codes[-1]:g}"
@@ -117,9 +117,9 @@ def reports_of(simulation: AttachSimulation) -> list[AttachReport]:
 
 
 def _report(actor: Actor) -> AttachReport:
-    grid, aimed = actor.grid, actor.settings.stretch
+    grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
-    if grid.stretch > PARDON * aimed:
+    if grid.stretch > PARDON * target_strain:
         status = "stretched"
     if grid.unresolved or grid.through.passed or grid.through.cut:
         status = "unresolved"
@@ -130,7 +130,7 @@ def _report(actor: Actor) -> AttachReport:
         actor.body.network.count,
         actor.steps,
         grid.stretch,
-        aimed,
+        target_strain,
         grid.touching,
         grid.unresolved,
         grid.through.passed,
@@ -147,58 +147,58 @@ def _report(actor: Actor) -> AttachReport:
 def notices_of(simulation: AttachSimulation) -> list[Fault]:
     """Return notices of a finished simulation."""
     reports = reports_of(simulation)
-    said = [
+    notices = [
         _note(report, actor)
         for report, actor in zip(reports, simulation.actors, strict=True)
     ]
     for actor, report in zip(simulation.actors, reports, strict=True):
-        said += _of_start(actor) + _warnings(report)
+        notices += _start_notices(actor) + _warnings(report)
         if isinstance(actor.body, ChainBody) and actor.body.bare:
-            said += _bare(simulation, actor.body)
-        said += through_notices(actor.grid.through, f"the cloth {report.name}")
+            notices += _last_joint_notices(simulation, actor.body)
+        notices += through_notices(actor.grid.through, f"the cloth {report.name}")
         if isinstance(actor.body, SurfaceBody):
-            said += actor.meter.notices(report.name)
+            notices += actor.meter.notices(report.name)
     if simulation.closing is not None:
         names = listed([report.name for report in reports])
-        said.append(_closed(names, simulation.closing))
-    return said + of_named_frames(simulation)
+        notices.append(_cycle_notice(names, simulation.closing))
+    return notices + of_named_frames(simulation)
 
 
 def _note(report: AttachReport, actor: Actor) -> Fault:
-    parts = [
+    phrases = [
         f"{report.name}: {counted(report.steps, 'step')} per frame",
         f"springs stretch by up to {percent(report.stretch)}",
     ]
     if report.contacts:
-        parts.append(f"up to {counted(report.contacts, 'particle')} in contact")
+        phrases.append(f"up to {counted(report.contacts, 'particle')} in contact")
     if actor.meter.text:
-        parts.append(actor.meter.text)
+        phrases.append(actor.meter.text)
     if report.jumps:
-        parts.append(
+        phrases.append(
             f"moved with the character over {counted(report.jumps, 'teleport')}"
         )
-    return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)
+    return Fault("SIM130", ", ".join(phrases), severity=Severity.NOTE)
 
 
-def _of_start(actor: Actor) -> list[Fault]:
+def _start_notices(actor: Actor) -> list[Fault]:
     """Return notices about the geometry and start of an attachment."""
-    said, name, network = [], actor.body.name, actor.body.network
+    notices, name, network = [], actor.body.name, actor.body.network
     problems = surface_problems(network)
     if problems:
         message = f"{name}: {listed(problems)}; it is simulated as it is"
-        said.append(Fault("SIM106", message, severity=Severity.NOTE))
+        notices.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.lost:
-        every = actor.lost == len(network.sides)
-        which = "every spring" if every else counted(actor.lost, "spring")
+        all_lost = actor.lost == len(network.sides)
+        springs = "every spring" if all_lost else counted(actor.lost, "spring")
         message = (
-            f"{name}: the ends of {which} are at the same position in the first pose"
+            f"{name}: the ends of {springs} are at the same position in the first pose"
         )
         hint = "without a direction they have no effect until something separates them"
-        said.append(warning("SIM140", message, hint))
-    return said + actor.tangles
+        notices.append(warning("SIM140", message, hint))
+    return notices + actor.tangles
 
 
-def _bare(simulation: AttachSimulation, chain: ChainBody) -> list[Fault]:
+def _last_joint_notices(simulation: AttachSimulation, chain: ChainBody) -> list[Fault]:
     """Return a warning if the rotation of a chain's last joint moves nothing."""
     angle = simulation.swung.get(chain.name, 0.0)
     if angle < MIN_SWING:
@@ -229,7 +229,7 @@ def _warnings(report: AttachReport) -> list[Fault]:
     return warnings
 
 
-def _closed(names: str, closing: Closing) -> Fault:
+def _cycle_notice(names: str, closing: Closing) -> Fault:
     message = f"{names}: the cycle was simulated {counted(closing.repeats, 'time')}; "
     message += f"its ends differ by {1000 * closing.residual:.3g} mm"
     if closing.residual <= closing.tolerance:
@@ -253,8 +253,8 @@ def simulate(
     """Simulate attachments of a rig through a take, block by block.
 
     Chains rotate their joints. Cloth and strands get points, which are written as point
-    caches. Cloth and strands collide with cloth that is named before them and has
-    self-contact; that cloth does not feel them.
+    caches. They also collide with cloth that is named before them and has
+    self-contact; that cloth is not affected.
 
     Args:
         stream: The take.
@@ -289,16 +289,16 @@ def simulate(
         stream.fps / stream.step,
         start,
         stream.step,
-        _resumed(bodies, options, folder),
+        _load_states(bodies, options, folder),
         early,
         progress,
         world,
     )
-    named = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
+    point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
         stream,
         blocks=_blocks(simulation, stream, folder if keeps else None),
-        points=stream.points | set(named),
+        points=stream.points | set(point_names),
     )
 
 
@@ -312,7 +312,7 @@ def _blocks(
     stream.simulated.extend(asdict(report) for report in reports_of(simulation))
 
 
-def _resumed(
+def _load_states(
     bodies: Sequence[AttachedBody], options: SimulateOptions, folder: Path
 ) -> SavedFrame | None:
     """Return the latest saved states of a file."""

@@ -96,12 +96,10 @@ def agents_of(
     """Return the agents of a spec; overlapping ones are separated (SIM147)."""
     _check(spec)
     samples = [
-        _sample_population(population, groups_of_population, begin, frame)
-        for population, groups_of_population in zip(
-            spec.populations, parts, strict=True
-        )
+        _sample_population(population, part, begin, frame)
+        for population, part in zip(spec.populations, parts, strict=True)
     ]
-    counts = [len(each[0]) for each in samples]
+    counts = [len(sample[0]) for sample in samples]
     (
         starts,
         speeds,
@@ -112,8 +110,8 @@ def agents_of(
         sizes,
         clip_phases,
     ) = (
-        np.concatenate(each)
-        for each in zip(*(population[:8] for population in samples), strict=True)
+        np.concatenate(sample)
+        for sample in zip(*(population[:8] for population in samples), strict=True)
     )
     groups, group_count = [], 0
     for *_, groups_of_population in samples:
@@ -143,10 +141,7 @@ def agents_of(
     )
     return _without_overlaps(
         agents,
-        [
-            groups_of_population.get("points") is not None
-            for groups_of_population in parts
-        ],
+        [part.get("points") is not None for part in parts],
     )
 
 
@@ -167,15 +162,15 @@ def _without_overlaps(
         starts, overlap = separate_agents(agents, previous, *no_walls)
         # Separated agents may now be inside another.
         overlap = overlap if (starts == previous).all() else np.inf
-    moved = np.linalg.norm(starts - agents.starts, axis=1)
-    moved_far = (moved > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
+    distances = np.linalg.norm(starts - agents.starts, axis=1)
+    moved_far = (distances > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
         from_points, bool
     )[agents.kinds]
     faults = []
     if moved_far.any():
         message = f"{counted(int(moved_far.sum()), 'agent')} would start inside each "
         message += f"other, {agents.label(int(np.argmax(moved_far)))} first: moved "
-        message += f"apart by up to {moved.max():.3g} m"
+        message += f"apart by up to {distances.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > OVERLAP_TOLERANCE * radius:
         message = "agents start inside each other: too many for their region"
@@ -194,7 +189,7 @@ def separate_agents(
     """
     velocities, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
-    moved, _, overlap, _ = _kernels.crowd_step(
+    separated, _, overlap, _ = _kernels.crowd_step(
         points=x, velocities=velocities, preferred=velocities,
         radii=agents.radii, most=np.zeros(count), gives=agents.yielding,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
@@ -203,7 +198,7 @@ def separate_agents(
         side=0.0, step=1.0, rounds=SEPARATION_ITERATIONS,
         enough=OVERLAP_TOLERANCE * radius,
     )  # fmt: skip
-    return moved, overlap
+    return separated, overlap
 
 
 def _sample_population(
@@ -277,7 +272,9 @@ def _check(spec: CrowdsModel) -> None:
 def _problems(spec: CrowdsModel) -> Iterator[Problem]:
     goals = [goal.name for goal in spec.goals]
     yield from duplicate_names("goals", goals)
-    yield from duplicate_names("populations", [one.name for one in spec.populations])
+    yield from duplicate_names(
+        "populations", [population.name for population in spec.populations]
+    )
     for k, population in enumerate(spec.populations):
         where = f"populations[{k}]"
         for name in population.route:
@@ -291,11 +288,13 @@ def _problems(spec: CrowdsModel) -> Iterator[Problem]:
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
             yield message, where, "then: stay"
-    for what in ("shows", "gaits"):
-        shown = [getattr(one, what) is not None for one in spec.populations]
-        if any(shown) and not all(shown):
-            name = spec.populations[shown.index(False)].name
-            message = f"some populations have {what}, but {name!r} does not"
+    for key in ("shows", "gaits"):
+        is_shown = [
+            getattr(population, key) is not None for population in spec.populations
+        ]
+        if any(is_shown) and not all(is_shown):
+            name = spec.populations[is_shown.index(False)].name
+            message = f"some populations have {key}, but {name!r} does not"
             yield message, "populations", "give it to all of them, or make two systems"
     for k, door in enumerate(spec.doors):
         for first, last in door.opens:

@@ -29,8 +29,10 @@ def clear_starts(
     x, notices = agents.starts, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.free.any():
-        blocked = is_blocked(grid, x)
-        x = np.where(blocked[:, None], grid.positions_of(grid.nearest_free_node(x)), x)
+        is_off_grid = is_blocked(grid, x)
+        x = np.where(
+            is_off_grid[:, None], grid.positions_of(grid.nearest_free_node(x)), x
+        )
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_PASSES):
         walls = obstacles.walls(begin, 0.0, x)
@@ -40,10 +42,12 @@ def clear_starts(
         x, _ = separate_agents(agents, x, walls.starts, walls.rows)
         if np.abs(x - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
-    moved = np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
-    if moved.any():
-        first = agents.label(int(np.argmax(moved)))
-        message = f"{counted(int(moved.sum()), 'agent')} would start in an obstacle "
+    is_moved = (
+        np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
+    )
+    if is_moved.any():
+        first = agents.label(int(np.argmax(is_moved)))
+        message = f"{counted(int(is_moved.sum()), 'agent')} would start in an obstacle "
         message += f"or off the ground, {first} first: moved out"
         notices.append(warning("SIM148", message, "begin elsewhere"))
     return x, notices
@@ -57,7 +61,7 @@ def unreachable(
     if grid is None or not grid.free.any():
         return []
     components = grid.components.ravel()
-    reachable = components[grid.nearest_free_node(start)]
+    start_components = components[grid.nearest_free_node(start)]
     for g, goal in enumerate(spec.goals):
         position = steering.points[g : g + 1]
         if is_blocked(grid, position)[0]:
@@ -66,7 +70,7 @@ def unreachable(
             faults.append(warning("SIM146", message, "move the goal"))
         goal_component = components[grid.nearest_free_node(position)[0]]
         for kind, population in enumerate(spec.populations):
-            cut_off = (agents.kinds == kind) & (reachable != goal_component)
+            cut_off = (agents.kinds == kind) & (start_components != goal_component)
             if goal.name in population.route and cut_off.any():
                 message = f"no path leads {counted(int(cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "
@@ -78,12 +82,12 @@ def unreachable(
 
 def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
     """Return a world direction projected on the ground ``(2,)``, normalised."""
-    projected = frame.vector_to_local(np.array(direction, float))[[0, 2]]
-    length = float(np.linalg.norm(projected))
+    ground_direction = frame.vector_to_local(np.array(direction, float))[[0, 2]]
+    length = float(np.linalg.norm(ground_direction))
     if not length > 0:
         message = "the direction of a queue is vertical"
         refuse("SIM145", message, "goals", "use a direction along the ground")
-    return np.asarray(projected / length)
+    return np.asarray(ground_direction / length)
 
 
 def ground_of(context: SimContext) -> tuple[Frame, Terrain]:

@@ -77,7 +77,7 @@ class AgentBodies(Footing):
         """Return rotations of the animated joints of each gait, and of the idle."""
         gaits = self.gaits
         return [
-            one.rotations[:, self.animated] for one in gaits.moving
+            gait.rotations[:, self.animated] for gait in gaits.moving
         ], gaits.idle.rotations[:, self.animated]
 
     def first(self, motion: AgentMotion, chances: FloatArray) -> BodyState:
@@ -152,18 +152,18 @@ class AgentBodies(Footing):
 
         ``hit``: mask of agents that were hit in the step ``(N,)``.
         """
-        turning = wrap_angles(after.headings - before.headings) / dt
+        yaw_velocities = wrap_angles(after.headings - before.headings) / dt
         # Actual velocities: those of pushed agents differ from the preferred ones.
         local_velocities = rotated_about_y(
             (after.points - before.points) / dt, -after.headings
         )
         paces = np.stack(
-            [local_velocities[:, 1], turning, local_velocities[:, 0]], axis=1
+            [local_velocities[:, 1], yaw_velocities, local_velocities[:, 0]], axis=1
         )
         paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACE_TIME)
         blend = self.blend(paces)
         is_misplaced = self.is_misplaced(state, after, blend)
-        standing = (state.swings < 0).all(axis=1)
+        is_standing = (state.swings < 0).all(axis=1)
         slow_speed = STANDING_SPEED * self.gaits.moving[0].speed * self.scales
         is_moving = (local_velocities[:, 1] > slow_speed) | (
             np.linalg.norm(local_velocities, axis=1) > PUSHED_SPEED * slow_speed
@@ -172,11 +172,13 @@ class AgentBodies(Footing):
         phases = self._lift_phases(
             state, blend, walks & (state.still >= 1), is_misplaced, after
         )
-        advances = walks | ~standing
+        advances = walks | ~is_standing
         stances = self._stances(state, after, phases, blend)
         speeds = local_velocities / self.scales[:, None]
         yaw_rates = np.clip(
-            turning, paces[:, 1] - YAW_RATE_TOLERANCE, paces[:, 1] + YAW_RATE_TOLERANCE
+            yaw_velocities,
+            paces[:, 1] - YAW_RATE_TOLERANCE,
+            paces[:, 1] + YAW_RATE_TOLERANCE,
         )
         rates, ends = step_rates(self.reach, stances, speeds, yaw_rates)
         # Hurried steps slow down again with the pace.
@@ -199,16 +201,16 @@ class AgentBodies(Footing):
             self._advance(k, phases, change, blend, (before, after), footholds, swings)
             has_lifted = (state.swings[:, k] < 0) & (swings[:, k] >= 0)
             heels[has_lifted, k] = heel_pitches[has_lifted]
-            remaining = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
-            spans[has_lifted, k] = remaining[has_lifted]
+            remaining_phases = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
+            spans[has_lifted, k] = remaining_phases[has_lifted]
             has_landed = (state.swings[:, k] >= LANDING_FIXED) & (swings[:, k] < 0)
             footholds[has_landed, k] = state.aims[has_landed, k]
         phases = (phases + change) % 1.0
         for k in range(2):
             is_swinging = (swings[:, k] >= 0) & ~(state.swings[:, k] >= LANDING_FIXED)
-            remaining = (1 - (phases - 0.5 * k) % 1.0) / rates
-            yaw = np.clip(paces[:, 1] * remaining, -MAX_YAW, MAX_YAW)
-            future_points = after.points + after.velocities * remaining[:, None]
+            remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
+            yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
+            future_points = after.points + after.velocities * remaining_times[:, None]
             landings = self.landing_at(
                 k, blend, future_points, after.headings + yaw, footholds
             )
@@ -247,7 +249,7 @@ class AgentBodies(Footing):
         stances = self._stances(state, motion, state.phases, blend)
         footholds = state.places.copy()
         leg = self.gaits.walker.leg
-        lowered = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
+        lowering = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
         for k in range(2):
             stance = (
                 k,
@@ -264,9 +266,9 @@ class AgentBodies(Footing):
             footholds[has_landed, k, :2] += rotated_about_y(shift, motion.headings)[
                 has_landed
             ]
-            required = np.where(is_planted, self.reach.lowered(*stance), 0.0)
-            lowered = np.maximum(lowered, required)
-        return replace(state, places=footholds, lowered=lowered)
+            required_lowering = np.where(is_planted, self.reach.lowered(*stance), 0.0)
+            lowering = np.maximum(lowering, required_lowering)
+        return replace(state, places=footholds, lowered=lowering)
 
     @cached_property
     def reach(self) -> Reach:
@@ -376,13 +378,13 @@ class AgentBodies(Footing):
         phase = np.where(lifts, np.maximum(begin, stance_end), begin)
         is_swinging = swings[:, k] >= 0
         progress = np.clip((end - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
-        landing = is_swinging & (end >= 1)
+        has_landed = is_swinging & (end >= 1)
         fraction = (1 - begin) / np.where(change > 0, change, 1.0)
-        footholds[landing, k] = self.landing(k, blend, motions, fraction, footholds)[
-            landing
+        footholds[has_landed, k] = self.landing(k, blend, motions, fraction, footholds)[
+            has_landed
         ]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
-        swings[landing, k] = -1.0
+        swings[has_landed, k] = -1.0
 
 
 def _weights(points: FloatArray, gait_points: FloatArray) -> FloatArray:

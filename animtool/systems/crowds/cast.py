@@ -128,7 +128,9 @@ class Casting:
         agent: int,
     ) -> WorldTransforms:
         """Return world transforms of an agent's joints, as one frame."""
-        group = next(one for one in self.groups if agent in one.agents)
+        group = next(
+            candidate for candidate in self.groups if agent in candidate.agents
+        )
         row, rig = np.array([agent]), group.cast.rig
         bodies = replace(
             group.bodies, scales=group.bodies.scales[np.searchsorted(group.agents, row)]
@@ -242,15 +244,17 @@ def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
     level_bodies = replace(bodies, scales=np.ones(count), ground=_level)
     initial = level_bodies.first(motion, np.zeros(count))
     poses = poses_of(level_bodies, replace(initial, clocks=clocks), motion)
-    animated = bodies.animated
+    animated_joints = bodies.animated
     if falls:
-        animated = np.union1d(animated, Capsules.of(gaits.walker.rig).joints)
+        animated_joints = np.union1d(
+            animated_joints, Capsules.of(gaits.walker.rig).joints
+        )
     left, right = (leg[3] if leg[3] >= 0 else leg[2] for leg in gaits.walker.legs)
     return Cast(
         gaits.walker.rig,
-        animated,
+        animated_joints,
         (left, right),
-        poses.rotations[:, animated],
+        poses.rotations[:, animated_joints],
         poses.roots,
         period,
     )

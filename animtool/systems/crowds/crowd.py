@@ -100,7 +100,9 @@ class Crowd:
     @cached_property
     def _relaxation_times(self) -> FloatArray:
         """Relaxation time of each agent to its preferred velocity ``(N,)`` [s]."""
-        return self.agents.each([one.acceleration for one in self.agents.entries])
+        return self.agents.each(
+            [population.acceleration for population in self.agents.entries]
+        )
 
     def initial(self) -> CrowdState:
         """Return the initial state, with headings along the preferred velocities."""
@@ -128,15 +130,15 @@ class Crowd:
         preferred = self.steering.preferred(t, self.begin, state.progress, x)
         relaxed = v + (preferred - v) * -np.expm1(-dt / self._relaxation_times)[:, None]
         walls = self.obstacles.walls(t, dt, x)
-        down = np.zeros(len(x), np.bool_)
+        has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:
-            down[state.falls.agents] = True
-        modes = np.where(down, STAYING, WALKING)
+            has_fallen[state.falls.agents] = True
+        modes = np.where(has_fallen, STAYING, WALKING)
         modes[state.progress.stages == GONE] = LEFT_SCENE
         if not all(np.isfinite(values).all() for values in (x, v, relaxed, walls.rows)):
             message = f"agents blew up at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
-        shoulders = self._shoulders(state, down)
+        shoulders = self._shoulders(state, has_fallen)
         points, velocities, overlap, pressed = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed,
             radii=agents.radii, most=agents.max_speeds, gives=agents.yielding,
@@ -154,12 +156,16 @@ class Crowd:
         if self.casting is not None and bodies is not None:
             before, after = _motion_of(state), AgentMotion(points, velocities, headings)
             speeds = self._impact_speeds(walls, dt)
-            hit = speeds > self.spec.impact.stagger
-            bodies = self.casting.next(bodies, before, after, dt, hit)
-            yawed_shoulders = step_shoulders(shoulders, np.where(hit, 0.0, pressed), dt)
+            is_hit = speeds > self.spec.impact.stagger
+            bodies = self.casting.next(bodies, before, after, dt, is_hit)
+            yawed_shoulders = step_shoulders(
+                shoulders, np.where(is_hit, 0.0, pressed), dt
+            )
             bodies = replace(bodies, shoulders=yawed_shoulders)
             if self.falling is not None and falls is not None:
-                new_falls = np.flatnonzero((speeds > self.spec.impact.fall) & ~down)
+                new_falls = np.flatnonzero(
+                    (speeds > self.spec.impact.fall) & ~has_fallen
+                )
                 if len(new_falls):
                     falls = self._with_new_falls(state, falls, new_falls, dt)
                 falls = self.falling.step(falls, t, dt)
@@ -186,26 +192,29 @@ class Crowd:
         no_hits = np.zeros(len(v), np.bool_)
         next_bodies = self.casting.next(state.bodies, motion, next_motion, dt, no_hits)
         poses, next_poses = (
-            [self._world(bodies, going, i) for i in new_falls.tolist()]
-            for bodies, going in ((state.bodies, motion), (next_bodies, next_motion))
+            [self._world(bodies, agent_motion, i) for i in new_falls.tolist()]
+            for bodies, agent_motion in (
+                (state.bodies, motion),
+                (next_bodies, next_motion),
+            )
         )
         return self.falling.add_falls(falls, new_falls, poses, next_poses, dt)
 
-    def _shoulders(self, state: CrowdState, down: BoolArray) -> FloatArray:
+    def _shoulders(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
         """Return shoulder yaws ``(N,)`` [rad].
 
         Agents shown as points or meshes have none; fallen ones keep their space.
         """
         if state.bodies is None:
             return np.zeros(len(self.agents))
-        return np.where(down, 0.0, state.bodies.shoulders)
+        return np.where(has_fallen, 0.0, state.bodies.shoulders)
 
     def _impact_speeds(self, walls: Walls, dt: float) -> FloatArray:
         """Return the highest speed of an impact on each agent ``(N,)`` [m/s]."""
-        closing = np.zeros(len(self.agents))
-        touch = walls.gaps < np.maximum(walls.closing, 0.0) * dt
-        np.maximum.at(closing, walls.agents_of_walls[touch], walls.closing[touch])
-        return closing
+        speeds = np.zeros(len(self.agents))
+        touches = walls.gaps < np.maximum(walls.closing, 0.0) * dt
+        np.maximum.at(speeds, walls.agents_of_walls[touches], walls.closing[touches])
+        return speeds
 
     def _world(
         self, bodies: BodyState | None, motion: AgentMotion, i: int
@@ -251,12 +260,12 @@ class Crowd:
         kinds = agents.kinds[ids]
         primvars = {"population": kinds} if len(agents.entries) > 1 else {}
         if self.casting is not None and state.bodies is not None:
-            placed = frame, velocities
+            placement = frame, velocities
             return self.casting.frame(
                 state.bodies,
                 _motion_of(state),
                 heights,
-                placed,
+                placement,
                 visible,
                 primvars,
                 self._fallen(state.falls),

@@ -31,7 +31,7 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import about_up, rotated_about_y, wrap_angles
 
-# Slower clips stand still; in leg lengths per second [1/s].
+# Slower clips count as standing; in leg lengths per second [1/s].
 MIN_TRAVEL_SPEED = 0.2
 # Bounds of the period of a gait, two steps [s].
 MIN_PERIOD, MAX_PERIOD = 0.4, 2.5
@@ -193,7 +193,7 @@ def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
     frames = np.where(frames >= 2 * length, frames - length, frames)
     to_body = about_up(-path.headings(frames))
     origins = np.insert(path.positions(frames), 1, ground, axis=1)
-    local = _interpolated(rotations, frames)
+    local = _interpolate(rotations, frames)
     local[:, 0] = so3.multiply(to_body, local[:, 0])
     root = so3.rotate(to_body, sample_rows(world.positions[:, 0], frames) - origins)
     steps = [
@@ -208,7 +208,7 @@ def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
         path.velocity * fps,
         path.turning * fps,
         np.array([(stance.lifts - stance.lands) / length for stance in (left, right)]),
-        *(np.stack(each) for each in zip(*steps, strict=True)),
+        *(np.stack(arrays) for arrays in zip(*steps, strict=True)),
     )
 
 
@@ -230,10 +230,15 @@ def _stance(
     contacts: FootContacts = find_contacts(
         world.positions[:, foot], toe_positions, fps, walker.leg
     )
-    starting = [run for run in runs(contacts.any) if length <= run[0] < 2 * length]
-    if len(starting) != 1 or not 0 < starting[0][1] - starting[0][0] < length:
+    second_cycle_runs = [
+        run for run in runs(contacts.any) if length <= run[0] < 2 * length
+    ]
+    if (
+        len(second_cycle_runs) != 1
+        or not 0 < second_cycle_runs[0][1] - second_cycle_runs[0][0] < length
+    ):
         return None
-    return FootStance(*starting[0], contacts.ankle & contacts.toe)
+    return FootStance(*second_cycle_runs[0], contacts.ankle & contacts.toe)
 
 
 def _step(
@@ -248,13 +253,13 @@ def _step(
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level[k], walker.ball[k]
     stance_frames = np.arange(stance.lands, stance.lifts)
-    flat = (
+    flat_frames = (
         stance_frames[stance.flat[stance_frames]]
         if stance.flat[stance_frames].any()
         else stance_frames
     )
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
-    yaw = float(np.unwrap(heading_of(soles[flat])).mean())
+    yaw = float(np.unwrap(heading_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]
     foothold = toe_positions[stance_frames].mean(axis=0) - so3.rotate(
         about_up(np.array(yaw)), ball
@@ -276,7 +281,7 @@ def _step(
         yaw + end_heading - start_heading,
     )
     fractions = np.linspace(0.0, 1.0, PHASES)
-    stance_rotations = _interpolated(
+    stance_rotations = _interpolate(
         soles, stance.lands + fractions * (stance.lifts - stance.lands)
     )
     stance_rotations = so3.multiply(about_up(np.array(-yaw)), stance_rotations)
@@ -287,7 +292,7 @@ def _step(
     positions = foothold + progress[:, None] * (next_foothold[:2] - foothold)
     yaws = yaw + progress * (next_foothold[2] - yaw)
     to_path = about_up(-yaws)
-    swings = so3.multiply(to_path, _interpolated(soles, frames))
+    swings = so3.multiply(to_path, _interpolate(soles, frames))
     ankles = sample_rows(world.positions[:, foot], frames) - np.insert(
         positions, 1, ground, axis=1
     )
@@ -306,10 +311,10 @@ def _step(
     return step, pitches, swings, lifts
 
 
-def _interpolated(rotations: FloatArray, frames: FloatArray) -> FloatArray:
+def _interpolate(rotations: FloatArray, frames: FloatArray) -> FloatArray:
     """Return rotations ``(F, …, 4)`` interpolated at frames ``(K,)``."""
-    blended = sample_rows(rotations, frames)
-    return np.asarray(blended / np.linalg.norm(blended, axis=-1, keepdims=True))
+    values = sample_rows(rotations, frames)
+    return np.asarray(values / np.linalg.norm(values, axis=-1, keepdims=True))
 
 
 def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:

@@ -163,13 +163,13 @@ class FallSimulator:
             )
             motion = fall.simulation.initial().motion.copy()
             motion[:, 7:13] = ragdoll_speeds(fall.ragdoll, pair, np.array([dt, 0.0]), 1)
-            padded = np.zeros((1, *falls.motion.shape[1:]))
-            padded[0, : len(motion)] = motion
+            motion_row = np.zeros((1, *falls.motion.shape[1:]))
+            motion_row[0, : len(motion)] = motion
             falls = Falls(
                 np.append(falls.agents, agent),
                 np.concatenate([falls.positions, positions]),
                 np.concatenate([falls.turns, rotations]),
-                np.concatenate([falls.motion, padded]),
+                np.concatenate([falls.motion, motion_row]),
                 np.append(falls.slow, 0.0),
             )
         return falls
@@ -182,9 +182,9 @@ class FallSimulator:
                 continue
             fall = self._ragdoll_of(agent, falls.positions[k], falls.turns[k])
             count = len(fall.simulation.initial().motion)
-            stepped = _stepped(fall.simulation, motion[k, :count], t, dt)
-            speeds = np.linalg.norm(stepped[:, 7:10], axis=1)
-            motion[k, :count] = stepped
+            next_motion = _step_ragdoll(fall.simulation, motion[k, :count], t, dt)
+            speeds = np.linalg.norm(next_motion[:, 7:10], axis=1)
+            motion[k, :count] = next_motion
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
 
@@ -217,14 +217,14 @@ class FallSimulator:
         has_parent = rig.parents >= 0
         translations = rig.rest_translations.copy()
         translations[~has_parent] = falls.positions[k, :count][~has_parent]
-        moved, turned = ragdoll_transforms(
+        local_translations, local_rotations = ragdoll_transforms(
             fall.ragdoll,
             frame.points[None],
             frame.rotations[None],
             translations[None],
             local[None],
         )
-        return moved[0], clamped_to_limits(rig, turned[0])
+        return local_translations[0], clamped_to_limits(rig, local_rotations[0])
 
     def _ragdoll_of(
         self, agent: int, positions: FloatArray, rotations: FloatArray
@@ -256,7 +256,7 @@ class FallSimulator:
         return self._ragdolls[key]
 
 
-def _stepped(
+def _step_ragdoll(
     simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
 ) -> FloatArray:
     """Return body states ``(B, 14)`` after a step [s], in substeps if needed."""

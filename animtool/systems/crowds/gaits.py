@@ -189,6 +189,6 @@ def sample_rows(
     fraction = (at - low).reshape(-1, *[1] * (table.ndim - 1))
     first, last = table[low], table[high]
     if table.shape[-1] == 4:
-        flipped = (first * last).sum(axis=-1, keepdims=True) < 0
-        last = np.where(flipped, -last, last)
+        is_opposite = (first * last).sum(axis=-1, keepdims=True) < 0
+        last = np.where(is_opposite, -last, last)
     return np.asarray(first + fraction * (last - first))

@@ -103,12 +103,12 @@ class Terrain:
         edge_distance = np.minimum(
             np.minimum(weight_b, weight_c), 1 - weight_b - weight_c
         )
-        inside = edge_distance >= -EDGE
-        rows, faces = rows[inside], faces[inside]
+        is_inside = edge_distance >= -EDGE
+        rows, faces = rows[is_inside], faces[is_inside]
         face_heights = (
             a[faces, 1]
-            + weight_b[inside] * b[inside, 1]
-            + weight_c[inside] * c[inside, 1]
+            + weight_b[is_inside] * b[is_inside, 1]
+            + weight_c[is_inside] * c[is_inside, 1]
         )
         np.maximum.at(heights, rows, face_heights)
         highest = face_heights == heights[rows]
@@ -215,7 +215,7 @@ def walkable(
     is_walkable = np.array(np.isfinite(heights))
     max_rise = np.tan(slope) * cell
     for walkable_rows, rows in ((is_walkable, heights), (is_walkable.T, heights.T)):
-        steep = np.abs(np.diff(rows, axis=0)) > max_rise
-        walkable_rows[:-1] &= ~steep
-        walkable_rows[1:] &= ~steep
+        is_steep = np.abs(np.diff(rows, axis=0)) > max_rise
+        walkable_rows[:-1] &= ~is_steep
+        walkable_rows[1:] &= ~is_steep
     return heights, is_walkable

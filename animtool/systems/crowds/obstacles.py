@@ -72,34 +72,37 @@ class Obstacles:
         obstacles = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
         count = len(x)
         if not obstacles:
-            empty = np.zeros(0)
+            zeros = np.zeros(0)
             starts = np.zeros(count + 1, np.int32)
-            return Walls(starts, np.zeros((0, 4)), empty.astype(int), empty, empty)
+            return Walls(starts, np.zeros((0, 4)), zeros.astype(int), zeros, zeros)
         agents, max_speeds = self.agents, self.agents.max_speeds
         walls_near = []
-        for gaps, directions, closing in obstacles:
-            reach = (max_speeds + np.abs(closing)) * self.horizon
+        for gaps, directions, closing_speeds in obstacles:
+            reach = (max_speeds + np.abs(closing_speeds)) * self.horizon
             nearby = np.flatnonzero(gaps < np.maximum(reach, agents.radii))
             walls_near.append(
-                (nearby, gaps[nearby], directions[nearby], closing[nearby])
+                (nearby, gaps[nearby], directions[nearby], closing_speeds[nearby])
             )
-        agents_of_walls, gaps, directions, closing = (
-            np.concatenate(each) for each in zip(*walls_near, strict=True)
+        agents_of_walls, gaps, directions, closing_speeds = (
+            np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)
         )
         order = np.argsort(agents_of_walls, kind="stable")
-        agents_of_walls, gaps, directions, closing = (
+        agents_of_walls, gaps, directions, closing_speeds = (
             agents_of_walls[order],
             gaps[order],
             directions[order],
-            closing[order],
+            closing_speeds[order],
         )
         min_speeds = np.minimum(
-            closing - gaps / self.horizon, LEAVING_SPEED * max_speeds[agents_of_walls]
+            closing_speeds - gaps / self.horizon,
+            LEAVING_SPEED * max_speeds[agents_of_walls],
         )
-        offsets = (directions * x[agents_of_walls]).sum(axis=1) - gaps + closing * dt
+        offsets = (
+            (directions * x[agents_of_walls]).sum(axis=1) - gaps + closing_speeds * dt
+        )
         rows = np.column_stack([directions, min_speeds, offsets])
         starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
-        return Walls(starts, rows, agents_of_walls, gaps, closing)
+        return Walls(starts, rows, agents_of_walls, gaps, closing_speeds)
 
     def _colliders(
         self, t: float, dt: float, x: FloatArray
@@ -171,12 +174,16 @@ def capsule_distances(
         speeds = frame.vector_to_local(velocities)[:, [0, 2]]
         lengths = np.linalg.norm(normals, axis=1)
         is_wall = lengths > MIN_WALL_NORMAL
-        far = np.where(is_wall, distances / np.where(is_wall, lengths, 1.0), np.inf)
-        far = far.reshape(len(levels), count)
-        nearest = np.argmin(far, axis=0) * count + np.arange(count)
+        wall_distances = np.where(
+            is_wall, distances / np.where(is_wall, lengths, 1.0), np.inf
+        )
+        wall_distances = wall_distances.reshape(len(levels), count)
+        nearest = np.argmin(wall_distances, axis=0) * count + np.arange(count)
         directions = normals[nearest] / np.where(is_wall, lengths, 1.0)[nearest, None]
-        closing = (speeds[nearest] * directions).sum(axis=1)
-        capsule_gaps.append((far.ravel()[nearest], directions, closing))
+        closing_speeds = (speeds[nearest] * directions).sum(axis=1)
+        capsule_gaps.append(
+            (wall_distances.ravel()[nearest], directions, closing_speeds)
+        )
     return capsule_gaps
 
 
@@ -194,7 +201,9 @@ def navigation_grids(
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.
     """
-    static = [one for one in colliders if len(one.poses.sample_times) == 1]
+    static = [
+        collider for collider in colliders if len(collider.poses.sample_times) == 1
+    ]
     if ground.flat and not static:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0

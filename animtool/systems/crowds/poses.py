@@ -96,10 +96,10 @@ def _solve_legs(
         for joint in (thigh, shin, int(rig.parents[thigh]))
         if joint >= 0
     }
-    lowered = _lowered(walker, joints, goals, state)
-    joints = joints - lowered[:, None, None] * UP
+    lowering = _hip_lowering(walker, joints, goals, state)
+    joints = joints - lowering[:, None, None] * UP
     goals = _goals_in_reach(walker, joints, goals, state.swings >= 0)
-    missed = np.zeros((len(rotations), 2))
+    miss_distances = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         hip_parent = int(rig.parents[thigh])
         upper, lower = ankle_rotations(
@@ -123,18 +123,18 @@ def _solve_legs(
             rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
         knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
         ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
-        missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
-    return lowered, missed
+        miss_distances[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
+    return lowering, miss_distances
 
 
-def _lowered(
+def _hip_lowering(
     walker: Walker, joints: FloatArray, goals: FloatArray, state: BodyState
 ) -> FloatArray:
     """Return how far hips are lowered for the legs to reach ``(N,)`` [m].
 
     In the middle of a swing hips need not be lowered.
     """
-    lowered = state.lowered.copy()
+    lowering = state.lowered.copy()
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         leg_joints = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(leg_joints, axis=1), axis=2).sum(axis=1)
@@ -146,17 +146,18 @@ def _lowered(
         distance_to_landing = (
             np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * LOWERING_PHASE
         ) / (2 * LOWERING_PHASE)
-        required = leg[:, 1] - max_height
+        required_lowering = leg[:, 1] - max_height
         swing_lowering = (
-            swing_progress(np.clip(distance_to_landing, 0.0, 1.0)) * required
+            swing_progress(np.clip(distance_to_landing, 0.0, 1.0)) * required_lowering
         )
         swing_lowering = np.minimum(
             swing_lowering, state.lowered + SWING_MARGIN * walker.leg
         )
-        lowered = np.maximum(
-            lowered, np.where(state.swings[:, k] < 0, required, swing_lowering)
+        lowering = np.maximum(
+            lowering,
+            np.where(state.swings[:, k] < 0, required_lowering, swing_lowering),
         )
-    return np.minimum(lowered, MAX_LOWERING * walker.leg)
+    return np.minimum(lowering, MAX_LOWERING * walker.leg)
 
 
 def _goals_in_reach(
@@ -283,23 +284,23 @@ def _gait_swing(
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and ankles of swinging feet from their gaits."""
-    moving = gaits.moving
+    moving_gaits = gaits.moving
     rows = swings * (PHASES - 1)
     weights = blend.weights[is_swinging]
     swing_rotations = _blend_rotations(
-        [sample_rows(one.swings[k], rows) for one in moving], weights
+        [sample_rows(gait.swings[k], rows) for gait in moving_gaits], weights
     )
     ankle_offsets = np.asarray(
         sum(
-            weight[:, None] * sample_rows(one.lifts[k], rows)
-            for weight, one in zip(weights.T, moving, strict=True)
+            weight[:, None] * sample_rows(gait.lifts[k], rows)
+            for weight, gait in zip(weights.T, moving_gaits, strict=True)
         )
     )
     # Offsets along the motion are scaled with the step length.
     end_offsets = [
         sum(
-            weight * one.lifts[k, end, 2]
-            for weight, one in zip(weights.T, moving, strict=True)
+            weight * gait.lifts[k, end, 2]
+            for weight, gait in zip(weights.T, moving_gaits, strict=True)
         )
         for end in (0, -1)
     ]
@@ -308,26 +309,26 @@ def _gait_swing(
     stride = np.minimum(blend.stride[is_swinging], 1.0)
     ankle_offsets[:, 2] = straight + stride * (ankle_offsets[:, 2] - straight)
     # Feet stay flat after standing, and lift less in quick steps.
-    standing = state.still[is_swinging]
-    stride = state.spans[is_swinging, k] / state.rates[is_swinging]
+    stillness = state.still[is_swinging]
+    swing_time = state.spans[is_swinging, k] / state.rates[is_swinging]
     typical_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free[
         is_swinging
     ]
-    hurry = 1 - np.minimum(stride / typical_time, 1.0)
-    landing = swing_progress(
+    hurry = 1 - np.minimum(swing_time / typical_time, 1.0)
+    landing_progress = swing_progress(
         np.clip((swings - LANDING_PHASE) / (1 - LANDING_PHASE), 0.0, 1.0)
     )
-    flatness = np.maximum(standing, hurry * (1 - landing))[:, None]
-    flat = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
-    pitched = _blend_rotations(
-        [swing_rotations, flat], np.hstack([1 - flatness, flatness])
+    flatness = np.maximum(stillness, hurry * (1 - landing_progress))[:, None]
+    flat_rotations = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
+    rotations = _blend_rotations(
+        [swing_rotations, flat_rotations], np.hstack([1 - flatness, flatness])
     )
-    flat_ankle = standing_ankle(gaits.walker, k, flat)
+    flat_ankle = standing_ankle(gaits.walker, k, flat_rotations)
     flat_lift = FLAT_FOOT_LIFT * np.maximum(
         ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0
     )
     ankle_offsets += flatness * (flat_ankle + flat_lift * UP - ankle_offsets)
-    return pitched, ankle_offsets
+    return rotations, ankle_offsets
 
 
 def _gait_rotations(
@@ -382,9 +383,11 @@ def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatA
     first = rotations[0]
     shape = (-1, *[1] * (first.ndim - 1))
     total = first * weights[:, 0].reshape(shape)
-    for k, other in enumerate(rotations[1:], start=1):
-        flipped = (first * other).sum(axis=-1, keepdims=True) < 0
-        total = total + np.where(flipped, -other, other) * weights[:, k].reshape(shape)
+    for k, rotation in enumerate(rotations[1:], start=1):
+        is_opposite = (first * rotation).sum(axis=-1, keepdims=True) < 0
+        total = total + np.where(is_opposite, -rotation, rotation) * weights[
+            :, k
+        ].reshape(shape)
     return np.asarray(total / np.linalg.norm(total, axis=-1, keepdims=True))
 
 

@@ -38,7 +38,7 @@ MAX_RATE = 2.5
 
 @dataclass(frozen=True)
 class Reach:
-    """Thigh positions of a rig as it walks and stands.
+    """Thigh positions of a rig while walking and standing.
 
     Attributes:
         gaits: Gaits of the rig.
@@ -53,17 +53,17 @@ class Reach:
     @staticmethod
     def of(gaits: Gaits) -> Reach:
         """Return the reach of a rig with some gaits."""
-        walking = tuple(_thighs(gaits, one) for one in gaits.moving)
+        walking = tuple(_thighs(gaits, gait) for gait in gaits.moving)
         return Reach(gaits, walking, _thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
         self, phases: FloatArray, weights: FloatArray, standing: FloatArray
     ) -> FloatArray:
         """Return thighs of bodies above level ground ``(N, 2, 3)``."""
-        at = phases * PHASES
+        rows = phases * PHASES
         thighs = np.zeros((len(phases), 2, 3))
         for weight, table in zip(weights.T, self.walking, strict=True):
-            thighs += weight[:, None, None] * sample_rows(table, at, cyclic=True)
+            thighs += weight[:, None, None] * sample_rows(table, rows, cyclic=True)
         return np.asarray(thighs + standing[:, None, None] * (self.standing - thighs))
 
     def margin(
@@ -156,17 +156,17 @@ def step_rates(
             foot_yaw * (1 - 2 * k) < 0, MAX_YAW_INWARDS, MAX_YAW_OUTWARDS
         )
         twist_rates = -yaw_rates * np.sign(foot_yaw)
-        required = np.maximum(
+        required_rates = np.maximum(
             _rate_to_reach(lift_margin, MIN_MARGIN, leaving_speed),
             _rate_to_reach(max_yaw - np.abs(foot_yaw), MIN_YAW_MARGIN, twist_rates),
         ) * np.maximum(stance_fraction - phase, 0.0)
         ends[:, k] = ~is_swinging & (np.maximum(current_margin, lift_margin) < 0)
         # A foot that lifted too early lands soon.
         lifted_early = (is_swinging & (phase < stance_fraction)) | ends[:, k]
-        required = np.where(
-            lifted_early, MAX_RATE, np.where(is_swinging, 0.0, required)
+        required_rates = np.where(
+            lifted_early, MAX_RATE, np.where(is_swinging, 0.0, required_rates)
         )
-        rate = np.maximum(rate, np.minimum(required, MAX_RATE))
+        rate = np.maximum(rate, np.minimum(required_rates, MAX_RATE))
     return rate, ends
 
 

@@ -61,8 +61,8 @@ class NavGrid:
     def nearest_nodes(self, points: FloatArray) -> IntArray:
         """Return rows and columns of the nodes nearest to x and z ``(K, 2)``."""
         last = np.array(self.free.shape) - 1
-        rounded = np.floor((points - self.low) / self.cell + 0.5)
-        return np.clip(rounded, 0, last).astype(np.int64)
+        indices = np.floor((points - self.low) / self.cell + 0.5)
+        return np.clip(indices, 0, last).astype(np.int64)
 
     @property
     def high(self) -> FloatArray:
@@ -100,8 +100,8 @@ class NavGrid:
         """Return the distance of each node to blocked ones ``(R, C)`` [m]."""
         from scipy.ndimage import distance_transform_edt
 
-        far = distance_transform_edt(np.pad(self.free, 1), self.cell)
-        return np.asarray(far)[1:-1, 1:-1]
+        distances = distance_transform_edt(np.pad(self.free, 1), self.cell)
+        return np.asarray(distances)[1:-1, 1:-1]
 
     def cell_corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
         """Return cells around x and z, and bilinear weights ``(K, 2, 2)``.
@@ -152,15 +152,15 @@ class FlowField:
     @cached_property
     def gradient(self) -> FloatArray:
         """Return unit vectors along the shortest path by node ``(R, C, 2)``."""
-        padded = np.pad(self.distances, 1, constant_values=np.inf)
+        padded_distances = np.pad(self.distances, 1, constant_values=np.inf)
         distances = self.distances
         descent = np.zeros((*distances.shape, 2))
         inner = slice(1, -1)
         for axis in (0, 1):
-            before = padded[
+            before = padded_distances[
                 (slice(None, -2), inner) if axis == 0 else (inner, slice(None, -2))
             ]
-            after = padded[
+            after = padded_distances[
                 (slice(2, None), inner) if axis == 0 else (inner, slice(2, None))
             ]
             lower = np.minimum(before, after)
@@ -178,14 +178,14 @@ class FlowField:
         """
         grid = self.grid
         rows, columns, weights = grid.cell_corners(points)
-        directions_ = (self.gradient[rows, columns] * weights[..., None]).sum(
+        unit_vectors = (self.gradient[rows, columns] * weights[..., None]).sum(
             axis=(1, 2)
         )
-        undefined = ~directions_.any(axis=1)
-        if undefined.any():
-            directions_[undefined] = (
-                grid.positions_of(grid.nearest_free_node(points[undefined]))
-                - points[undefined]
+        is_undefined = ~unit_vectors.any(axis=1)
+        if is_undefined.any():
+            unit_vectors[is_undefined] = (
+                grid.positions_of(grid.nearest_free_node(points[is_undefined]))
+                - points[is_undefined]
             )
         goal = self.goal(points)
         offset = goal - points
@@ -208,9 +208,9 @@ class FlowField:
             grid.border_distance(goal) > -grid.cell
         )
         is_near[is_near] = self._sees(points[is_near], targets[is_near])
-        directions_[is_near] = (targets - points)[is_near]
-        lengths = np.linalg.norm(directions_, axis=1)[:, None]
-        return np.asarray(directions_ / np.where(lengths > 0, lengths, 1.0))
+        unit_vectors[is_near] = (targets - points)[is_near]
+        lengths = np.linalg.norm(unit_vectors, axis=1)[:, None]
+        return np.asarray(unit_vectors / np.where(lengths > 0, lengths, 1.0))
 
     def _sees(self, points: FloatArray, targets: FloatArray) -> BoolArray:
         """Return whether nearby targets ``(K, 2)`` are in line of sight."""
@@ -252,12 +252,12 @@ def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
         goals[goal_component] = goal
         # Seeded around the goal, so that paths end there and not at a node; outside the
         # grid nothing blocks the facing sides.
-        around = nodes[
+        nearby_nodes = nodes[
             (components == goal_component) & (goal_distances < 1.5 * grid.cell)
         ]
         border = grid.facing_border(goal)
         seeds_around = np.union1d(
-            around, border[grid.components.ravel()[border] == goal_component]
+            nearby_nodes, border[grid.components.ravel()[border] == goal_component]
         )
     seeds = np.concatenate([nodes[first], seeds_around]).astype(np.int64)
     starts = np.linalg.norm(

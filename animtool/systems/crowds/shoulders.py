@@ -34,22 +34,22 @@ def shoulder_vectors(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
     ``headings`` and ``shoulders`` ``(N,)`` [rad].
     """
     angles = headings + shoulders
-    along = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
-    return np.asarray(along * (np.abs(shoulders) / MAX_YAW)[:, None])
+    axes = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
+    return np.asarray(axes * (np.abs(shoulders) / MAX_YAW)[:, None])
 
 
 def step_shoulders(shoulders: FloatArray, targets: FloatArray, dt: float) -> FloatArray:
     """Return shoulder yaws after a step ``(N,)`` [rad].
 
-    ``pressed`` ``(N,)``: target yaw over the largest; negative is to the right. Yawed
+    ``targets`` ``(N,)``: target yaw over the largest; negative is to the right. Yawed
     shoulders keep their side.
     """
     side = np.where(shoulders != 0, np.sign(shoulders), np.sign(targets))
     target = MAX_YAW * side * np.abs(targets)
     time_constant = np.where(np.abs(target) > np.abs(shoulders), YAW_TIME, RETURN_TIME)
     next_yaws = shoulders + (target - shoulders) * -np.expm1(-dt / time_constant)
-    returned = (targets == 0) & (np.abs(next_yaws) < NEGLIGIBLE_YAW * MAX_YAW)
-    return np.where(returned, 0.0, next_yaws)
+    has_returned = (targets == 0) & (np.abs(next_yaws) < NEGLIGIBLE_YAW * MAX_YAW)
+    return np.where(has_returned, 0.0, next_yaws)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from animtool.systems.framework.spec import SystemSpec
 
 
 class GroundModel(PlacedModel):
-    """What agents walk on. Its y is up for them; it does not move."""
+    """Ground that agents walk on, with y up; it does not move."""
 
     shape: ShapeEntry | None = key(
         "A `mesh` or a `height_field`: agents walk on its highest faces. Default: a "

@@ -105,7 +105,7 @@ class Steering:
         if not len(self.points):
             return x, np.zeros(len(x), np.bool_)
         positions = self._reachable_goals(goal, x)
-        radii = np.array([one.radius for one in self.goals])
+        radii = np.array([entry.radius for entry in self.goals])
         next_to_goal = (
             positions
             + self.agents.goal_offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
@@ -117,16 +117,16 @@ class Steering:
             nodes = self.grid.nearest_nodes(
                 np.stack([positions, next_to_goal]).reshape(-1, 2)
             )
-            parts = self.grid.components[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
+            components = self.grid.components[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
             positions = np.where(
-                (parts[0] == parts[1])[:, None], next_to_goal, positions
+                (components[0] == components[1])[:, None], next_to_goal, positions
             )
         is_queued = progress.tickets != NO_TICKET
         for g in np.unique(goal[is_queued]).tolist():
-            line = np.flatnonzero(is_queued & (goal == g))
-            line = line[np.argsort(progress.tickets[line], kind="stable")]
-            positions[line] = (
-                self.points[g] + np.arange(len(line))[:, None] * self.lines[g]
+            queue = np.flatnonzero(is_queued & (goal == g))
+            queue = queue[np.argsort(progress.tickets[queue], kind="stable")]
+            positions[queue] = (
+                self.points[g] + np.arange(len(queue))[:, None] * self.lines[g]
             )
         return positions, is_queued
 
@@ -134,8 +134,8 @@ class Steering:
         """Return each agent's reachable goal ``(N, 2)`` [m]; without one, x."""
         positions = np.where((goal >= 0)[:, None], self.points[goal], x)
         for g, route in enumerate(self.routes):
-            assigned = goal == g
-            positions[assigned] = route.goal(x[assigned])
+            is_assigned = goal == g
+            positions[is_assigned] = route.goal(x[is_assigned])
         return np.asarray(positions)
 
     def preferred(
@@ -149,9 +149,11 @@ class Steering:
         distances = np.linalg.norm(offset, axis=1)
         directions = offset / np.maximum(distances, np.finfo(float).tiny)[:, None]
         for g, route in enumerate(self.routes):
-            assigned = (goal == g) & ~is_queued
-            if assigned.any():
-                directions[assigned] = route.directions(x[assigned], target[assigned])
+            is_assigned = (goal == g) & ~is_queued
+            if is_assigned.any():
+                directions[is_assigned] = route.directions(
+                    x[is_assigned], target[is_assigned]
+                )
         speeds = np.minimum(agents.speeds, distances / STOPPING_TIME)
         speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
         # Waiting agents make room for those behind, and stay.
@@ -166,11 +168,11 @@ class Steering:
         return self._in_groups(preferred, is_queued | is_waiting, x)
 
     def _in_groups(
-        self, preferred: FloatArray, excluded: BoolArray, x: FloatArray
+        self, preferred: FloatArray, is_excluded: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities that keep groups side by side."""
         groups = self.agents.groups
-        members = np.flatnonzero((groups >= 0) & ~excluded & preferred.any(axis=1))
+        members = np.flatnonzero((groups >= 0) & ~is_excluded & preferred.any(axis=1))
         if not len(members):
             return preferred
         group_of_member = groups[members]
@@ -194,9 +196,9 @@ class Steering:
         correction = correction * np.minimum(
             1.0, max_correction / np.where(lengths > 0, lengths, 1.0)
         )
-        adjusted = preferred.copy()
-        adjusted[members] = preferred[members] + correction
-        return adjusted
+        result = preferred.copy()
+        result[members] = preferred[members] + correction
+        return result
 
     def advance(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
         """Return progress after a step [s], with agents at x and z."""
@@ -208,8 +210,8 @@ class Steering:
         wait, queues = (
             np.array(values)[goal]
             for values in (
-                [one.wait for one in self.goals],
-                [one.queue is not None for one in self.goals],
+                [entry.wait for entry in self.goals],
+                [entry.queue is not None for entry in self.goals],
             )
         )
         radius = self._radius(goal, progress.waited > 0)
@@ -236,7 +238,7 @@ class Steering:
 
     def _radius(self, goal: IntArray, arrived: BoolArray) -> FloatArray:
         """Return each goal's arrival radius ``(N,)`` [m], larger when crowded."""
-        radii = np.array([one.radius for one in self.goals])[goal]
+        radii = np.array([entry.radius for entry in self.goals])[goal]
         count = np.bincount(goal[arrived & (goal >= 0)], minlength=len(self.goals))[
             goal
         ]
@@ -250,17 +252,19 @@ class Steering:
         """Return tickets, with new ones for agents that reach the end of a queue."""
         result = tickets
         for g in np.unique(goal[queues]).tolist():
-            queuing = queues & (goal == g)
-            waiting = queuing & (result != NO_TICKET)
-            queue_end = self.points[g] + int(waiting.sum()) * self.lines[g]
+            is_queuing = queues & (goal == g)
+            is_waiting = is_queuing & (result != NO_TICKET)
+            queue_end = self.points[g] + int(is_waiting.sum()) * self.lines[g]
             spacing = float(np.linalg.norm(self.lines[g]))
             distances = np.linalg.norm(x - queue_end, axis=1)
-            joining = np.flatnonzero(
-                queuing & ~waiting & (distances < JOINING_DISTANCE * spacing)
+            joining_agents = np.flatnonzero(
+                is_queuing & ~is_waiting & (distances < JOINING_DISTANCE * spacing)
             )
-            if len(joining):
+            if len(joining_agents):
                 result = result.copy()
                 # The nearest comes first; equal ones in order.
-                order = joining[np.argsort(distances[joining], kind="stable")]
+                order = joining_agents[
+                    np.argsort(distances[joining_agents], kind="stable")
+                ]
                 result[order] = result.max() + 1 + np.arange(len(order))
         return result

@@ -70,8 +70,10 @@ def next_heading(
     Members bank like aircraft: their up vector follows the lift, which is perpendicular
     to the velocity and compensates gravity and the turn.
     """
-    banking = members.each([one.banking for one in members.entries])[:, None]
-    lift = banking * (v1 - v0) / dt + GRAVITY * _UP
+    banking_factors = members.each([entry.banking for entry in members.entries])[
+        :, None
+    ]
+    lift = banking_factors * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
     directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
@@ -80,13 +82,13 @@ def next_heading(
     banked_up = up + (lift / np.maximum(length, _TINY) - up) * -np.expm1(
         -dt / BANKING_TIME
     )
-    aligned = _look_rotations(
+    look_rotations = _look_rotations(
         heading.rotations, v1, np.where(length > _TINY, banked_up, up)
     )
-    rotations = so3.align_signs(aligned[None], heading.rotations)[0]
+    rotations = so3.align_signs(look_rotations[None], heading.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(heading.rotations))
     spins = so3.log(step_rotation) / dt
-    beats = members.each([one.beat / one.speed.cruise for one in members.entries])
+    beats = members.each([entry.beat / entry.speed.cruise for entry in members.entries])
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
     return Heading(rotations, spins, heading.phases + beats * speeds * dt)
 
@@ -173,8 +175,8 @@ class FlockForces(SecondOrder):
         v = clamp_speeds(self.members, v)
         if self.colliders.active:
             radii = self.members.radii
-            collided = collide(x, v, before, self.colliders, t - h, t, radii)
-            x, v = collided.points, collided.velocities
+            collision = collide(x, v, before, self.colliders, t - h, t, radii)
+            x, v = collision.points, collision.velocities
         return after if x is after[0] and v is after[1] else np.stack([x, v])
 
     def _brake_velocities(
@@ -183,9 +185,9 @@ class FlockForces(SecondOrder):
         """Return velocities after braking for other members ``(N, 3)``."""
         assert self.spacing is not None
         brakes = self.spacing.braking(x, v)
-        braking = limit_steering(self.members, before, (v - before) / h + brakes)
+        accelerations = limit_steering(self.members, before, (v - before) / h + brakes)
         is_braking = (brakes != 0).any(axis=1, keepdims=True)
-        return np.where(is_braking, before + h * braking, v)
+        return np.where(is_braking, before + h * accelerations, v)
 
 
 def build(spec: FlocksModel, context: SimContext) -> Flock:

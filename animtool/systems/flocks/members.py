@@ -66,7 +66,7 @@ class Members(Groups):
     @cached_property
     def particles(self) -> ParticleState:
         """Return members as particles, for forces."""
-        masses = self.each([one.mass for one in self.entries])
+        masses = self.each([entry.mass for entry in self.entries])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
@@ -86,7 +86,7 @@ class Members(Groups):
 
         Members that start inside are moved out with a warning (SIM124).
         """
-        points, moved = self.points, np.zeros(len(self), bool)
+        points, is_moved = self.points, np.zeros(len(self), bool)
         for _ in range(MAX_PASSES if colliders.rigid else 0):
             volumes = colliders.volumes.sample(points, self.begin)
             depths = self.radii - volumes.distances
@@ -96,7 +96,7 @@ class Members(Groups):
             is_inside = depth > 0
             if not is_inside.any():
                 break
-            moved |= is_inside
+            is_moved |= is_inside
             normal = volumes.normals[deepest, every_member]
             points = points + (
                 normal * ((depth + CLEARANCE * self.radii) * is_inside)[:, None]
@@ -107,10 +107,10 @@ class Members(Groups):
                 message = f"{name} starts inside colliders, with no way out"
                 hint = "start elsewhere, or leave room between them"
                 refuse("SIM060", message, "species", hint)
-        if not moved.any():
+        if not is_moved.any():
             return points, []
-        message = f"{counted(int(moved.sum()), 'member')} would start inside a "
-        message += f"collider, {self.label(int(np.argmax(moved)))} first: moved out"
+        message = f"{counted(int(is_moved.sum()), 'member')} would start inside a "
+        message += f"collider, {self.label(int(np.argmax(is_moved)))} first: moved out"
         hint = "begin elsewhere"
         return points, [warning("SIM124", message, hint)]
 
@@ -120,15 +120,17 @@ class Members(Groups):
         One warning names moved members with positions from a file, another reports the
         remaining overlap [m] (SIM147).
         """
-        moved = np.linalg.norm(points - self.points, axis=1)
+        displacements = np.linalg.norm(points - self.points, axis=1)
         from_points = np.array([part.get("points") is not None for part in self.parts])
-        moved_far = (moved > REPORTED_MOVE * self.radii) & from_points[self.kinds]
+        moved_far = (displacements > REPORTED_MOVE * self.radii) & from_points[
+            self.kinds
+        ]
         faults = []
         if moved_far.any():
             message = f"{counted(int(moved_far.sum()), 'member')} would start closer "
             message += "to each other than allowed, "
             message += f"{self.label(int(np.argmax(moved_far)))} first: moved apart by "
-            message += f"up to {moved.max():.3g} m"
+            message += f"up to {displacements.max():.3g} m"
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
         if overlap > REPORTED_MOVE * float(self.radii.max()):
@@ -178,9 +180,9 @@ def _problems(spec: FlocksModel) -> Iterator[Problem]:
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
         where = f"species[{k}]"
-        others = [*species.joins, *(one.species for one in species.flees)]
-        others += [one.species for one in species.chases]
-        for name in others:
+        related = [*species.joins, *(relation.species for relation in species.flees)]
+        related += [relation.species for relation in species.chases]
+        for name in related:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
                 yield f"unknown species {excerpt(name)}", where, hint
@@ -189,9 +191,9 @@ def _problems(spec: FlocksModel) -> Iterator[Problem]:
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
             message += f"between {speed.least:g} and {max_speed(species):g}"
             yield message, where, None
-    shown = [species.shows is not None for species in spec.species]
-    if any(shown) and not all(shown):
-        name = names[shown.index(False)]
+    is_shown = [species.shows is not None for species in spec.species]
+    if any(is_shown) and not all(is_shown):
+        name = names[is_shown.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
         yield "some species show a mesh, but others show points", "species", hint
     if spec.domain is not None:
@@ -201,14 +203,14 @@ def _problems(spec: FlocksModel) -> Iterator[Problem]:
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:
     smallest_side = min(domain.size)
     for species in spec.species:
-        radius, what = species.radius, "its radius"
+        radius, label = species.radius, "its radius"
         if domain.wrap:
-            radius, what = interaction_radius(species), "what it sees"
+            radius, label = interaction_radius(species), "what it sees"
         if smallest_side < 2 * radius:
             message = (
                 f"the domain is {smallest_side:g} m wide, but {species.name!r} needs "
             )
-            message += f"{2 * radius:g} m: twice {what}"
+            message += f"{2 * radius:g} m: twice {label}"
             yield message, "domain", "use a larger domain, or a smaller radius"
 
 
@@ -220,5 +222,5 @@ def max_speed(species: SpeciesModel) -> float:
 
 def interaction_radius(species: SpeciesModel) -> float:
     """Return the largest interaction distance of members [m]."""
-    others = [*species.flees, *species.chases]
-    return max(species.vision.radius, *(one.radius for one in others), 0.0)
+    relations = [*species.flees, *species.chases]
+    return max(species.vision.radius, *(relation.radius for relation in relations), 0.0)

@@ -44,7 +44,7 @@ class Spacing:
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None without minimum distances."""
-        distances = members.each([min_distance(one) for one in members.entries])
+        distances = members.each([min_distance(entry) for entry in members.entries])
         has_distances = len(distances) > 1 and distances.max() > 0
         return Spacing(distances, periodic_box(domain)) if has_distances else None
 
@@ -73,11 +73,11 @@ class Spacing:
             ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         limit = max_pairs(len(x))
-        moved, overlap, pairs = _kernels.flock_separate(
+        separated, overlap, pairs = _kernels.flock_separate(
             x, self.distances, passes, RELAXATION, CLEARANCE, self.period, limit
         )
         self._check(len(x), pairs, limit)
-        return moved, overlap
+        return separated, overlap
 
     @staticmethod
     def _check(count: int, pairs: float, limit: float) -> None:

@@ -78,7 +78,7 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
         else np.minimum(targets, arc_lengths[-1])
     )
     return np.stack(
-        [np.interp(targets, arc_lengths, each) for each in points.T], axis=1
+        [np.interp(targets, arc_lengths, column) for column in points.T], axis=1
     )
 
 
@@ -95,8 +95,8 @@ def avoidance(
     squared relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
-    reach = members.each([one.avoidance.distance for one in members.entries])
-    push = members.each([one.avoidance.weight for one in members.entries])
+    reach = members.each([entry.avoidance.distance for entry in members.entries])
+    push = members.each([entry.avoidance.weight for entry in members.entries])
     samples = colliders.sample(x, t, t + VELOCITY_INTERVAL)
     for distances, normals, speeds in zip(
         samples.distances, samples.normals, samples.velocities, strict=True
@@ -106,9 +106,9 @@ def avoidance(
         rows = proximity > 0
         if not rows.any():
             continue
-        closing = ((v - speeds)[rows] * normals[rows]).sum(axis=1)
+        normal_speeds = ((v - speeds)[rows] * normals[rows]).sum(axis=1)
         braking_distance = 2 * np.maximum(gap[rows], members.radii[rows])
-        brake = np.minimum(closing, 0.0) ** 2 / braking_distance
+        brake = np.minimum(normal_speeds, 0.0) ** 2 / braking_distance
         magnitudes = proximity[rows] * (push[rows] * proximity[rows] + brake)
         accelerations[rows] += magnitudes[:, None] * normals[rows]
     return accelerations
@@ -129,7 +129,7 @@ def limit_steering(
 
 
 def _limit_turning(
-    requested: FloatArray, v: FloatArray, rows: slice, most: float
+    requested: FloatArray, v: FloatArray, rows: slice, max_rate: float
 ) -> FloatArray:
     """Return accelerations limited to a turning rate [rad/s]."""
     speeds = np.linalg.norm(v[rows], axis=1)[:, None]
@@ -139,7 +139,7 @@ def _limit_turning(
     perpendicular = requested[rows] - parallel
     lengths = np.linalg.norm(perpendicular, axis=1)[:, None]
     # Members at rest turn at once.
-    fraction = np.minimum(most * speeds / np.maximum(lengths, _TINY), 1.0)
+    fraction = np.minimum(max_rate * speeds / np.maximum(lengths, _TINY), 1.0)
     requested[rows] = parallel + perpendicular * np.where(speeds > _TINY, fraction, 1.0)
     return requested
 
@@ -152,11 +152,11 @@ def clamp_lengths(values: FloatArray, most: float) -> FloatArray:
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
     """Return velocities clamped to each species' speeds ``(N, 3)`` [m/s]."""
-    least = members.each([one.speed.least for one in members.entries])
-    most = members.each([max_speed(one) for one in members.entries])
+    min_speeds = members.each([entry.speed.least for entry in members.entries])
+    max_speeds = members.each([max_speed(entry) for entry in members.entries])
     speeds = np.linalg.norm(v, axis=1)
-    outside = (speeds > most) | ((speeds < least) & (speeds > _TINY))
-    if not outside.any():
+    is_outside = (speeds > max_speeds) | ((speeds < min_speeds) & (speeds > _TINY))
+    if not is_outside.any():
         return v
-    factors = np.clip(speeds, least, most) / np.maximum(speeds, _TINY)
-    return np.where(outside[:, None], v * factors[:, None], v)
+    factors = np.clip(speeds, min_speeds, max_speeds) / np.maximum(speeds, _TINY)
+    return np.where(is_outside[:, None], v * factors[:, None], v)

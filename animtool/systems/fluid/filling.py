@@ -48,7 +48,7 @@ def initial_fluid(
     refusals.check()
     state = np.concatenate(fills, axis=1)
     _check_count(spec, state.shape[1], "fills")
-    _check_distinct(spec, state[0], np.cumsum([one.shape[1] for one in fills[1:]]))
+    _check_distinct(spec, state[0], np.cumsum([fill.shape[1] for fill in fills[1:]]))
     return state
 
 
@@ -63,7 +63,9 @@ def coarse_drops(
         for i, part in enumerate(parts)
         if isinstance(part.get("shape"), Sphere | Capsule)
     ]
-    nozzles = [one.radius for one in spec.emitters if one.radius is not None]
+    nozzles = [
+        emitter.radius for emitter in spec.emitters if emitter.radius is not None
+    ]
     radii += [
         (f"a drop of nozzle {i}", JET_DROP_RATIO * r) for i, r in enumerate(nozzles)
     ]
@@ -109,15 +111,15 @@ def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> Floa
     points, velocities = part["points"], part.get("velocities")
     if velocities is None:
         velocities = np.broadcast_to(np.array(fill.velocity), (len(points), 3))
-    for what, array in (("points", points), ("velocities", velocities)):
+    for label, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array.shape != shape:
-            message = f"{what} of {name} have shape {array.shape}, not {shape}"
+            message = f"{label} of {name} have shape {array.shape}, not {shape}"
             refuse("SIM064", message, "fills")
-        bad = ~np.isfinite(array).all(axis=1)
-        if bad.any():
-            i = int(np.argmax(bad))
-            refuse("SIM064", f"{what} of {name}: row {i} is not finite", "fills")
+        invalid = ~np.isfinite(array).all(axis=1)
+        if invalid.any():
+            i = int(np.argmax(invalid))
+            refuse("SIM064", f"{label} of {name}: row {i} is not finite", "fills")
     return np.stack([points, velocities])
 
 
@@ -132,14 +134,18 @@ def _check_outside(
     if not is_inside.any():
         return
     c, i = (int(k) for k in np.argwhere(is_inside)[0])
-    bodies = [one for system in colliders.bodies for one in system.colliders]
+    bodies = [shape for system in colliders.bodies for shape in system.colliders]
     collider = [*colliders, *bodies][c]
     collider_name = repr(collider.name) if collider.name else f"colliders[{c}]"
-    where = "outside the container" if collider.container else "inside"
-    message = f"particle {i} of {name} starts {-gaps[c, i]:g} m {where} {collider_name}"
-    others = int(is_inside.any(axis=0).sum()) - 1
+    relation = "outside the container" if collider.container else "inside"
+    message = (
+        f"particle {i} of {name} starts {-gaps[c, i]:g} m {relation} {collider_name}"
+    )
+    other_count = int(is_inside.any(axis=0).sum()) - 1
     message += (
-        f", and {counted(others, 'other')} start in colliders too" if others else ""
+        f", and {counted(other_count, 'other')} start in colliders too"
+        if other_count
+        else ""
     )
     refuse("SIM064", message, "fills", "move it, or remove it")
 

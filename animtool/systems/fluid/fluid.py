@@ -76,7 +76,9 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
     parts, colliders, begin = context.parts, context.colliders, context.begin
     start = initial_fluid(spec, parts.get("fills", ()), colliders, begin)
     emitters = zip(spec.emitters, parts.get("emitters", ()), strict=True)
-    nozzles = [Nozzle(spec, one, part["poses"], begin) for one, part in emitters]
+    nozzles = [
+        Nozzle(spec, emitter, part["poses"], begin) for emitter, part in emitters
+    ]
     notices = colliders.notices()
     notices += coarse_drops(spec, parts.get("fills", ()))
     if spec.surface is not None:
@@ -222,12 +224,12 @@ class Fluid:
             result.compression > max_compression
             and 2 * substeps <= self._substeps.max_substeps
         ):
-            refined = self._run_kernel(
+            finer_result = self._run_kernel(
                 state, t, dt, accelerations, 2 * sound, 2 * substeps
             )
-            if refined.compression > DOUBLING_GAIN * result.compression:
+            if finer_result.compression > DOUBLING_GAIN * result.compression:
                 break
-            result, sound, substeps = refined, 2 * sound, 2 * substeps
+            result, sound, substeps = finer_result, 2 * sound, 2 * substeps
         if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression
@@ -302,11 +304,11 @@ class Fluid:
                 sheets = Colliders((), colliders.sheets)
                 radius = self._spec.spacing / 2
                 x, v = motion
-                collided = collide(x, v, before, sheets, t0, t0 + substep, radius)
-                motion = np.stack([collided.points, collided.velocities])
+                collision = collide(x, v, before, sheets, t0, t0 + substep, radius)
+                motion = np.stack([collision.points, collision.velocities])
             wrenches = [
-                Wrenches.sum([one.after(substep), Wrenches(*system)])
-                for one, system in zip(
+                Wrenches.sum([earlier.after(substep), Wrenches(*system)])
+                for earlier, system in zip(
                     wrenches, by_system(colliders.bodies, body_impulses), strict=True
                 )
             ]
@@ -314,13 +316,17 @@ class Fluid:
 
     def _solid_colliders(self, t: float) -> Colliders:
         """Return the colliders of the pressure solve: rigid and closed surfaces."""
-        around = self._colliders
+        colliders = self._colliders
         skins = [
             sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
-            for sheet in around.sheets
+            for sheet in colliders.sheets
             if sheet.closed
         ]
-        return Colliders([*around, *skins], (), around.bodies) if skins else around
+        return (
+            Colliders([*colliders, *skins], (), colliders.bodies)
+            if skins
+            else colliders
+        )
 
     def _gains_energy(self, state: FluidState) -> bool:
         """Return whether energy grew without a source."""
@@ -329,9 +335,11 @@ class Fluid:
             return False
         gain = total - state.energy
         # Potential energy is exchanged as well.
-        in_play = max(kinetic, state.energy - (total - kinetic))
-        in_play += self._mass * len(state.ids) * state.sound**2 * self._spec.compression
-        return gain > MAX_ENERGY_GROWTH * in_play
+        exchanged_energy = max(kinetic, state.energy - (total - kinetic))
+        exchanged_energy += (
+            self._mass * len(state.ids) * state.sound**2 * self._spec.compression
+        )
+        return gain > MAX_ENERGY_GROWTH * exchanged_energy
 
     def _stop_too_long(
         self,
@@ -354,7 +362,7 @@ class Fluid:
     ) -> float | None:
         """Return a shorter step that works from a state; None if none does.
 
-        At least ``shorter`` times shorter, with a margin.
+        It is at least ``ratio`` times shorter, with a margin.
         """
         steps = (floored(dt / (ratio * divisor)) for divisor in STEP_DIVISORS)
         return next((step for step in steps if self._succeeds(state, t, step)), None)
@@ -371,17 +379,17 @@ class Fluid:
             return False
         return True
 
-    def _stop(self, code: str, t: float, why: str, hint: str) -> None:
-        what = "blew up" if code == "SIM102" else "collapsed"
-        message = f"{self._spec.name} {what} at {t:g} s: {why}"
+    def _stop(self, code: str, t: float, reason: str, hint: str) -> None:
+        verb = "blew up" if code == "SIM102" else "collapsed"
+        message = f"{self._spec.name} {verb} at {t:g} s: {reason}"
         raise StoppedError([Fault(code, message, hint=hint)])
 
     def _without_drained(self, state: FluidState, t: float) -> FluidState:
         """Return a state without the particles in drains."""
-        kept = np.ones(len(state.ids), bool)
+        is_kept = np.ones(len(state.ids), bool)
         for drain in self._drains:
-            kept &= drain.sample(state.motion[0], t).distances[0] >= 0
-        return state if kept.all() else self._select(state, kept)
+            is_kept &= drain.sample(state.motion[0], t).distances[0] >= 0
+        return state if is_kept.all() else self._select(state, is_kept)
 
     def _select(self, state: FluidState, mask: BoolArray) -> FluidState:
         remaining = replace(
@@ -414,11 +422,13 @@ class Fluid:
                 notices.append(
                     warning("SIM121", f"{message}and stops the emitters", hint)
                 )
-            others, spacing = state.motion[0], self._spec.spacing
-            is_free = has_room(inflow.state[0], others, self._colliders, end, spacing)
-            blocked = int((~is_free).sum())
-            if blocked:
-                message = f"{counted(blocked, 'particle')} could not be emitted until "
+            points, spacing = state.motion[0], self._spec.spacing
+            is_free = has_room(inflow.state[0], points, self._colliders, end, spacing)
+            blocked_count = int((~is_free).sum())
+            if blocked_count:
+                message = (
+                    f"{counted(blocked_count, 'particle')} could not be emitted until "
+                )
                 message += f"{end:g} s: fluid or a collider blocks the nozzle"
                 hint = "use a faster or higher nozzle, or move it away from colliders"
                 notices.append(warning("SIM138", message, hint))
@@ -430,7 +440,7 @@ class Fluid:
                 births=np.concatenate([state.births, inflow.births[is_free]]),
                 pressures=np.concatenate([state.pressures, np.zeros(count)]),
                 made=state.made + count,
-                held=state.held + inflow.missed + blocked,
+                held=state.held + inflow.missed + blocked_count,
             )
             energy_gain = (
                 self._energy(result)[0] - self._energy(state)[0] if count else 0.0

@@ -143,7 +143,7 @@ class FluidModel(ForcedSpec):
 
     @property
     def counts(self) -> dict[str, int]:
-        """What it is made of, by kind."""
+        """Component counts by kind."""
         return {
             "fills": len(self.fills),
             "emitters": len(self.emitters),

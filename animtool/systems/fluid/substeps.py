@@ -82,17 +82,17 @@ class Substeps:
         )
         layers = MIN_LAYERS * self._spec.spacing * acceleration
         head = max(head, layers, self._drop_pressure) + max_speed**2 / 2
-        needed = self._sound(head)
+        required = self._sound(head)
         if (
             previous
-            and needed / SOUND_TOLERANCE <= previous <= needed * SOUND_TOLERANCE
+            and required / SOUND_TOLERANCE <= previous <= required * SOUND_TOLERANCE
         ):
             return previous
         lowest, highest = (
             previous * math.exp(-dt / SOUND_FALL_TIME),
             previous * math.exp(dt / SOUND_RISE_TIME),
         )
-        sound = max(lowest, min(needed, highest) if previous else needed)
+        sound = max(lowest, min(required, highest) if previous else required)
         # Without pressure, one substep is as stiff as possible.
         return sound or self._spec.spacing / dt
 

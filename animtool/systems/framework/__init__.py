@@ -1,1 +1,1 @@
-"""What all kinds of systems share: keys, kinds, runs, saved states, coupling."""
+"""Code shared by all systems: keys, kinds, runs, saved states, coupling."""

@@ -31,7 +31,7 @@ RECORD_UNITS: Mapping[str, Mapping[str, str]] = {
     "height_field": {"size": "m"},
     "plane": {"normal": "", "offset": "m"},
     "sphere": {"radius": "m", "centre": "m"},
-    # What a distance is raised to is among these, see `_central`.
+    # The unit of `strength` depends on `power`, see `_central`.
     "central": {"centre": "m", "strength": "m/s²", "power": "", "softening": "m"},
     "charges": {"constant": "N m²/C²", "softening": "m"},
     "drag": {"linear": "kg/s", "quadratic": "kg/m"},

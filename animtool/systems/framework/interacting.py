@@ -104,7 +104,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
         return self._bodies.accelerations_from(t, x, sums)
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return what makes a state hard to integrate."""
+        """Return why a state is hard to integrate, for messages."""
         if not np.isfinite(state).all():
             return ""
         return self._bodies.suspect(state[0], self.at(state[0]))
@@ -193,7 +193,7 @@ class Interacting(ABC, Generic[State, Sums]):
         """Return accelerations and energies by an external force at ``(3,)``."""
 
     def suspect(self, x: FloatArray, sums: Sums) -> str:  # noqa: ARG002
-        """Return what makes positions hard to integrate; may be empty."""
+        """Return why positions are hard to integrate; may be empty."""
         return ""
 
     @abstractmethod

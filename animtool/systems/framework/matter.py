@@ -52,8 +52,8 @@ class UnitFrame:
 
     def to_local(self, points: FloatArray) -> FloatArray:
         """Transform scene points ``(…, 3)`` [m] to local units."""
-        rotated = so3.rotate(so3.conjugate(self.rotation), points - self.at)
-        return np.asarray(rotated / self.scale)
+        offsets = so3.rotate(so3.conjugate(self.rotation), points - self.at)
+        return np.asarray(offsets / self.scale)
 
     def to_scene(self, x: FloatArray) -> FloatArray:
         """Transform local points ``(…, 3)`` to the scene [m]."""

@@ -111,11 +111,11 @@ class ContactMeter:
             lengths = np.linalg.norm(points[j] - points[i], axis=1)
             strains = np.abs(lengths / surface.rest_lengths - 1)
             largest = int(strains.argmax())
-            where = int(i[largest])
+            particle = int(i[largest])
             value, quantile = float(strains[largest]), float(np.quantile(strains, 0.99))
-            self.strain = self._larger(self.strain, value, frame, points, where)
+            self.strain = self._larger(self.strain, value, frame, points, particle)
             self.strain_99 = self._larger(
-                self.strain_99, quantile, frame, points, where
+                self.strain_99, quantile, frame, points, particle
             )
 
     def _larger(
@@ -137,25 +137,25 @@ class ContactMeter:
     @property
     def text(self) -> str:
         """Measured values as text; empty without contact and strain."""
-        parts = []
+        phrases = []
         if self.depth.value > 0:
             depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
-            parts.append(f"{depth} ({self.depth.text})")
+            phrases.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
             quantile = percent(self.strain_99.value)
-            parts.append(f"99th percentile of strain {quantile}")
-            parts.append(
+            phrases.append(f"99th percentile of strain {quantile}")
+            phrases.append(
                 f"largest strain {percent(self.strain.value)} ({self.strain.text})"
             )
-        return ", ".join(parts)
+        return ", ".join(phrases)
 
     def notices(self, what: str) -> list[Fault]:
         """Return warnings about visible faults (SIM180, SIM181, SIM182)."""
-        notices, finer = [], "a shorter step" if self.seconds else "a higher rate"
+        notices, remedy = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
             message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
             message += f"touches ({self.depth.text})"
-            hint = f"use a larger radius or {finer}, or a slower motion"
+            hint = f"use a larger radius or {remedy}, or a slower motion"
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
@@ -170,7 +170,7 @@ class ContactMeter:
             message = f"{what} is strained by up to {percent(self.strain.value)} "
             message += f"({self.strain.text}), 99th percentile "
             message += f"{percent(self.strain_99.value)}"
-            hint = f"pins or contacts pull it apart; use {finer}"
+            hint = f"pins or contacts pull it apart; use {remedy}"
             hint += " or a higher stiffness" if self.seconds else ""
             notices.append(warning("SIM182", message, hint))
         return notices
@@ -202,14 +202,14 @@ def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
     [0.1, 0.0]
     """
     low, high = solid.points.min(axis=0), solid.points.max(axis=0)
-    inside = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    in_bounds = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     depths = np.zeros(len(points))
-    if len(inside):
+    if len(in_bounds):
         collider = Colliders(
             [Collider(Mesh(solid.points, solid.triangles, closed=True))]
         )
-        distances = collider.sample(points[inside], 0.0, 1.0).distances[0]
-        depths[inside] = np.maximum(-distances, 0.0)
+        distances = collider.sample(points[in_bounds], 0.0, 1.0).distances[0]
+        depths[in_bounds] = np.maximum(-distances, 0.0)
     return depths
 
 
@@ -220,8 +220,8 @@ def pierced_pairs(
 
     Pairs within solids are not counted.
     """
-    own = np.ascontiguousarray(triangles, np.int64)
-    count = _kernels.pierced_edges(np.ascontiguousarray(points), own)
+    own_triangles = np.ascontiguousarray(triangles, np.int64)
+    count = _kernels.pierced_edges(np.ascontiguousarray(points), own_triangles)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
@@ -230,6 +230,6 @@ def pierced_pairs(
         if not len(faces):
             continue
         all_points = np.concatenate([points, solid.points])
-        others = np.asarray(faces + len(points), np.int64)
-        count += _kernels.pierced_edges(all_points, own, others)
+        other_triangles = np.asarray(faces + len(points), np.int64)
+        count += _kernels.pierced_edges(all_points, own_triangles, other_triangles)
     return count

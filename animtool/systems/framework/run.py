@@ -173,8 +173,8 @@ class SimulationRun(EntryRun):
         self._pushed_states: dict[int, Reached[Any]] = {}
         self.observed: tuple[Any, float] = self.state.state, self.time(self.state.steps)
         self._last_time: float | None = None  # last requested time [s]
-        many = simulation if isinstance(simulation, ManySteps) else None
-        self._many_steps = None if many is None else many.steps
+        stepper = simulation if isinstance(simulation, ManySteps) else None
+        self._many_steps = None if stepper is None else stepper.steps
 
     def reach(self, t: float) -> tuple[Any, float]:
         """Return the state at a time [s] not before the last one, and its time."""
@@ -184,9 +184,7 @@ class SimulationRun(EntryRun):
         start = self.state
         if count < start.steps:
             # Systems coupled to it may have advanced it beyond the frame.
-            earlier = [
-                reached for reached in self._past_states or () if reached.steps <= count
-            ]
+            earlier = [past for past in self._past_states or () if past.steps <= count]
             if not earlier:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
@@ -298,18 +296,18 @@ class SimulationRun(EntryRun):
         self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
         self._pushed_states[steps] = self.state
         if pushes:
-            pushed = self.simulation.pushed(
+            pushed_state = self.simulation.pushed(
                 self.state.state,
                 Wrenches.sum([push[2].after(time - push[0]) for push in pushes]),
             )
-            self._pushed_states[steps] = Reached(steps, pushed)
+            self._pushed_states[steps] = Reached(steps, pushed_state)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
         """Register bodies of other systems that it pushes."""
         self._pushed_bodies = bodies
-        for pushed in bodies:
-            pushed.register_pusher(self)
+        for system in bodies:
+            system.register_pusher(self)
 
     def register_pusher(self, pusher: Pusher) -> int:
         """Register a pusher of its bodies; return its index."""
@@ -330,7 +328,7 @@ class SimulationRun(EntryRun):
     def _record_notices(self, notices: Sequence[Fault]) -> None:
         """Keep warnings of a step with new codes."""
         for notice in notices:
-            if notice.code not in {known.code for known in self.step_notices}:
+            if notice.code not in {earlier.code for earlier in self.step_notices}:
                 self.step_notices.append(notice)
 
     def time(self, steps: int) -> float:
@@ -340,14 +338,14 @@ class SimulationRun(EntryRun):
     def past_state(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
         """Return a past or current state at a time [s], and its time.
 
-        Times before the begin return the first state. With ``begins``, pushes until
+        Times before the start return the first state. With ``begins``, pushes until
         then are applied.
         """
         assert self._past_states is not None
         count = self.advance(t)
         # A resumed run has no earlier states.
         candidates = (
-            reached for reached in reversed(self._past_states) if reached.steps <= count
+            past for past in reversed(self._past_states) if past.steps <= count
         )
         state = next(candidates, self._past_states[0])
         time, observed = self.time(state.steps), self._partial_step(state, t)
@@ -363,14 +361,12 @@ class SimulationRun(EntryRun):
             return
         count = math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE)
         expired = [
-            k for k, observer in enumerate(self._past_states) if observer.steps <= count
+            k for k, entry in enumerate(self._past_states) if entry.steps <= count
         ]
         del self._past_states[: expired[-1] if expired else 0]
         first_step = self._past_states[0].steps
         self._pushed_states = {
-            k: observer
-            for k, observer in self._pushed_states.items()
-            if k >= first_step
+            k: entry for k, entry in self._pushed_states.items() if k >= first_step
         }
 
     def _step_until(

@@ -69,8 +69,8 @@ def open_states(path: Path) -> Iterator[SavedStates]:
     """
     try:
         with Archives() as archives:
-            known = archives.has(path, "format")
-            if not known or archives.text(path, "format") != FORMAT:
+            has_format = archives.has(path, "format")
+            if not has_format or archives.text(path, "format") != FORMAT:
                 message = "is not a file of saved states"
                 raise FormatError(Fault("SIM035", message, str(path)))
             yield SavedStates(archives, path)
@@ -165,7 +165,7 @@ class SavedStates:
             )
         try:
             arrays |= {key: expected[key] for key in missing}
-            return Reached(int(steps), _restored(start.state, arrays, metadata))
+            return Reached(int(steps), _restore(start.state, arrays, metadata))
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
 
@@ -228,39 +228,39 @@ def _arrays(state: Any, prefix: str = "") -> _Arrays:
             )
         return {prefix: array}
     arrays: _Arrays = {}
-    for name, part in _parts(state).items():
+    for name, part in _fields_by_name(state).items():
         arrays |= _arrays(part, f"{prefix}.{name}" if prefix else name)
     return arrays
 
 
-def _parts(state: Any) -> dict[str, Any]:
+def _fields_by_name(state: Any) -> dict[str, Any]:
     """Return the parts of a record or a mapping, by name."""
     if isinstance(state, Mapping):
         return dict(state)
     return {entry.name: getattr(state, entry.name) for entry in fields(state)}
 
 
-def _restored(
+def _restore(
     template: Any, arrays: _Arrays, metadata: _FieldMetadata, prefix: str = ""
 ) -> Any:
     """Return a state with the structure of another, from arrays."""
     if prefix in metadata.later:
-        return _part(arrays, metadata.later[prefix], prefix)
+        return _read_missing(arrays, metadata.later[prefix], prefix)
     if template is None:
         return None
     if isinstance(template, Mapping) or is_dataclass(template):
-        parts = {
-            name: _restored(
-                part, arrays, metadata, f"{prefix}.{name}" if prefix else name
+        values = {
+            name: _restore(
+                value, arrays, metadata, f"{prefix}.{name}" if prefix else name
             )
-            for name, part in _parts(template).items()
+            for name, value in _fields_by_name(template).items()
         }
-        return replace(template, **parts) if is_dataclass(template) else parts  # type: ignore[type-var]
+        return replace(template, **values) if is_dataclass(template) else values  # type: ignore[type-var]
     array = arrays[prefix]
     return array if isinstance(template, np.ndarray) else type(template)(array.item())
 
 
-def _part(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) -> Any:
+def _read_missing(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) -> Any:
     """Return a part missing in the first state; None if the arrays lack it too.
 
     Raises:
@@ -273,16 +273,16 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) -> Any:
     }
     if not values_by_name:
         return None
-    (value, *more) = values_by_name.values()
-    if prefix in values_by_name and not more and type(value) in (records or (float,)):
+    (value, *others) = values_by_name.values()
+    if prefix in values_by_name and not others and type(value) in (records or (float,)):
         return value
     for record in records:
         if record is np.ndarray:
             continue
         hints = get_type_hints(record)
-        kinds = {
+        types = {
             name: float if hint is float else np.ndarray for name, hint in hints.items()
         }
-        if {name: type(part) for name, part in values_by_name.items()} == kinds:
+        if {name: type(entry) for name, entry in values_by_name.items()} == types:
             return record(**values_by_name)
     raise TypeError(f"{prefix} belongs to another method")

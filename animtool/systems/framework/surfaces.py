@@ -54,7 +54,7 @@ class SystemBodies:
 
     @property
     def owners(self) -> IntArray:
-        """Index of each shape's body among the dynamic ones, else -1."""
+        """Index of each shape's body among the dynamic bodies; -1 if kinematic."""
         numbers = np.full(len(self.names), -1)
         numbers[self.dynamic] = np.arange(self.count)
         return numbers[self.shape_bodies]
@@ -232,7 +232,7 @@ class BodyColliders(_StateObserver):
     ) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
 
-        At a time [s], as a step begins or one ends; inertias in the world [1/(kg m²)].
+        At a time [s], at the start or end of a step; inertias in the world [1/(kg m²)].
         """
         state, _ = self._run.past_state(t, begins=True) if begins else self._states(t)
         return self._simulation.inertias(state)

@@ -65,7 +65,8 @@ class TiedBodies(BodyColliders):
     def gap(self, carrier: OnBody, points: FloatArray) -> tuple[float, float]:
         """Return the initial distance of points ``(P, 3)`` from a body's surface [m].
 
-        That of the nearest point, 0 inside; and the size of the body.
+        The distance is that of the nearest point, 0 inside the body. Also returns the
+        size of the body [m].
         """
         shared, number = self.system.shared, self.number(carrier)
         (shape_indices,) = np.nonzero(shared.shape_bodies == number)
@@ -120,7 +121,7 @@ class TiedStep:
     ) -> None:
         self._simulation, self._ends, self._t1 = simulation, ends, t1
         self.begins = simulation.frames(begins, t0)  # poses of all bodies ``(B, 7)``
-        self.begun, self.span = begins, t1 - t0  # state at the begin; duration [s]
+        self.begun, self.span = begins, t1 - t0  # state at the start; duration [s]
         self.free = simulation.free(t0)  # free bodies ``(count,)``
         self.inertias = simulation.inertias(ends)
         self._speeds = simulation.speeds(ends)[:, :3]
@@ -149,7 +150,7 @@ class TiedStep:
         return velocities
 
     def begun_at(self, number: int, points: FloatArray) -> FloatArray:
-        """Return velocities of points at the begin [m/s]."""
+        """Return velocities of points at the start [m/s]."""
         return self.speeds_at(self.begun, number, points)
 
     def turning(self, number: int, pull: FloatArray) -> FloatArray:

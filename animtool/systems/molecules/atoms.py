@@ -160,8 +160,10 @@ def _velocities(
     kinds: npt.NDArray[np.int64],
     from_files: list[FloatArray | None],
 ) -> FloatArray:
-    """Return velocities of files, else thermal ones; no net momentum ``(N, 3)``."""
-    is_thermal = np.array([one is None for one in from_files])[kinds]
+    """Return velocities from files or thermal ones, without net momentum ``(N, 3)``."""
+    is_thermal = np.array([file_velocities is None for file_velocities in from_files])[
+        kinds
+    ]
     velocities = np.zeros((len(masses), 3))
     for k, values in enumerate(from_files):
         if values is not None:

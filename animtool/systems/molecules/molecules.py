@@ -196,17 +196,17 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
         size = self._periodic_box.size
         x = start.motion[0] % size
-        distances, others = cKDTree(x % size, boxsize=size).query(x, 2)
+        distances, neighbours = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
-        first, second = sorted(others[i].tolist())
+        first, second = sorted(neighbours[i].tolist())
         message = f"atoms {first} and {second} start {distances[i, 1]:.3g} nm apart"
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
     def _start(self, motion: FloatArray) -> MoleculeState:
         points = motion[0]
-        acting = self._interactions.acting(points, points)
-        return MoleculeState(motion, points, acting, 0.0, 0)
+        forces = self._interactions.acting(points, points)
+        return MoleculeState(motion, points, forces, 0.0, 0)
 
     def _sums(self, state: MoleculeState) -> ListedForces:
         return state.acting, state.reference
@@ -242,13 +242,13 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             motion = self._integrate(system, t, dt, dt)
         except StoppedError as error:
             hint = f"use step: {self._suggested_step(state):.2g}"
-            faults = [replace(one, hint=hint) for one in error.faults]
+            faults = [replace(fault, hint=hint) for fault in error.faults]
             raise StoppedError(faults, error.stats) from None
         distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
         i = int(np.argmax(distances))
         if not distances[i] <= MAX_TRAVEL * self._periodic_box.size.min():
             self._stop(state, t + dt, f"atom {i} moves {distances[i]:.3g} nm in a step")
-        (acting, reference), heat = system.at(motion[0]), state.heat
+        (forces, reference), heat = system.at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic(motion)
             factor = bath_factor(
@@ -262,7 +262,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             )
             motion = np.stack([motion[0], factor * motion[1]])
             heat += (factor**2 - 1) * kinetic
-        after = MoleculeState(motion, reference, acting, heat, state.steps + 1)
+        after = MoleculeState(motion, reference, forces, heat, state.steps + 1)
         self._check_energy(after, t + dt)
         return after
 
@@ -274,12 +274,12 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def _potential(self, state: MoleculeState, t: float) -> float:
         internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
-        outside = (
+        external = (
             self.external_accelerations(t, state.motion[0])[1]
             if self.external_forces
             else np.zeros(1)
         )
-        return internal + float(outside.sum())
+        return internal + float(external.sum())
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
         x, v = motion

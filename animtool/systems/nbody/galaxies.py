@@ -79,9 +79,9 @@ class MassProfile:
         density = np.gradient(enclosed(part, self.r), self.r) / self.r**2
         density = np.maximum(density, 0.0)
         pressure = _integral_to_end(density * self.acceleration, self.r)
-        least = density.max() * 1e-12
-        squares = pressure / np.maximum(density, least)
-        return np.sqrt(np.where(density > least, squares, 0.0))
+        min_density = density.max() * 1e-12
+        squares = pressure / np.maximum(density, min_density)
+        return np.sqrt(np.where(density > min_density, squares, 0.0))
 
 
 def _integral_to_end(values: FloatArray, r: FloatArray) -> FloatArray:
@@ -100,9 +100,11 @@ _MASS_FRACTIONS: dict[str, Callable[[Any], Any]] = {
 
 def enclosed(part: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
     """Return the mass of a spheroid or a disc within radii [kg]."""
-    mass_inside = _MASS_FRACTIONS[getattr(part, "profile", "exponential")]
-    inside = np.minimum(r / part.radius, part.cutoff)
-    return np.asarray(part.mass * mass_inside(inside) / mass_inside(part.cutoff))
+    mass_fraction = _MASS_FRACTIONS[getattr(part, "profile", "exponential")]
+    scaled_radii = np.minimum(r / part.radius, part.cutoff)
+    return np.asarray(
+        part.mass * mass_fraction(scaled_radii) / mass_fraction(part.cutoff)
+    )
 
 
 def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
@@ -125,8 +127,10 @@ def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
 def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
     """Return the bodies of each galaxy of a spec, at its start."""
     constant, softening = spec.gravity_constant, spec.softening
-    galaxies = [build_galaxy(one, constant, softening) for one in spec.galaxies]
-    starts = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
+    galaxies = [build_galaxy(galaxy, constant, softening) for galaxy in spec.galaxies]
+    starts = [
+        (np.array(galaxy.at), np.array(galaxy.velocity)) for galaxy in spec.galaxies
+    ]
     if spec.encounter is not None:
         starts = orbit_starts(
             spec.encounter, [g.masses.sum() for g in galaxies], constant
@@ -181,7 +185,9 @@ def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
     height = disc.thickness * disc.radius
     heights = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
     tables = disc_velocities(disc, profile)
-    radial, azimuthal, vertical, mean = (np.interp(r, profile.r, one) for one in tables)
+    radial, azimuthal, vertical, mean = (
+        np.interp(r, profile.r, table) for table in tables
+    )
     normal = matter.normal_samples(u[:, 3:6])
     radial_velocities, azimuthal_velocities = (
         radial * normal[:, 0],

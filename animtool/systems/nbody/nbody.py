@@ -86,10 +86,10 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
 
 
 def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
-    where, hint = "bodies", "move one of them"
+    key, hint = "bodies", "move one of them"
     whys = "their attraction is infinite", "they cannot be told apart"
-    pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-    check_distinct(bodies.points, pair, spec.code, where, hint, why)
+    pair, reason = "bodies {} and {}".format, whys[spec.softening > 0]
+    check_distinct(bodies.points, pair, spec.code, key, hint, reason)
     if not np.isfinite([bodies.points, bodies.velocities]).all():
         message = "galaxies are so small, large or heavy that numbers overflow"
         refuse(spec.code, message, "bodies")
@@ -118,11 +118,11 @@ class Nbody(Interacting[NbodyState, Pulls]):
         ]
         self.radii = np.repeat(radii, counts)
         dark_counts = [0] * len(spec.bodies) + [part.dark for part in spec.galaxies]
-        is_shown = [
-            np.arange(count) < count - hidden
-            for count, hidden in zip(counts, dark_counts, strict=True)
+        is_visible = [
+            np.arange(count) < count - dark
+            for count, dark in zip(counts, dark_counts, strict=True)
         ]
-        self.shown = np.flatnonzero(np.concatenate(is_shown))
+        self.shown = np.flatnonzero(np.concatenate(is_visible))
         accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
         is_large = (
             len(self.bodies.masses) > CROSSOVER * accuracy_factor**CROSSOVER_POWER
@@ -237,12 +237,12 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _potential(self, state: NbodyState, t: float) -> float:
         masses, x = self.bodies.masses, state.motion[0]
-        outside = (
+        external = (
             float(masses @ self.external_accelerations(t, x)[1])
             if self.external_forces
             else 0.0
         )
-        return 0.5 * float(masses @ state.pulls.potentials) + outside
+        return 0.5 * float(masses @ state.pulls.potentials) + external
 
     def _momenta(self, state: NbodyState) -> FloatArray:
         """Return linear and angular momentum ``(2, 3)``."""
@@ -252,14 +252,14 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _quantities(self, state: NbodyState, t: float) -> Quantities:
         (x, v), pulls = state.motion, state.pulls
-        outside, potentials = (
+        external, potentials = (
             self.external_accelerations(t, x) if self.external_forces else (0.0, 0.0)
         )
         return {
             **super()._quantities(state, t),
             "energy": lambda: (v * v).sum(axis=1) / 2 + pulls.potentials + potentials,
             "acceleration": lambda: np.linalg.norm(
-                pulls.accelerations + outside, axis=1
+                pulls.accelerations + external, axis=1
             ),
         }
 
@@ -272,8 +272,10 @@ class Nbody(Interacting[NbodyState, Pulls]):
             values["energy_drift"] = self._drift(state, self._energy(state, t))
             sizes = self.bodies.masses * np.linalg.norm(v, axis=1)
             scales = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
-            gained = self._momenta(state) - self._momenta(self.initial())
-            drifts = np.linalg.norm(gained, axis=1) / np.maximum(scales, 1e-300)
+            momentum_change = self._momenta(state) - self._momenta(self.initial())
+            drifts = np.linalg.norm(momentum_change, axis=1) / np.maximum(
+                scales, 1e-300
+            )
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
         if self.tree:
             values["force_error"] = self._force_error(x, state.pulls)

@@ -33,7 +33,7 @@ from animtool.systems.framework.spec import SystemSpec
 
 
 class BodiesModel(FileModel):
-    """Bodies of a file; at rest if it gives no velocities."""
+    """Bodies from a file; at rest if it has no velocities."""
 
     points: ArrayEntry = key("Initial positions `(N, 3)` [m].", "stars.npz#points")
     velocities: Velocities = None
@@ -47,7 +47,7 @@ class BodiesModel(FileModel):
 
 
 class SpheroidModel(FileModel):
-    """Stars or dark matter around a centre, alike all around."""
+    """Spherical distribution of stars or dark matter."""
 
     count: Count = key("Number of bodies.", 2000)
     mass: Positive = key("Total mass [kg].", 0.3)
@@ -135,7 +135,7 @@ class EncounterModel(PlacementModel):
 
 
 class AttractorModel(PlacedModel):
-    """A mass that attracts bodies and goes where it is put."""
+    """A mass on a prescribed path that attracts bodies."""
 
     mass: NotNegative = key("Mass [kg].", 10)
     softening: NotNegative = key(
@@ -216,8 +216,12 @@ class NbodyModel(SystemSpec):
         if count != 2:
             message = f"an encounter needs two galaxies, but there are {count}"
             yield message, "encounter", None
-        e, near = orbit.eccentricity, orbit.pericentre
-        far = near * (1 + e) / (1 - e) if e < 1 else float("inf")
-        if not near <= orbit.separation <= far:
+        e, pericentre = orbit.eccentricity, orbit.pericentre
+        apocentre = pericentre * (1 + e) / (1 - e) if e < 1 else float("inf")
+        if not pericentre <= orbit.separation <= apocentre:
             message = f"the separation is {orbit.separation:g} m, and on this orbit it "
-            yield f"{message}is from {near:g} to {far:g} m", "encounter", None
+            yield (
+                f"{message}is from {pericentre:g} to {apocentre:g} m",
+                "encounter",
+                None,
+            )

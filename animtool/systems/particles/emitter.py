@@ -105,11 +105,13 @@ class Emitter(Emission, Checked):
         indices = np.arange(first, first + kept, dtype=np.int64)
         times = [start + (indices + 0.5) / self.rate] if len(indices) else []
         keys = [indices] if len(indices) else []
-        for i, (when, count) in enumerate(self.bursts):
-            has_started = begin <= when if start_time is None else start_time < when
-            if has_started and when <= end_time:
+        for i, (burst_time, count) in enumerate(self.bursts):
+            has_started = (
+                begin <= burst_time if start_time is None else start_time < burst_time
+            )
+            if has_started and burst_time <= end_time:
                 emitted, burst_count = emitted + count, min(count, capacity)
-                times.append(np.full(burst_count, float(when)))
+                times.append(np.full(burst_count, float(burst_time)))
                 keys.append(
                     _BURST_KEYS * (i + 1) + np.arange(burst_count, dtype=np.int64)
                 )

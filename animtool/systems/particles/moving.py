@@ -59,15 +59,15 @@ class ParticleForces(_MovingParticles, SecondOrder):
         return self._exchange_momentum(t, h, after, collided)
 
     def _exchange_momentum(
-        self, t: float, h: float, without_contacts: FloatArray, collided: Collided
+        self, t: float, h: float, without_contacts: FloatArray, collision: Collided
     ) -> FloatArray:
         """Return the state after momentum exchange with movable bodies."""
         state, first_body = (
-            np.stack([collided.points, collided.velocities]),
+            np.stack([collision.points, collision.velocities]),
             len(self._colliders),
         )
         for i, system in enumerate(self._colliders.bodies):
-            shapes = collided.contacts.colliders - first_body
+            shapes = collision.contacts.colliders - first_body
             shapes[shapes >= len(system.colliders)] = -1
             first_body += len(system.colliders)
             if not system.count:
@@ -82,7 +82,7 @@ class ParticleForces(_MovingParticles, SecondOrder):
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
         """Return the energy of a state; None if a force has no potential."""
-        # Resumed states may hold masses whose energies overflow.
+        # Energies of resumed states may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             sums, known = energies(self.setup, self.particles, state)
             if not known:
@@ -133,11 +133,11 @@ class ParticleFlow(_MovingParticles, FirstOrder):
         """Return the state after collisions."""
         speed = (after - before) / h
         start = np.stack([before, speed])
-        collided = collide(
+        collision = collide(
             after, speed, start, self._colliders, t - h, t, self.particles.radii
         )
-        self.contacts = collided.contacts
-        return collided.points if collided.contacts.any.any() else after
+        self.contacts = collision.contacts
+        return collision.points if collision.contacts.any.any() else after
 
 
 def particle_system(
@@ -197,7 +197,7 @@ def advance_births(
     end_states = _rk4_births(setup, particles, birth_states, t1 - particles.births)
     if not colliders.active:
         return end_states
-    collided = collide(
+    collision = collide(
         end_states[0],
         end_states[1],
         birth_states,
@@ -207,7 +207,7 @@ def advance_births(
         particles.radii,
         particles.births,
     )
-    return np.stack([collided.points, collided.velocities])
+    return np.stack([collision.points, collision.velocities])
 
 
 def _rk4_births(

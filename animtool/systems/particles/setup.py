@@ -110,9 +110,11 @@ class Particles:
         for i, force in enumerate(self.forces):
             faults += [
                 Fault(
-                    "SIM022", f"its {option} {why}", where=f"{_table_name(force)}[{i}]"
+                    "SIM022",
+                    f"its {option} {reason}",
+                    where=f"{_table_name(force)}[{i}]",
                 )
-                for option, why in force.faults()
+                for option, reason in force.faults()
             ]
         if self.velocity is not None:
             faults += self.velocity.faults("velocity")

@@ -236,10 +236,10 @@ class ParticleSimulation:
     ) -> ParticleRunState:
         """Return a state with the births of a step, at its end."""
         capacity = max(self.setup.max_particles - len(state.particles), 0)
-        particles, birth_states, skipped = self._births(
+        particles, birth_states, skipped_count = self._births(
             start_time, end_time, state.born, capacity
         )
-        total = len(particles) + skipped
+        total = len(particles) + skipped_count
         skipped_here = max(total - capacity, 0)
         if skipped_here and not state.missed:
             limit = self.setup.max_particles
@@ -280,10 +280,10 @@ class ParticleSimulation:
         Each emitter has at most ``capacity`` births; also returns the number of births
         that were skipped.
         """
-        particle_sets, states, skipped = [], [], 0
+        particle_sets, states, skipped_count = [], [], 0
         for emitter in self.setup.emitters:
             births = emitter.births(self.begin, start_time, end_time, capacity)
-            skipped += births.missed
+            skipped_count += births.missed
             if not len(births.times):
                 continue
             x, v, lifetimes, radii = emitter.sample_births(births)
@@ -301,13 +301,13 @@ class ParticleSimulation:
             )
             states.append(np.stack([x, v]))
         if not states:
-            return ParticleState.none(), np.zeros((2, 0, 3)), skipped
+            return ParticleState.none(), np.zeros((2, 0, 3)), skipped_count
         particles = ParticleState.concatenate(particle_sets)
         state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
         particles, state = particles.select(order), state[:, order]
         ids = first + np.arange(len(particles), dtype=np.int64)
-        return replace(particles, ids=ids), state, skipped
+        return replace(particles, ids=ids), state, skipped_count
 
     def _stuck_notices(
         self, particles: ParticleState, contacts: Contacts, t: float

@@ -251,7 +251,7 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _mesh(
     display_shapes: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the display mesh of shapes; decomposed meshes are shown as they were."""
+    """Return the display mesh of shapes; decomposed meshes keep their original form."""
     points, counts, corners, base = [], [], [], 0
     for mesh, core, at, rotation in display_shapes:
         part_vertices, count, corner = core_mesh(core)

@@ -235,8 +235,8 @@ class BodyLoads:
     def _body(self, number: int) -> str:
         return excerpt(self._bodies.names[self._bodies.dynamic[number]])
 
-    def _stop(self, t: float, why: str, hint: str) -> None:
-        message = f"{self._name} blew up at {t:g} s: {why}"
+    def _stop(self, t: float, reason: str, hint: str) -> None:
+        message = f"{self._name} blew up at {t:g} s: {reason}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 

@@ -44,7 +44,7 @@ class Locked:
 
     Attributes:
         joint_index: Index of the joint.
-        by: Joints any of whose removal would unlock it; empty if several lock it.
+        by: Joints that would each unlock it if removed; empty if several lock it.
         left: Remaining fraction of its motion.
     """
 
@@ -82,7 +82,7 @@ def locked_joints(
             remaining = _remaining_motion(motions, free)
             if not len(motions) or remaining > LOCKED_MOTION:
                 continue
-            by = []
+            blocking = []
             for i, other_joint in enumerate(loop):
                 if other_joint != k:
                     other_constraints = [
@@ -96,8 +96,8 @@ def locked_joints(
                         )
                         > LOCKED_MOTION
                     ):
-                        by.append(other_joint)
-            locked.append(Locked(k, tuple(by), remaining))
+                        blocking.append(other_joint)
+            locked.append(Locked(k, tuple(blocking), remaining))
     return locked
 
 
@@ -132,29 +132,31 @@ def locked_notices(
 
 def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
     """Return a local frame of a body in the world ``(7,)``."""
-    at = body[:3] + so3.rotate(body[3:7], local[:3])
-    return np.concatenate([at, so3.multiply(body[3:7], local[3:])])
+    origin = body[:3] + so3.rotate(body[3:7], local[:3])
+    return np.concatenate([origin, so3.multiply(body[3:7], local[3:])])
 
 
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
     """Return joints of each closed loop, without dangling branches."""
     ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
-    remaining = set(range(len(ends)))
+    remaining_joints = set(range(len(ends)))
     while True:
         degree = np.bincount(
-            [i for k in remaining for i in ends[k]], minlength=count + 1
+            [i for k in remaining_joints for i in ends[k]], minlength=count + 1
         )
         dangling = {
-            k for k in remaining if any(degree[i] == 1 and i < count for i in ends[k])
+            k
+            for k in remaining_joints
+            if any(degree[i] == 1 and i < count for i in ends[k])
         }
         if not dangling:
             break
-        remaining -= dangling
+        remaining_joints -= dangling
     groups: list[tuple[set[int], list[int]]] = []
-    for k in sorted(remaining):
+    for k in sorted(remaining_joints):
         # Static bodies connect no loops.
         members, joints = {i for i in ends[k] if i < count}, [k]
-        for group in [one for one in groups if one[0] & members]:
+        for group in [candidate for candidate in groups if candidate[0] & members]:
             groups.remove(group)
             members |= group[0]
             joints = group[1] + joints

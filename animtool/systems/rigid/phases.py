@@ -129,9 +129,9 @@ class BodyPhases:
             is_dynamic[bodies.dynamic[~free]] = False
             bodies = replace(bodies, is_dynamic=is_dynamic)
         joints, holding = self._joints_of(bodies)
-        kept = np.flatnonzero(~broken[holding]) if len(broken) else holding
-        if len(kept) < len(holding):
-            joints, holding = joints.subset(kept), holding[kept]
+        intact = np.flatnonzero(~broken[holding]) if len(broken) else holding
+        if len(intact) < len(holding):
+            joints, holding = joints.subset(intact), holding[intact]
         colliders = Colliders(
             [*self._colliders, *bodies.colliders(), *self._static],
             self._around.sheets,
@@ -148,23 +148,26 @@ class BodyPhases:
 
     def _shapes(self, bodies: RigidBodies, colliders: int) -> IntArray:
         """Return the numbers of shapes and rigid colliders in the full system."""
-        full, first = self._bodies, len(self._colliders)
-        if bodies is full:
-            return np.arange(len(full.shapes[1]) + colliders)
-        dynamic_indices = {int(i): k for k, i in enumerate(full.dynamic)}
-        count = len(full.shapes[1])
-        first_shapes = np.searchsorted(full.shapes[1], np.arange(len(full.dynamic)))
+        all_bodies, first = self._bodies, len(self._colliders)
+        if bodies is all_bodies:
+            return np.arange(len(all_bodies.shapes[1]) + colliders)
+        dynamic_indices = {int(i): k for k, i in enumerate(all_bodies.dynamic)}
+        count = len(all_bodies.shapes[1])
+        first_shapes = np.searchsorted(
+            all_bodies.shapes[1], np.arange(len(all_bodies.dynamic))
+        )
         dynamic: list[int] = []
         for i in bodies.dynamic.tolist():
             dynamic += range(
                 first_shapes[dynamic_indices[i]],
-                first_shapes[dynamic_indices[i]] + len(full.kinds[full.of[i]].cores),
+                first_shapes[dynamic_indices[i]]
+                + len(all_bodies.kinds[all_bodies.of[i]].cores),
             )
         next_collider = count + first
         kinematic: list[int] = []
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
-            shapes = len(full.kinds[full.of[i]].shapes)
-            if full.is_dynamic[i]:
+            shapes = len(all_bodies.kinds[all_bodies.of[i]].shapes)
+            if all_bodies.is_dynamic[i]:
                 kinematic += range(
                     first_shapes[dynamic_indices[i]],
                     first_shapes[dynamic_indices[i]] + shapes,

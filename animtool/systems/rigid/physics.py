@@ -174,7 +174,7 @@ def body_entries(
     entry: The key of the spec that they are of.
 
     Raises:
-        OptionError: A number is beyond what keys of a spec hold (SIM051).
+        OptionError: A number is out of range for the keys of a spec (SIM051).
     """
     models, parts = [], []
     for body in physics.bodies:

@@ -47,12 +47,12 @@ class RagdollOptions:
     """Options of a ragdoll."""
 
     start: float | None = None  # start frame; None for the first
-    end: float | None = None  # frame at which the take returns; None for never
+    end: float | None = None  # frame at which the take resumes; None for never
     # Blend frames at the start, and after `end` [frames].
     blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
     # Total mass [kg], distributed as the rig states.
     mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
-    # Density if neither this nor the rig gives a mass [kg/m³].
+    # Density if neither `mass` nor the rig sets a mass [kg/m³].
     density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
     # Stiffness towards the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
@@ -66,7 +66,7 @@ class RagdollOptions:
     # Along the rig's negative up axis [m/s²].
     gravity: Annotated[float, within(-MAX_NUMBER, "SIM062")] = 9.81
     friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
-    colliders: ColliderEntries = ()  # what it collides with
+    colliders: ColliderEntries = ()  # colliders of the ragdoll
     step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
     substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # substeps of each step
 
@@ -103,7 +103,7 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
     if options.fingers:
         capsules = with_finger_capsules(rig, world, capsules)
     joints = np.unique(capsules.joints)
-    kinds = _kinds(rig, world, capsules, joints, options)
+    kinds = _body_kinds(rig, world, capsules, joints, options)
     rotations = so3.split_scale(world.linear[0])[0]
     poses = [
         Poses.fixed(world.positions[0, joint], rotations[joint]) for joint in joints
@@ -113,10 +113,10 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
     )
     frames, axes = _frames(rig, world.positions[0], rotations, joints)
-    return Ragdoll(rig, joints, _above(rig, joints), bodies, frames, axes)
+    return Ragdoll(rig, joints, _parent_bodies(rig, joints), bodies, frames, axes)
 
 
-def _kinds(
+def _body_kinds(
     rig: Rig,
     world: WorldTransforms,
     capsules: Capsules,
@@ -148,7 +148,7 @@ def _kinds(
                 "friction": options.friction,
             }
         )
-        kinds.append(kind_of(model, {"shapes": [{"shape": one} for one in shapes]}))
+        kinds.append(kind_of(model, {"shapes": [{"shape": shape} for shape in shapes]}))
     if rig.masses:
         kinds = with_rig_masses(rig, world, joints, kinds)
     if options.mass is None:
@@ -160,18 +160,18 @@ def _kinds(
     ]
 
 
-def _above(rig: Rig, joints: IntArray) -> IntArray:
+def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
     """Return the parent body of each body, -1 for none ``(N,)``."""
     body_indices = {int(j): i for i, j in enumerate(joints)}
-    above = np.full(len(joints), -1)
+    parents = np.full(len(joints), -1)
     roots: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
         ancestors = [body_indices[k] for k in rig.upwards(j)[1:] if k in body_indices]
         # Branches below a joint without a body are attached to the first of them.
-        above[i] = ancestors[0] if ancestors else roots.setdefault(movable(rig, j), i)
-        if above[i] == i:
-            above[i] = -1
-    return above
+        parents[i] = ancestors[0] if ancestors else roots.setdefault(movable(rig, j), i)
+        if parents[i] == i:
+            parents[i] = -1
+    return parents
 
 
 def _frames(
@@ -185,13 +185,13 @@ def _frames(
     for i, j in enumerate(joints.tolist()):
         joint = rig.joints[j]
         axes[i] = _axes(joint)
-        at, rotation = np.zeros(3), so3.IDENTITY
+        origin, rotation = np.zeros(3), so3.IDENTITY
         if joint.parent >= 0:
-            at, rotation = positions[joint.parent], rotations[joint.parent]
+            origin, rotation = positions[joint.parent], rotations[joint.parent]
         rest = so3.multiply(rotation, np.array(joint.rotation))
         frames[i, :3] = positions[j]
         if joint.type is JointType.PRISMATIC:
-            frames[i, :3] = at + so3.rotate(rotation, np.array(joint.translation))
+            frames[i, :3] = origin + so3.rotate(rotation, np.array(joint.translation))
         frames[i, 3:] = so3.multiply(rest, axes[i])
     return frames, axes
 
@@ -220,16 +220,16 @@ def joints_of_rig(
 ) -> Joints:
     """Return the joints between bodies; ``targets`` give drive values at a time."""
     rig, bodies = ragdoll.rig, ragdoll.bodies
-    jointed = np.flatnonzero(ragdoll.above >= 0)
+    with_parent = np.flatnonzero(ragdoll.above >= 0)
     tone = _passive_springs(ragdoll, options)
     start_targets = targets(0.0) if options.tone else None
     rows, numbers = [], []
-    for i in jointed.tolist():
+    for i in with_parent.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
-        above = int(ragdoll.above[i])
-        rows.append((_TYPES[joint.type], above, i))
+        parent = int(ragdoll.above[i])
+        rows.append((_TYPES[joint.type], parent, i))
         drive = [
             options.stiffness + tone[i, 0],
             options.damping + tone[i, 1],
@@ -237,25 +237,25 @@ def joints_of_rig(
             0.0,
         ]
         target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
-        on_a = relative_to_principal(bodies, above, ragdoll.frames[i])
+        on_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
         on_b = relative_to_principal(bodies, i, frame)
         numbers.append([*on_a, *on_b, *_limits(joint), *target, *drive])
     table = np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT)
 
-    def driven(t: float) -> FloatArray:
-        now: FloatArray = table.copy()
-        now[:, 18:23] = targets(t)[jointed]
-        return now
+    def driven_numbers(t: float) -> FloatArray:
+        values: FloatArray = table.copy()
+        values[:, 18:23] = targets(t)[with_parent]
+        return values
 
     body_pairs = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         table,
-        [Poses()] * len(jointed),
+        [Poses()] * len(with_parent),
         pairs=body_pairs,
         others=_overlapping(ragdoll),
         breaks=np.full((len(rows), 2), np.inf),
-        driven=driven if options.stiffness else None,
+        driven=driven_numbers if options.stiffness else None,
     )
 
 

@@ -154,15 +154,15 @@ class RigidSimulation(SharedBodies):
         """
         substeps = self._loads.parts(t, dt, state.motion)
         if self._forces.vary:
-            constrained = self._constrained(state, t, dt)
+            is_constrained = self._constrained(state, t, dt)
             substeps = self._loads.constrained_substeps(
-                t, dt, substeps, state.motion, constrained
+                t, dt, substeps, state.motion, is_constrained
             )
         while True:
-            after, needed = self._in_substeps(state, t, dt, substeps)
-            if needed == substeps:
+            after, required_substeps = self._in_substeps(state, t, dt, substeps)
+            if required_substeps == substeps:
                 return after
-            substeps = needed
+            substeps = required_substeps
 
     def _in_substeps(
         self, state: RigidState, t: float, dt: float, substeps: int
@@ -175,40 +175,42 @@ class RigidSimulation(SharedBodies):
         substep = dt / substeps
         for k in range(substeps):
             time, motion = t + k * substep, state.motion
-            constrained = self._constrained(state, time, substep)
+            is_constrained = self._constrained(state, time, substep)
             flight = self._loads.fly(time, substep, motion)
-            loads = self._loads.over(time, substep, motion, constrained, flight)
+            loads = self._loads.over(time, substep, motion, is_constrained, flight)
             after = self._solve(state, loads, time, substep)
             unexpected_contacts = loads.unexpected_contacts(
-                after.motion[:, 7:10], constrained
+                after.motion[:, 7:10], is_constrained
             )
             if unexpected_contacts.any():
-                needed = loads.parts(substeps, unexpected_contacts)
-                if needed > substeps:
-                    return state, needed
+                required_substeps = loads.parts(substeps, unexpected_contacts)
+                if required_substeps > substeps:
+                    return state, required_substeps
                 loads = self._loads.over(
-                    time, substep, motion, constrained | unexpected_contacts, flight
+                    time, substep, motion, is_constrained | unexpected_contacts, flight
                 )
                 after = self._solve(state, loads, time, substep)
             state = after
         return state, substeps
 
     def _phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
-        broken = np.isfinite(state.broken[:, 0])
-        return self._phases.at(self._phases.number(t, dt), broken)
+        is_broken = np.isfinite(state.broken[:, 0])
+        return self._phases.at(self._phases.number(t, dt), is_broken)
 
     def _constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
         """Return which bodies have contacts or joints, or are asleep ``(N,)``."""
-        constrained = state.motion[:, 13] >= self._spec.sleep.time
+        is_constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.vary:
-            return constrained
+            return is_constrained
         phase = self._phase(state, t - dt, dt)
         owners = np.append(self.bodies.shapes[1], -1)
-        pressing = phase.shapes_of(state.pairs[state.contacts[:, 3:].any(axis=1)])
-        bodies = owners[np.minimum(pressing, len(owners) - 1)].ravel()
+        pressing_shapes = phase.shapes_of(
+            state.pairs[state.contacts[:, 3:].any(axis=1)]
+        )
+        bodies = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
         bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
-        constrained[bodies[bodies >= 0]] = True
-        return constrained
+        is_constrained[bodies[bodies >= 0]] = True
+        return is_constrained
 
     def _solve(
         self, state: RigidState, loads: StepForces, t: float, dt: float
@@ -221,7 +223,7 @@ class RigidSimulation(SharedBodies):
         phase = self._phase(state, t, dt)
         same_phase = phase.number == self._phases.number(t - dt, dt)
         free = phase.free
-        stepped = _kernels.step_rigid(
+        result = _kernels.step_rigid(
             self._kernel_arrays(phase, loads, t + dt),
             motion[free],
             state.pairs if same_phase else state.pairs[:0],
@@ -233,27 +235,36 @@ class RigidSimulation(SharedBodies):
             dt,
             *self._settings,
         )
-        moved, pairs, contacts, impulses, depth, residual, pressing, _, awake, _ = (
-            stepped[:10]
-        )
+        (
+            next_motion,
+            pairs,
+            contacts,
+            impulses,
+            depth,
+            residual,
+            pressing,
+            _,
+            awake,
+            _,
+        ) = result[:10]
         if not phase.full:
             motion = motion.copy()
-            motion[free] = moved
+            motion[free] = next_motion
             kinematic = np.flatnonzero(~free)
             motion[kinematic] = kinematic_states(self.bodies, kinematic, t + dt, dt)
-            moved = motion
-        self._check(moved, t + dt)
+            next_motion = motion
+        self._check(next_motion, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
             if deeper:
-                pair = np.array(stepped[10:12])
+                pair = np.array(result[10:12])
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
         broken, impulses = self._break_joints(state, phase, impulses, t + dt)
-        follows, swinging = stepped[12] * self._spec.step / dt, stepped[13]
-        worse = swinging >= 0 and (state.swinging < 0 or follows < state.follows)
+        follows, swinging = result[12] * self._spec.step / dt, result[13]
+        is_worse = swinging >= 0 and (state.swinging < 0 or follows < state.follows)
         return RigidState(
-            moved,
+            next_motion,
             pairs,
             contacts,
             impulses,
@@ -263,8 +274,8 @@ class RigidSimulation(SharedBodies):
             pressing,
             awake,
             residual,
-            follows if worse else state.follows,
-            int(phase.holding[swinging]) if worse else state.swinging,
+            follows if is_worse else state.follows,
+            int(phase.holding[swinging]) if is_worse else state.swinging,
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
@@ -305,16 +316,16 @@ class RigidSimulation(SharedBodies):
         if not len(state.broken):
             return state.broken, all_impulses
         loads = joint_loads(phase.joints, impulses)
-        over = (loads > phase.joints.breaks).any(axis=1)
+        is_over = (loads > phase.joints.breaks).any(axis=1)
         broken = state.broken.copy()
-        broken[phase.holding[over], 0] = t
-        broken[phase.holding[over], 1:] = loads[over]
+        broken[phase.holding[is_over], 0] = t
+        broken[phase.holding[is_over], 1:] = loads[is_over]
         return broken, all_impulses
 
     def _wake_sleepers(
         self, motion: FloatArray, loads: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return the motion with the bodies woken whose forces change ``(N, 14)``."""
+        """Return the motion; wakes bodies whose forces change ``(N, 14)``."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
@@ -334,11 +345,11 @@ class RigidSimulation(SharedBodies):
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
         rotations = np.tile(so3.IDENTITY, (count, 1))
-        moved = bodies.dynamic
-        points[moved], rotations[moved] = bodies.body_frames(motion)
-        spins[moved] = bodies.spins(motion)
-        arms = points[moved] - motion[:, :3]
-        velocities[moved] = motion[:, 7:10] + so3.cross(spins[moved], arms)
+        dynamic = bodies.dynamic
+        points[dynamic], rotations[dynamic] = bodies.body_frames(motion)
+        spins[dynamic] = bodies.spins(motion)
+        arms = points[dynamic] - motion[:, :3]
+        velocities[dynamic] = motion[:, 7:10] + so3.cross(spins[dynamic], arms)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             row, step = bodies.poses[i].at(t), self._spec.step
             before, after = (
@@ -412,8 +423,12 @@ class RigidSimulation(SharedBodies):
         """Return names of shapes' bodies, then of colliders."""
         bodies, colliders = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
-        names += [one.name or f"colliders[{i}]" for i, one in enumerate(colliders)]
+        names += [
+            collider.name or f"colliders[{i}]" for i, collider in enumerate(colliders)
+        ]
         names += [sheet.name for sheet in colliders.sheets]
         return names + [
-            one.name for system in colliders.bodies for one in system.colliders
+            collider.name
+            for system in colliders.bodies
+            for collider in system.colliders
         ]

@@ -214,7 +214,7 @@ class JointDriveModel(FileModel):
 
 
 class JointBreakModel(FileModel):
-    """The load at which a joint breaks; the force of its drive does not count."""
+    """Load above which a joint breaks; drive forces are not counted."""
 
     force: Positive | None = key(
         "Largest force that holds its two sides together [N]. Default: no limit.",

@@ -181,13 +181,16 @@ class StepColliders:
         sheets = self.colliders.sheets
         if not sheets:
             return self.colliders.arrays(t, end)
-        positions = [point for one in sheets for point in _ends(one, t, end)]
+        positions = [point for sheet in sheets for point in _ends(sheet, t, end)]
         cached = self._cached
         if cached is None or any(
-            old is not new for old, new in zip(cached[0], positions, strict=True)
+            old_points is not new_points
+            for old_points, new_points in zip(cached[0], positions, strict=True)
         ):
-            moving = [_rigid_collider(one, t, end) for one in sheets]
-            in_step = Colliders([*self.colliders, *moving], (), self.colliders.bodies)
+            sheet_colliders = [_rigid_collider(sheet, t, end) for sheet in sheets]
+            in_step = Colliders(
+                [*self.colliders, *sheet_colliders], (), self.colliders.bodies
+            )
             cached = self._cached = positions, in_step
         return cached[1].arrays(t, end)
 
@@ -210,12 +213,12 @@ def _rigid_collider(sheet: Sheet, t: float, end: float) -> Collider:
     collider = sheet.collider(begin, sheet.motion.triangles(t))
     if begin is after or (begin == after).all():
         return collider
-    middle, end_middle = begin.mean(axis=0), after.mean(axis=0)
-    u, _, v = np.linalg.svd((after - end_middle).T @ (begin - middle))
+    centre, end_centre = begin.mean(axis=0), after.mean(axis=0)
+    u, _, v = np.linalg.svd((after - end_centre).T @ (begin - centre))
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     poses = Poses(
         (t, end),
-        np.stack([np.zeros(3), end_middle - rotation @ middle]),
+        np.stack([np.zeros(3), end_centre - rotation @ centre]),
         np.stack([so3.IDENTITY, so3.from_matrix(rotation)]),
     )
     return replace(collider, poses=poses)

@@ -83,7 +83,8 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         bodies, times - times[first_index], coordinates, coordinate_slices(rig)
     )
     shifted_colliders = [
-        _shifted_in_time(one, float(times[first_index])) for one in options.colliders
+        _shifted_in_time(collider, float(times[first_index]))
+        for collider in options.colliders
     ]
     speeds = ragdoll_speeds(bodies, world, times, first_index)
     run = _run(bodies, options, targets, speeds, Colliders(shifted_colliders))
@@ -166,10 +167,10 @@ def _weights(
         fraction = np.asarray(linear, np.float64)
         return fraction * fraction * (3 - 2 * fraction)
 
-    rising = ramp(codes - codes[first])
+    rise_weights = ramp(codes - codes[first])
     if options.end is None:
-        return rising
-    return np.asarray(rising * (1 - ramp(codes - codes[last])))
+        return rise_weights
+    return np.asarray(rise_weights * (1 - ramp(codes - codes[last])))
 
 
 def _index(frame: float | None, codes: FloatArray, option: str, default: int) -> int:
@@ -203,10 +204,10 @@ def _notices(
     message += f"fell from frame {begin:g} on"
     worst_excess, name, text = 0.0, "", ""
     coordinates = coordinates_from_local(rig, LocalTransforms(*fallen))
-    jointed = bodies.joints[bodies.above >= 0].tolist()
+    joints_with_parent = bodies.joints[bodies.above >= 0].tolist()
     for j, coordinate in enumerate(coordinate_slices(rig)):
         limits, values = rig.joints[j].limits, coordinates[:, coordinate]
-        if j not in jointed or limits is None:
+        if j not in joints_with_parent or limits is None:
             continue
         if isinstance(limits, RangeLimit):
             values = values[:, 0]
@@ -227,11 +228,11 @@ def _notices(
     if worst_excess > 1:
         hint = "use shorter steps, or a pose within the limits at `start`"
         notices.append(warning("SIM129", text, hint))
-    return notices + [one for one in run.notices if one.code != "SIM126"]
+    return notices + [notice for notice in run.notices if notice.code != "SIM126"]
 
 
 def _check(options: RagdollOptions, name: str = "") -> None:
-    faults = [one for one in range_faults(options) if name in ("", one.where)]
+    faults = [fault for fault in range_faults(options) if name in ("", fault.where)]
     if faults:
         raise OptionError(faults)
 

@@ -36,7 +36,7 @@ from animtool.systems.springs.spec import (
     VolumeModel,
 )
 
-# Most particles of a system: more springs than these do not fit into memory.
+# Largest number of particles of a system, limited by memory.
 MAX_PARTICLES = 10_000_000
 # Smallest mass of a system, or of a particle with a configured mass [kg].
 LIGHTEST = 1e-30
@@ -56,8 +56,8 @@ class SpringBody:
 class BodyEntry:
     """Builds the body of an entry and collects its faults.
 
-    Doubtful values are replaced by a default, so that the rest is still checked. Any
-    other fault prevents the body from being built.
+    Faulty values with a safe default are replaced by it, so that other keys are still
+    checked. Any other fault prevents the body from being built.
     """
 
     spec: Any
@@ -131,13 +131,15 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
         entry.note("SIM050", f"{message}{points.shape}", "points")
     if points is None or not entry.sound:
         return None
-    many, length = points.shape[:2]
-    each = entry.mass / (many * length)
-    along, bend = entry.families["structural"], entry.families["bend"]
-    body = join([strand(row, along, mass=each, bend=bend) for row in points])
-    numbers = np.arange(many * length).reshape(many, length)
+    count, length = points.shape[:2]
+    particle_mass = entry.mass / (count * length)
+    structural, bend = entry.families["structural"], entry.families["bend"]
+    body = join(
+        [strand(row, structural, mass=particle_mass, bend=bend) for row in points]
+    )
+    numbers = np.arange(count * length).reshape(count, length)
     regions = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
-    shape = CurveShape(np.full(many, length), 2 * model.radius, body.springs)
+    shape = CurveShape(np.full(count, length), 2 * model.radius, body.springs)
     return SpringBody(body, regions, shape)
 
 
@@ -154,15 +156,15 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         entry.note("SIM050", message, "across")
     if not entry.sound:
         return None
-    both = model.springs.diagonals is None or model.springs.diagonals.ways == "both"
-    crossing = entry.families["diagonals"]
+    has_both = model.springs.diagonals is None or model.springs.diagonals.ways == "both"
+    diagonal_family = entry.families["diagonals"]
     body = sheet(
         columns,
         rows,
         mass=entry.mass / (columns * rows),
         structural=entry.families["structural"],
-        diagonal=None if both else crossing,
-        diagonals=crossing if both else None,
+        diagonal=None if has_both else diagonal_family,
+        diagonals=diagonal_family if has_both else None,
         bend=entry.families["bend"],
         corner=model.corner,
         across=model.across,
@@ -188,18 +190,18 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     if mesh is None:
         return None
     faces: tuple[IntArray, IntArray] = mesh.counts, mesh.indices
-    fractions, flat = _area_fractions(mesh.points, *faces)
-    light = np.flatnonzero(fractions == 0)
-    if len(light):
-        message = f"points of {prim} are in no face with an area: {some_of(light)}"
+    fractions, flat_faces = _area_fractions(mesh.points, *faces)
+    massless = np.flatnonzero(fractions == 0)
+    if len(massless):
+        message = f"points of {prim} are in no face with an area: {some_of(massless)}"
         entry.note("SIM051", message, "mesh", "prim")
     if not entry.sound:
         return None
     families: Mapping[str, Any] = entry.families
     body = surface(mesh.points, *faces, mass=entry.mass * fractions, **families)
-    often = edge_counts(*faces)
-    border = np.unique(often[0][often[1] == 1])
-    notices = _mesh_warnings(prim, mesh.points, flat, often)
+    edge_table = edge_counts(*faces)
+    border = np.unique(edge_table[0][edge_table[1] == 1])
+    notices = _mesh_warnings(prim, mesh.points, flat_faces, edge_table)
     return SpringBody(
         body, {"border": border}, FaceShape(*faces, body.springs), notices
     )
@@ -210,38 +212,48 @@ def _area_fractions(
 ) -> tuple[FloatArray, IntArray]:
     """Return each point's fraction of the area ``(N,)``, and faces without area."""
     starts = np.cumsum(counts) - counts
-    middle = np.add.reduceat(points[indices], starts) / counts[:, None]
+    centres = np.add.reduceat(points[indices], starts) / counts[:, None]
     next_corners = directed_edges(counts, indices)[:, 1]
-    face = np.repeat(np.arange(len(counts)), counts)
-    spans = np.cross(
-        points[indices] - middle[face], points[next_corners] - middle[face]
+    face_numbers = np.repeat(np.arange(len(counts)), counts)
+    cross_products = np.cross(
+        points[indices] - centres[face_numbers],
+        points[next_corners] - centres[face_numbers],
     )
-    areas = np.linalg.norm(np.add.reduceat(spans, starts), axis=1) / 2
+    areas = np.linalg.norm(np.add.reduceat(cross_products, starts), axis=1) / 2
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
     return _distribute(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
 
 
 def _mesh_warnings(
-    prim: str, points: FloatArray, flat: IntArray, shared: tuple[IntArray, IntArray]
+    prim: str,
+    points: FloatArray,
+    flat_faces: IntArray,
+    edge_table: tuple[IntArray, IntArray],
 ) -> tuple[Fault, ...]:
     """Return warnings about degenerate faces, duplicate points and shared edges."""
-    _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)
-    double = np.flatnonzero(often[same.reshape(-1)] > 1)
-    remarks = {}
-    if len(flat):
-        remarks[f"faces without an area: {some_of(flat)}"] = (
+    _, point_numbers, counts = np.unique(
+        points, axis=0, return_inverse=True, return_counts=True
+    )
+    duplicates = np.flatnonzero(counts[point_numbers.reshape(-1)] > 1)
+    hints = {}
+    if len(flat_faces):
+        hints[f"faces without an area: {some_of(flat_faces)}"] = (
             "the air does not act on them"
         )
-    if len(double):
-        text = f"points at the same position that nothing connects: {some_of(double)}"
-        remarks[text] = "merge them"
-    many = shared[0][shared[1] > 2]
-    if len(many):
-        text = f"{counted(len(many), 'edge')} of more than two faces, such as "
-        remarks[text + f"{many[0, 0]} to {many[0, 1]}"] = "it bends less there"
+    if len(duplicates):
+        text = (
+            f"points at the same position that nothing connects: {some_of(duplicates)}"
+        )
+        hints[text] = "merge them"
+    nonmanifold = edge_table[0][edge_table[1] > 2]
+    if len(nonmanifold):
+        text = f"{counted(len(nonmanifold), 'edge')} of more than two faces, such as "
+        hints[text + f"{nonmanifold[0, 0]} to {nonmanifold[0, 1]}"] = (
+            "it bends less there"
+        )
     return tuple(
-        warning("SIM153", f"{prim} has {text}", hint) for text, hint in remarks.items()
+        warning("SIM153", f"{prim} has {text}", hint) for text, hint in hints.items()
     )
 
 
@@ -269,7 +281,7 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     )
     grid = np.arange(x * y * z).reshape(z, y, x)
     names = ("back", "front"), ("bottom", "top"), ("left", "right")
-    return SpringBody(body, _grid_sides(grid, *names), _skin(body))
+    return SpringBody(body, _grid_sides(grid, *names), _skin_shape(body))
 
 
 def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
@@ -292,7 +304,7 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
     corners = cells.astype(np.int64)
     fractions = _volume_fractions(points, corners)
     body = tetrahedra(points, corners, edges, mass=entry.mass * fractions)
-    return SpringBody(body, {"skin": np.unique(body.triangles)}, _skin(body))
+    return SpringBody(body, {"skin": np.unique(body.triangles)}, _skin_shape(body))
 
 
 def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
@@ -302,9 +314,9 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
         return f"cells have the shape (tetrahedra, 4), not {cells.shape}"
     if cells.min() < 0 or cells.max() >= len(points):
         return f"a corner is outside the {len(points)} points"
-    light = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
-    if len(light):
-        return f"points are in no tetrahedron with a volume: {some_of(light)}"
+    massless = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
+    if len(massless):
+        return f"points are in no tetrahedron with a volume: {some_of(massless)}"
     return ""
 
 
@@ -318,7 +330,7 @@ def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
     return _distribute(volumes, corners, cells.ravel(), len(points))
 
 
-def _skin(body: Body) -> FaceShape:
+def _skin_shape(body: Body) -> FaceShape:
     triangles = body.triangles
     counts = np.full(len(triangles), 3)
     return FaceShape(counts, triangles.ravel(), body.springs, closed=True)
@@ -351,8 +363,8 @@ def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
     """Return the particles at both ends of each grid axis by region name."""
     return {
         name: np.take(grid, end, axis).ravel()
-        for axis, both in enumerate(names)
-        for name, end in zip(both, (0, -1), strict=True)
+        for axis, end_names in enumerate(names)
+        for name, end in zip(end_names, (0, -1), strict=True)
     }
 
 

@@ -98,12 +98,12 @@ def springs_between(
     stiffness = np.full(len(pairs), float(family.stiffness or 0.0))
     if family.axial_stiffness is not None:
         np.divide(family.axial_stiffness, lengths, out=stiffness, where=lengths > 0)
-    means = masses[pairs].mean(axis=1)
+    mean_masses = masses[pairs].mean(axis=1)
     # Overflow is reported when the simulation checks the body.
     with np.errstate(over="ignore", invalid="ignore"):
         if family.frequency is not None:
-            stiffness = (2 * math.pi * family.frequency) ** 2 * means
-        critical = 2 * np.sqrt(stiffness * means)
+            stiffness = (2 * math.pi * family.frequency) ** 2 * mean_masses
+        critical = 2 * np.sqrt(stiffness * mean_masses)
         damping = family.damping + family.ratio * critical
     limit = np.full(len(pairs), np.inf)
     if family.tear is not None:
@@ -121,15 +121,17 @@ def built(
 ) -> Body:
     """Return a body with springs of several families; None families are skipped."""
     points = as_floats(positions, ("N", 3), "positions")
-    weights = np.broadcast_to(np.asarray(masses, np.float64), len(points)).copy()
+    particle_masses = np.broadcast_to(
+        np.asarray(masses, np.float64), len(points)
+    ).copy()
     springs = [
-        springs_between(ends, family, points, weights)
+        springs_between(ends, family, points, particle_masses)
         for ends, family in families
         if family is not None
     ]
     faces = np.asarray(triangles, np.int64).reshape(-1, 3)
-    every = Springs.concatenate([Springs.none(), *springs])
-    return Body(points, weights, every, faces)
+    all_springs = Springs.concatenate([Springs.none(), *springs])
+    return Body(points, particle_masses, all_springs, faces)
 
 
 def join(bodies: Sequence[Body]) -> Body:
@@ -143,7 +145,9 @@ def join(bodies: Sequence[Body]) -> Body:
     offsets = np.cumsum([0, *(len(body.positions) for body in bodies)])
     springs = Springs.concatenate([Springs.none(), *(body.springs for body in bodies)])
     shifts = np.repeat(offsets[:-1], [len(body.springs.rest) for body in bodies])
-    faces = [body.triangles + at for body, at in zip(bodies, offsets, strict=False)]
+    faces = [
+        body.triangles + offset for body, offset in zip(bodies, offsets, strict=False)
+    ]
     return Body(
         np.concatenate([np.zeros((0, 3)), *(body.positions for body in bodies)]),
         np.concatenate([np.zeros(0), *(body.masses for body in bodies)]),
@@ -177,22 +181,25 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
     >>> from animtool.systems.springs import Family, join, rope
     >>> one = rope([0, 0, 0], [1, 0, 0], 2, Family(10.0), mass=1.0)
     >>> two = rope([1, 0, 0], [2, 0, 0], 2, Family(10.0), mass=1.0)
-    >>> made = weld(join([one, two]), [[2, 1]])
-    >>> made.rows.tolist(), made.body.masses.tolist(), made.body.springs.ends.tolist()
+    >>> welded = weld(join([one, two]), [[2, 1]])
+    >>> body = welded.body
+    >>> welded.rows.tolist(), body.masses.tolist(), body.springs.ends.tolist()
     ([0, 1, 1, 2], [1.0, 2.0, 1.0], [[0, 1], [1, 2]])
     """
-    joined = np.asarray(pairs, np.int64).reshape(-1, 2)
-    kept_as = np.arange(len(body.positions))
-    for gone, kept in joined.tolist():
+    merges = np.asarray(pairs, np.int64).reshape(-1, 2)
+    replacements = np.arange(len(body.positions))
+    for removed, replacement in merges.tolist():
         # Chains of merged particles all map to the one that is kept.
-        kept_as[kept_as == kept_as[gone]] = kept_as[kept]
-    stay, rows = np.unique(kept_as, return_inverse=True)
+        replacements[replacements == replacements[removed]] = replacements[replacement]
+    remaining, rows = np.unique(replacements, return_inverse=True)
     rows = rows.reshape(-1)
-    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[kept_as], axis=1)
-    masses = np.zeros(len(stay))
+    gaps: FloatArray = np.linalg.norm(
+        body.positions - body.positions[replacements], axis=1
+    )
+    masses = np.zeros(len(remaining))
     np.add.at(masses, rows, body.masses)
     springs = replace(body.springs, ends=rows[body.springs.ends])
-    welded = Body(body.positions[stay], masses, springs, rows[body.triangles])
+    welded = Body(body.positions[remaining], masses, springs, rows[body.triangles])
     return Welded(welded, rows, float(gaps.max(initial=0.0)))
 
 
@@ -232,7 +239,7 @@ class SpringForces:
 
     def network(self, paths: Paths) -> _kernels.SpringNetwork:
         """Return the kernel network, which visits springs in their order."""
-        springs, draws = self.springs, self.target_springs
+        springs, targets = self.springs, self.target_springs
         return _kernels.SpringNetwork(
             inverse_masses=self.inverse_masses,
             drags=self.drags,
@@ -248,9 +255,9 @@ class SpringForces:
             knots=paths.knots,
             held=self.pinned,
             held_path=paths.pinned,
-            anchors=draws.particles,
-            anchor_stiffness=draws.stiffness,
-            anchor_damping=draws.damping,
+            anchors=targets.particles,
+            anchor_stiffness=targets.stiffness,
+            anchor_damping=targets.damping,
             anchor_path=paths.drawn,
             winds=paths.wind,
         )

@@ -46,7 +46,7 @@ class _SystemBuilder:
 
     def __init__(self, spec: SpringsModel, context: SimContext) -> None:
         self._spec, self._context = spec, context
-        self._entries: list[SpringEntry] = [one.record for one in context.members]
+        self._entries: list[SpringEntry] = [member.record for member in context.members]
         self._notices: list[Fault] = []  # warnings about the joined system
         bodies, ties = self._position_bodies()
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
@@ -62,17 +62,19 @@ class _SystemBuilder:
         """Return the simulation with one view for each entry."""
         context, spec = self._context, self._spec
         plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
-        begun = plan.start(context.begin)
-        simulation = SpringSimulation(plan, begun, context.last, context.clock())
+        start_grid = plan.start(context.begin)
+        simulation = SpringSimulation(plan, start_grid, context.last, context.clock())
         springs = 0
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):
             entry: SpringEntry = member.record
-            part = slice(springs, springs + len(entry.body.body.springs.rest))
-            springs = part.stop
+            spring_rows = slice(springs, springs + len(entry.body.body.springs.rest))
+            springs = spring_rows.stop
             notices = (*entry.body.notices, *(() if views else self._notices))
             views.append(
-                SpringView(simulation, member, rows, part, notices, first=not views)
+                SpringView(
+                    simulation, member, rows, spring_rows, notices, first=not views
+                )
             )
         simulation.views = views
         return simulation
@@ -80,7 +82,7 @@ class _SystemBuilder:
     def _position_bodies(self) -> tuple[list[Body], list[list[Pins | PointTargets]]]:
         """Return bodies moved to their pins, and pins and targets of each."""
         bodies, ties, begin = [], [], self._context.begin
-        acting = any(_has_acting_faces(entry) for entry in self._entries)
+        has_acting_faces = any(_has_acting_faces(entry) for entry in self._entries)
         for entry in self._entries:
             body = entry.body.body
             pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
@@ -93,8 +95,8 @@ class _SystemBuilder:
             gap = float(np.linalg.norm(pinned - points, axis=1).max())
             self._warn_gap("pins hold particles", gap)
             # With several entries, wind acts on the faces of those that request it.
-            faces = not acting or _has_acting_faces(entry)
-            triangles = body.triangles if faces else body.triangles[:0]
+            feels_wind = not has_acting_faces or _has_acting_faces(entry)
+            triangles = body.triangles if feels_wind else body.triangles[:0]
             bodies.append(replace(body, positions=pinned, triangles=triangles))
         return bodies, ties
 
@@ -102,29 +104,31 @@ class _SystemBuilder:
         self, welded: Welded, ties: Sequence[Sequence[Pins | PointTargets]]
     ) -> SpringSystem:
         spec, context = self._spec, self._context
-        every: list[Pins | PointTargets] = []
+        all_ties: list[Pins | PointTargets] = []
         resistance = np.zeros(len(welded.body.positions))
         air, contact = None, None
         for entry, rows, entry_ties in zip(
             self._entries, self._rows, ties, strict=True
         ):
-            tied = list(entry_ties)
-            slowing = entry.spec.drag * entry.body.body.masses
+            particle_ties = list(entry_ties)
+            drags = entry.spec.drag * entry.body.body.masses
             wind = entry.spec.air
             if isinstance(wind, FaceWindModel) or wind is None:
-                np.add.at(resistance, rows, slowing)
+                np.add.at(resistance, rows, drags)
                 air = air if wind is None else air_of(wind)
             else:
                 span = context.begin, context.last
                 points = welded.body.positions[rows]
-                tied.append(wind_ties(wind, points, slowing, span))
-            for tie in tied:
-                every.append(replace(tie, particles=rows[np.asarray(tie.particles)]))
+                particle_ties.append(wind_ties(wind, points, drags, span))
+            for tie in particle_ties:
+                all_ties.append(replace(tie, particles=rows[np.asarray(tie.particles)]))
             contact = entry.spec.contact or contact
         system = SpringSystem(
             welded.body,
-            pins=combined([tie for tie in every if isinstance(tie, Pins)]),
-            targets=combined([tie for tie in every if isinstance(tie, PointTargets)]),
+            pins=combined([tie for tie in all_ties if isinstance(tie, Pins)]),
+            targets=combined(
+                [tie for tie in all_ties if isinstance(tie, PointTargets)]
+            ),
             gravity=spec.gravity,
             resistance=resistance,
             air=air,

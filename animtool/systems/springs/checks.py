@@ -26,22 +26,24 @@ def check_body(body: Body, pinned: IntArray, drawn: IntArray) -> None:
     """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
     not_finite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _named("SIM041", "its position is not finite", not_finite)
+    faults = _faults_by_particle("SIM041", "its position is not finite", not_finite)
     faults += _particle_faults(pinned, "pins", count)
-    values, often = np.unique(pinned, return_counts=True)
-    faults += _named("SIM043", "it is pinned twice", values[often > 1])
+    values, counts = np.unique(pinned, return_counts=True)
+    faults += _faults_by_particle("SIM043", "it is pinned twice", values[counts > 1])
     faults += _particle_faults(drawn, "targets", count)
     free = np.ones(count, bool)
     free[pinned[(pinned >= 0) & (pinned < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # Forces are divided by the mass: its inverse must be finite too.
         finite = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
-        light = ~((body.masses > 0) & finite) & free
+        massless = ~((body.masses > 0) & finite) & free
     hint = "pin it, or give it a mass above 0"
-    faults += _named("SIM040", "its mass must be above 0", np.flatnonzero(light), hint)
+    faults += _faults_by_particle(
+        "SIM040", "its mass must be above 0", np.flatnonzero(massless), hint
+    )
     faults += _spring_faults(body.springs, count)
     outside = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
-    faults += _first("triangle {} has a corner that does not exist", outside)
+    faults += _faults_by_row("triangle {} has a corner that does not exist", outside)
     if faults:
         raise OptionError(faults)
 
@@ -74,18 +76,23 @@ def start_notices(body: Body) -> list[Fault]:
     """Return a warning about springs whose ends coincide at the start."""
     springs = body.springs
     gaps = body.positions[springs.ends[:, 1]] - body.positions[springs.ends[:, 0]]
-    lost = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
-    if not lost:
+    coincident = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
+    if not coincident:
         return []
-    which = "every spring" if lost == len(gaps) else f"{lost} of {len(gaps)} springs"
+    subject = (
+        "every spring"
+        if coincident == len(gaps)
+        else f"{coincident} of {len(gaps)} springs"
+    )
     message = (
-        f"the ends of {which} are at the same position: without a direction they have "
+        f"the ends of {subject} are at the same position: without a direction they "
+        "have "
     )
     message += "no effect until something separates them"
     return [warning("SIM140", message, None, "body")]
 
 
-def _named(
+def _faults_by_particle(
     code: str, message: str, particles: IntArray, hint: str | None = None
 ) -> list[Fault]:
     """Return a fault for each of the first particles of many."""
@@ -99,7 +106,7 @@ def _named(
     return faults
 
 
-def _first(message: str, bad: BoolArray | np.bool) -> list[Fault]:
+def _faults_by_row(message: str, bad: BoolArray | np.bool) -> list[Fault]:
     """Return a fault (SIM042) for each of the first bad rows."""
     return [
         Fault("SIM042", message.format(i), where="body")
@@ -108,29 +115,33 @@ def _first(message: str, bad: BoolArray | np.bool) -> list[Fault]:
 
 
 def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]:
-    lost = particles[(particles < 0) | (particles >= count)]
+    unknown = particles[(particles < 0) | (particles >= count)]
     message = f"unknown particle {{}}: they are 0 to {count - 1}"
     return [
         Fault("SIM043", message.format(i), where=where)
-        for i in lost[:MAX_NAMED].tolist()
+        for i in unknown[:MAX_NAMED].tolist()
     ]
 
 
 def _spring_faults(springs: Springs, count: int) -> list[Fault]:
-    lost = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
-    faults = _first("spring {} joins a particle that does not exist", lost)
-    same = springs.ends[:, 0] == springs.ends[:, 1]
-    faults += _first("spring {} joins a particle to itself", same)
+    unknown = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
+    faults = _faults_by_row("spring {} joins a particle that does not exist", unknown)
+    self_joined = springs.ends[:, 0] == springs.ends[:, 1]
+    faults += _faults_by_row("spring {} joins a particle to itself", self_joined)
     with np.errstate(invalid="ignore"):
         for column, name in (
             (springs.rest, "rest length"),
             (springs.stiffness, "stiffness"),
             (springs.damping, "damping"),
         ):
-            bad = ~((column >= 0) & np.isfinite(column))
-            faults += _first(f"spring {{}} has a {name} below 0 or not finite", bad)
-        early = ~(springs.limit >= springs.rest)
-    return faults + _first("spring {} tears before it is stretched", early)
+            invalid = ~((column >= 0) & np.isfinite(column))
+            faults += _faults_by_row(
+                f"spring {{}} has a {name} below 0 or not finite", invalid
+            )
+        invalid_limit = ~(springs.limit >= springs.rest)
+    return faults + _faults_by_row(
+        "spring {} tears before it is stretched", invalid_limit
+    )
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:

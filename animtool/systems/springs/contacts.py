@@ -56,41 +56,41 @@ def cell_colliders(
     steps = index + np.arange(count + 1)
     edges = np.asarray(origin + steps * cells.length, np.float64)
     poses = np.zeros((count, colliders.rigid, 2, 7))
-    placed = len(colliders) - (0 if posed is None else len(posed.sizes))
-    for i in range(placed):
-        poses[:, i] = _ends(colliders[i], edges)
+    world_count = len(colliders) - (0 if posed is None else len(posed.sizes))
+    for i in range(world_count):
+        poses[:, i] = _poses_at_ends(colliders[i], edges)
     for k, (begin, end) in enumerate(pairwise(edges.tolist())):
         poses[k, len(colliders) :] = colliders.body_ends(begin, end)
-    at = float(edges[0])
-    arrays = colliders.arrays(at, at)
+    start = float(edges[0])
+    arrays = colliders.arrays(start, start)
     surfaces = colliders.surfaces.kernel_arrays(origin, cells.length, index, count)
     if posed is None:
         return arrays, poses, radius, None, INSIDE, surfaces
     kinds, sizes, *others = arrays
     sizes = sizes.copy()
-    sizes[placed : len(colliders)] = posed.sizes
-    poses[:, placed : len(colliders)] = posed.poses
+    sizes[world_count : len(colliders)] = posed.sizes
+    poses[:, world_count : len(colliders)] = posed.poses
     arrays, surfaces = (kinds, sizes, *others), [*posed.skins, *surfaces]
     rows = colliders.rigid + len(surfaces) - len(posed.depths)
     depths = np.pad(posed.depths, ((0, rows), (0, 0)))
     return arrays, poses, radius, depths, posed.inside, surfaces
 
 
-def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
+def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
     """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
     times, rows = collider.poses.sample_times, collider.poses.rows
     before = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
     after = np.minimum(before + 1, len(times) - 1)
     gaps = np.where(after > before, times[after] - times[before], 1.0)
     fraction = np.clip((edges - times[before]) / gaps, 0.0, 1.0)
-    jumps = np.append(collider.teleports, False)
-    fraction = np.where(jumps[before], 0.0, fraction)[:, None]
+    teleports = np.append(collider.teleports, False)
+    fraction = np.where(teleports[before], 0.0, fraction)[:, None]
     origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * fraction
     rotations = so3.slerp(rows[before, 3:], rows[after, 3:], fraction[:, 0])
     poses = np.concatenate([origins, rotations], axis=1)
     ends = np.stack([poses[:-1], poses[1:]], axis=1)
     # A collider that teleports within a cell is at its goal from the start of it.
-    crossed = np.cumsum(np.append(0, jumps))[before]
-    jumped = crossed[1:] > crossed[:-1]
-    ends[jumped, 0] = ends[jumped, 1]
+    teleport_counts = np.cumsum(np.append(0, teleports))[before]
+    teleported = teleport_counts[1:] > teleport_counts[:-1]
+    ends[teleported, 0] = ends[teleported, 1]
     return ends

@@ -16,7 +16,7 @@ from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 
-# Number of intersection checks over a motion: one costs as much as several steps.
+# Number of intersection checks in a motion: each costs as much as several steps.
 LOOKS = 12
 # Most colliders named in a warning.
 MAX_NAMED = 3
@@ -30,7 +30,7 @@ class SelfCrossings:
         triangles: Corners ``(T, 3)``.
         begin: The first time [s].
         last: The last time [s].
-        most: Largest number of edges through faces, minus the first one.
+        most: Largest number of edges through faces, minus the initial number.
         when: Time of the largest number [s].
     """
 
@@ -46,8 +46,8 @@ class SelfCrossings:
         """Count intersections of points ``(N, 3)`` [m] at a time [s], if due."""
         if t < self._next or not len(self.triangles):
             return
-        wait = (self.last - self.begin) / LOOKS
-        self._next = min(t + wait, self.last) if t < self.last else np.inf
+        interval = (self.last - self.begin) / LOOKS
+        self._next = min(t + interval, self.last) if t < self.last else np.inf
         corners = np.ascontiguousarray(self.triangles, np.int64)
         count = _kernels.pierced_edges(np.ascontiguousarray(points), corners)
         if self._first is None:
@@ -78,24 +78,30 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
         inner[np.cumsum(shape.counts)[:-1] - 1] = False
         pairs = np.stack([first, first + 1], axis=1)[inner]
     else:
-        pairs = _across(shape)
+        pairs = _side_and_diagonal_pairs(shape)
     if not len(pairs):
         return 0.0
     gaps = points[pairs[:, 1]] - points[pairs[:, 0]]
     return float(np.linalg.norm(gaps, axis=1).max())
 
 
-def _across(shape: FaceShape) -> IntArray:
+def _side_and_diagonal_pairs(shape: FaceShape) -> IntArray:
     """Return the corner pairs of face sides and diagonals ``(P, 2)``."""
     pairs = [directed_edges(shape.counts, shape.indices)]
     starts = np.cumsum(shape.counts) - shape.counts
     for skip in range(2, int(shape.counts.max(initial=0)) // 2 + 1):
-        many = shape.counts >= 2 * skip
-        face = np.repeat(np.arange(len(starts)), shape.counts)
-        corner = np.arange(len(shape.indices))
-        opposite = starts[face] + (corner - starts[face] + skip) % shape.counts[face]
-        two = np.stack([shape.indices[corner], shape.indices[opposite]], axis=1)
-        pairs.append(two[many[face]])
+        has_diagonal = shape.counts >= 2 * skip
+        face_numbers = np.repeat(np.arange(len(starts)), shape.counts)
+        corner_numbers = np.arange(len(shape.indices))
+        opposite = (
+            starts[face_numbers]
+            + (corner_numbers - starts[face_numbers] + skip)
+            % shape.counts[face_numbers]
+        )
+        skip_pairs = np.stack(
+            [shape.indices[corner_numbers], shape.indices[opposite]], axis=1
+        )
+        pairs.append(skip_pairs[has_diagonal[face_numbers]])
     return np.concatenate(pairs)
 
 
@@ -128,21 +134,26 @@ def thin_notices(
     [1]. Faces are stopped by colliders, but faces that passed through each other may
     have done so around the collider. Edges alone are stopped by all but balls.
     """
-    wide = gap * (1 + max(stretch, 0.0))
+    stretched_gap = gap * (1 + max(stretch, 0.0))
     thin = [
-        (thickness(one), one.name or f"colliders[{i}]")
-        for i, one in enumerate(colliders)
-        if thickness(one) + 2 * radius < wide
-        and (faces or not edges or isinstance(one.shape, Sphere))
+        (thickness(collider), collider.name or f"colliders[{i}]")
+        for i, collider in enumerate(colliders)
+        if thickness(collider) + 2 * radius < stretched_gap
+        and (faces or not edges or isinstance(collider.shape, Sphere))
     ]
     if not thin:
         return []
-    least = min(thin)[0]
-    names = ", ".join(which for _, which in thin[:MAX_NAMED])
+    thinnest = min(thin)[0]
+    names = ", ".join(label for _, label in thin[:MAX_NAMED])
     more = len(thin) - MAX_NAMED
     names += f" and {more} more" if more > 0 else ""
-    message = f"{names}: a collider {length_text(least)} thick is thinner than the gap "
-    message += f"between particles of {name}, up to {length_text(wide)} when stretched:"
+    message = (
+        f"{names}: a collider {length_text(thinnest)} thick is thinner than the gap "
+    )
+    message += (
+        f"between particles of {name}, up to {length_text(stretched_gap)} when "
+        "stretched:"
+    )
     if faces:
         message += (
             " its faces are stopped, and what is attached on either side of them may "

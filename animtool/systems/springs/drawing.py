@@ -46,19 +46,21 @@ class CurveShape:
             return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
         last = np.zeros(len(points), bool)
         last[np.cumsum(self.counts) - 1] = True
-        gone = torn[self._next] & (self._next >= 0)
-        last[:-1] |= gone
-        piece = np.cumsum(np.append(0, last[:-1]))
-        sizes = np.bincount(piece)
-        drawn = sizes[piece] > 1
+        is_torn = torn[self._next] & (self._next >= 0)
+        last[:-1] |= is_torn
+        piece_numbers = np.cumsum(np.append(0, last[:-1]))
+        sizes = np.bincount(piece_numbers)
+        is_drawn = sizes[piece_numbers] > 1
         counts = sizes[sizes > 1]
-        return CurvesFrame(points[drawn], velocities[drawn], counts, self.width, True)
+        return CurvesFrame(
+            points[is_drawn], velocities[is_drawn], counts, self.width, True
+        )
 
     @cached_property
     def _next(self) -> IntArray:
         """The spring from each particle to the next ``(N - 1,)``, -1 for none."""
         first = np.arange(int(self.counts.sum()) - 1)
-        return _between(self.springs, np.stack([first, first + 1], axis=1))
+        return _spring_of_pairs(self.springs, np.stack([first, first + 1], axis=1))
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,8 @@ class FaceShape:
         """Return counts and indices of faces without a torn side; torn ``(S,)``."""
         open_sides = torn[self._sides] & (self._sides >= 0)
         starts = np.cumsum(self.counts) - self.counts
-        kept = ~np.logical_or.reduceat(open_sides, starts)
-        return self.counts[kept], self.indices[np.repeat(kept, self.counts)]
+        is_intact = ~np.logical_or.reduceat(open_sides, starts)
+        return self.counts[is_intact], self.indices[np.repeat(is_intact, self.counts)]
 
     @cached_property
     def side_springs(self) -> IntArray:
@@ -108,22 +110,22 @@ class FaceShape:
     @cached_property
     def _sides(self) -> IntArray:
         """The spring along each side, face by face; -1 for none."""
-        return _between(self.springs, directed_edges(self.counts, self.indices))
+        return _spring_of_pairs(self.springs, directed_edges(self.counts, self.indices))
 
 
 Shape: TypeAlias = CurveShape | FaceShape
 
 
-def _between(springs: Springs, pairs: IntArray) -> IntArray:
+def _spring_of_pairs(springs: Springs, pairs: IntArray) -> IntArray:
     """Return the first spring between each of some pairs ``(P,)``, -1 for none."""
     if not len(springs.rest):
         return np.full(len(pairs), -1)
     size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
     ends = np.sort(springs.ends, axis=1) @ [size, 1]
-    known, first = np.unique(ends, return_index=True)
+    spring_keys, first = np.unique(ends, return_index=True)
     keys = np.sort(pairs, axis=1) @ [size, 1]
-    at = np.searchsorted(known, keys).clip(max=len(known) - 1)
-    return np.where(known[at] == keys, first[at], -1)
+    rows = np.searchsorted(spring_keys, keys).clip(max=len(spring_keys) - 1)
+    return np.where(spring_keys[rows] == keys, first[rows], -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,8 +165,11 @@ class Tearing:
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
         """Return the mesh frame, as `FaceShape.row` does."""
-        drawn = self.points(points, torn), self.velocities(points, velocities, torn)
-        return MeshFrame(*drawn, self.counts, self.indices)
+        point_motion = (
+            self.points(points, torn),
+            self.velocities(points, velocities, torn),
+        )
+        return MeshFrame(*point_motion, self.counts, self.indices)
 
     def points(self, particles: FloatArray, torn: BoolArray) -> FloatArray:
         """Return all points ``(size, 3)`` [m].
@@ -173,16 +178,18 @@ class Tearing:
             particles: ``(N, 3)`` [m].
             torn: Torn flags ``(S,)``.
         """
-        now = torn[self.springs]
+        is_torn = torn[self.springs]
         first, second = (particles[self.ends[:, k]] for k in (0, 1))
         halves = np.stack([(first + second) / 2] * 2, axis=1)
         neighbour_rotations = self.rotations.sample(particles)
         for k, sign in ((0, 1.0), (1, -1.0)):
-            end_rotations = neighbour_rotations[self.rotations.rows(self.ends[now, k])]
+            end_rotations = neighbour_rotations[
+                self.rotations.rows(self.ends[is_torn, k])
+            ]
             half_edges = sign * np.einsum(
-                "eij,ej->ei", end_rotations, self.half_edges[now]
+                "eij,ej->ei", end_rotations, self.half_edges[is_torn]
             )
-            halves[now, k] = particles[self.ends[now, k]] + half_edges
+            halves[is_torn, k] = particles[self.ends[is_torn, k]] + half_edges
         middles = [middle.at(particles, torn, self.rotations, neighbour_rotations)
                    for middle in self.middles]  # fmt: skip
         return np.concatenate([particles, halves.reshape(-1, 3), *middles])
@@ -219,12 +226,16 @@ class _NeighbourRotations:
 
     def sample(self, particles: FloatArray) -> FloatArray:
         """Return minimal rotations ``(P, 3, 3)`` that fit the neighbours."""
-        now = particles[self.neighbours] - particles[self.which[self.owners]]
-        spread = np.zeros((len(self.which), 3, 3))
-        np.add.at(spread, self.owners, now[:, :, None] * self.rest_offsets[:, None, :])
-        size = np.abs(spread).max(axis=(1, 2), initial=0.0)
-        size[size == 0] = 1.0
-        return polar_rotations(spread, size)
+        offsets = particles[self.neighbours] - particles[self.which[self.owners]]
+        covariances = np.zeros((len(self.which), 3, 3))
+        np.add.at(
+            covariances,
+            self.owners,
+            offsets[:, :, None] * self.rest_offsets[:, None, :],
+        )
+        scales = np.abs(covariances).max(axis=(1, 2), initial=0.0)
+        scales[scales == 0] = 1.0
+        return polar_rotations(covariances, scales)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,25 +251,25 @@ class _Middle:
         self,
         particles: FloatArray,
         torn: BoolArray,
-        turning: _NeighbourRotations,
+        neighbours: _NeighbourRotations,
         rotations: FloatArray,
     ) -> FloatArray:
         """Return its position for each part ``(P, 3)`` [m]."""
-        gone = torn[self.springs]
-        groups = int(gone.sum())
+        is_torn = torn[self.springs]
+        groups = int(is_torn.sum())
         if groups < 2:
             middle = particles[self.corners].mean(axis=0)
-            return np.tile(middle, (len(gone), 1))
+            return np.tile(middle, (len(is_torn), 1))
         # The parts after the last torn side join those before the first.
-        group = np.mod(np.cumsum(gone) - gone, groups)
-        corner_rotations = rotations[turning.rows(self.corners)]
+        group = np.mod(np.cumsum(is_torn) - is_torn, groups)
+        corner_rotations = rotations[neighbours.rows(self.corners)]
         predicted = particles[self.corners] + np.einsum(
             "cij,cj->ci", corner_rotations, self.rest_offsets
         )
-        of = group[self.parts]
+        corner_groups = group[self.parts]
         sums = np.zeros((groups, 3))
-        np.add.at(sums, of, predicted)
-        centres: FloatArray = sums[group] / np.bincount(of)[group][:, None]
+        np.add.at(sums, corner_groups, predicted)
+        centres: FloatArray = sums[group] / np.bincount(corner_groups)[group][:, None]
         return centres
 
 
@@ -290,16 +301,16 @@ def tear_surface(
     ([4, 4, 4], [1, 2, 5, 4, 7, 1, 4, 9, 8, 3, 0, 6])
     """
     cut = torn[sides] & (sides >= 0)
-    crossed = np.unique(sides[cut])
-    ends = springs.ends[crossed]
-    named = zip(crossed.tolist(), ends.tolist(), strict=True)
+    torn_springs = np.unique(sides[cut])
+    ends = springs.ends[torn_springs]
+    spring_ends = zip(torn_springs.tolist(), ends.tolist(), strict=True)
     # Points of both halves of a side, by its spring and its end.
     halves = {
         (spring, end): len(positions) + 2 * i + k
-        for i, (spring, pair) in enumerate(named)
+        for i, (spring, pair) in enumerate(spring_ends)
         for k, end in enumerate(pair)
     }
-    size = len(positions) + 2 * len(crossed)
+    size = len(positions) + 2 * len(torn_springs)
     starts = np.cumsum(counts) - counts
     intact = ~np.logical_or.reduceat(cut, starts)
     middles: list[_Middle] = []
@@ -319,25 +330,29 @@ def tear_surface(
         if len(runs) > 2:
             parts += [[size + i, *ring] for i, ring in enumerate(rings)]
         else:
-            parts += [[size, *two] for two in pairwise(rings[0])]
+            parts += [[size, *edge] for edge in pairwise(rings[0])]
         middles.append(_middle(runs, positions, positions[corners].mean(axis=0)))
         size += len(runs)
-    between = positions[ends[:, 1]] - positions[ends[:, 0]]
-    lengths = np.linalg.norm(between, axis=1)
-    shares = springs.rest[crossed] / np.where(lengths > 0, lengths, 1.0) / 2
-    at = [ends.ravel(), *(middle.corners for middle in middles)]
-    left = sides[~cut & (sides >= 0)]
+    edge_vectors = positions[ends[:, 1]] - positions[ends[:, 0]]
+    lengths = np.linalg.norm(edge_vectors, axis=1)
+    half_fractions = (
+        springs.rest[torn_springs] / np.where(lengths > 0, lengths, 1.0) / 2
+    )
+    rotated_particles = [ends.ravel(), *(middle.corners for middle in middles)]
+    intact_springs = sides[~cut & (sides >= 0)]
     return Tearing(
         np.append(counts[intact], np.array([len(part) for part in parts], np.int64)),
         np.append(
             indices[np.repeat(intact, counts)], np.array([*chain(*parts)], np.int64)
         ),
         size,
-        crossed,
+        torn_springs,
         ends,
-        between * shares[:, None],
+        edge_vectors * half_fractions[:, None],
         _neighbour_rotations(
-            np.unique(np.concatenate(at)), springs.ends[np.unique(left)], positions
+            np.unique(np.concatenate(rotated_particles)),
+            springs.ends[np.unique(intact_springs)],
+            positions,
         ),
         tuple(middles),
     )
@@ -350,18 +365,22 @@ _Run: TypeAlias = tuple[int, list[int], int]
 def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
     """Yield runs of corners between the cut sides of a face; -1 is not cut."""
     count = len(corners)
-    crossed = [i for i in range(count) if cut[i] >= 0]
-    for one, other in zip(crossed, [*crossed[1:], crossed[0] + count], strict=True):
-        run = [corners[i % count] for i in range(one + 1, other + 1)]
-        yield cut[one], run, cut[other % count]
+    cut_sides = [i for i in range(count) if cut[i] >= 0]
+    for start, end in zip(
+        cut_sides, [*cut_sides[1:], cut_sides[0] + count], strict=True
+    ):
+        run = [corners[i % count] for i in range(start + 1, end + 1)]
+        yield cut[start], run, cut[end % count]
 
 
-def _middle(runs: Sequence[_Run], positions: FloatArray, at: FloatArray) -> _Middle:
+def _middle(
+    runs: Sequence[_Run], positions: FloatArray, rest_position: FloatArray
+) -> _Middle:
     """Return the middle of a face of runs with rest position ``(3,)`` [m]."""
-    order = np.array([corner for _, run, _ in runs for corner in run])
+    corners = np.array([corner for _, run, _ in runs for corner in run])
     parts = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
-    after = np.array([after for _, _, after in runs])
-    return _Middle(order, parts, after, at - positions[order])
+    next_springs = np.array([next_springs for _, _, next_springs in runs])
+    return _Middle(corners, parts, next_springs, rest_position - positions[corners])
 
 
 def polar_rotations(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
@@ -377,9 +396,12 @@ def _neighbour_rotations(
     which: IntArray, pairs: IntArray, positions: FloatArray
 ) -> _NeighbourRotations:
     """Return rotations of ascending particles ``(P,)`` by pairs ``(K, 2)``."""
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    both = both[np.isin(both[:, 0], which)]
-    offsets = positions[both[:, 1]] - positions[both[:, 0]]
+    directed_pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    directed_pairs = directed_pairs[np.isin(directed_pairs[:, 0], which)]
+    offsets = positions[directed_pairs[:, 1]] - positions[directed_pairs[:, 0]]
     return _NeighbourRotations(
-        which, np.searchsorted(which, both[:, 0]), both[:, 1], offsets
+        which,
+        np.searchsorted(which, directed_pairs[:, 0]),
+        directed_pairs[:, 1],
+        offsets,
     )

@@ -62,14 +62,14 @@ class SpringEntry:
         """Rigid systems and bodies that carry particles, and their keys."""
         carriers = [pin.carrier for pin in self.pins]
         return [
-            (one.system, one.body, one.where)
-            for one in carriers
-            if isinstance(one, OnBody)
+            (carrier.system, carrier.body, carrier.where)
+            for carrier in carriers
+            if isinstance(carrier, OnBody)
         ]
 
     @property
     def reads(self) -> list[str]:
-        """What acts on the particles, as text."""
+        """External influences on the particles, as text."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.to.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.spec.air is not None else []
@@ -132,9 +132,9 @@ def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
     for member, start in zip(members, starts, strict=False):
         for join in member.record.joins:
             k = names.index(join.to.system)
-            others = np.array(numbered(join.to.particles, members[k].record.body)[0])
-            two = np.broadcast_arrays(join.particles + start, others + starts[k])
-            pairs.append(np.stack(two, axis=1))
+            kept = np.array(numbered(join.to.particles, members[k].record.body)[0])
+            pair = np.broadcast_arrays(join.particles + start, kept + starts[k])
+            pairs.append(np.stack(pair, axis=1))
     return np.concatenate(pairs)
 
 
@@ -149,7 +149,7 @@ def read_entry(
     _check_wind(entry)
     for fault in _faults_of(lambda: _check_solver(spec)):
         entry.add(fault)
-    if spec.error is not None and any(one.two_way for one in spec.systems):
+    if spec.error is not None and any(system.two_way for system in spec.systems):
         message = "adaptive steps repeat the simulation, and "
         message += "bodies would be pushed each time"
         hint = "set a step, or remove two_way"

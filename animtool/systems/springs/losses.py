@@ -26,9 +26,9 @@ class Losses:
 
     mass: float
     _begin: tuple[float, float] | None = None  # time [s] and energy [J]
-    _most: float = 0.0  # of motion, so far [J]
-    _lost: float = 0.0  # by now [J]
-    _span: float = 0.0  # since the begin [s]
+    _most: float = 0.0  # largest kinetic energy so far [J]
+    _lost: float = 0.0  # lost so far [J]
+    _span: float = 0.0  # since the start [s]
 
     def look(self, t: float, energy: Energy) -> None:
         """Record the energy at a time [s]."""

@@ -22,9 +22,9 @@ MAX_SUBSTEPS = 4096
 
 @dataclass(frozen=True, slots=True)
 class Piercing:
-    """Largest counts of self-piercing of a surface at one time."""
+    """Largest self-piercing counts of a surface at any one time."""
 
-    passed: int = 0  # particles through triangles, not yet brought back
+    passed: int = 0  # particles through triangles, not yet resolved
     cut: int = 0  # pairs of edges that passed through each other
     # Step rate that would detect all fast contacts [1/s]; 0 if none was missed.
     rate: float = 0.0
@@ -123,7 +123,7 @@ class SpringMotion(Trajectory):
         unresolved: Most particles at a time that were held by colliders from several
             sides, or were still inside one.
         passed: Most particles at a time that had passed through the surface and were
-            not yet brought back.
+            not yet resolved.
         cut: Most pairs of edges at a time that had passed through each other.
     """
 

@@ -46,8 +46,8 @@ def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
         *_strain_notices(simulation),
     ]
     if simulation.grid.unresolved:
-        many = counted(simulation.grid.unresolved, "particle")
-        message = f"{many} could not be pushed out of colliders at once"
+        particles = counted(simulation.grid.unresolved, "particle")
+        message = f"{particles} could not be pushed out of colliders at once"
         hint = "they start inside, or colliders close in on them from several sides"
         notices.append(warning("SIM123", message, hint))
     if simulation.applied < 1:
@@ -72,7 +72,7 @@ def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
         hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
         notices.append(warning("SIM102", message, hint))
     elif stats.status is Status.NOT_SOLVED and simulation.strained:
-        notices.append(_refused(simulation, stats))
+        notices.append(_no_solver_warning(simulation, stats))
     elif stats.status is Status.NOT_SOLVED:
         message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
         notices.append(warning("SIM105", message, _convergence_hint(simulation)))
@@ -90,8 +90,8 @@ def _strain_notices(simulation: _Simulation) -> list[Fault]:
             hint = "use less stiffness or mass, or a larger stretch"
         return [warning("SIM131", message, hint)]
     if simulation.longest > 1 + GIVES * options.stretch:
-        least = f"{GIVES * options.stretch:.3g}"
-        message = f"springs are strained by {least} of that or more, "
+        strain_text = f"{GIVES * options.stretch:.3g}"
+        message = f"springs are strained by {strain_text} of that or more, "
         message += "mostly by their own compliance: more steps do not change that"
         hint = "raise their stiffness, or reduce the attached mass"
         return [Fault("SIM161", message, hint=hint, severity=Severity.NOTE)]
@@ -109,17 +109,17 @@ def _convergence_hint(simulation: _Simulation) -> str:
             hint += " of the bodies of its pins"
     if ties is None:
         return hint
-    light = ties.lightest
+    lightest = ties.lightest
     spring_mass = float(system.free_masses.sum())
-    if light is not None and light[1] < LIGHT * spring_mass:
-        name, mass = light
-        more = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
-        more += f"springs of {spring_mass:.3g} kg make unstable"
-        hint = more if step is None else f"{hint}, or {more}"
+    if lightest is not None and lightest[1] < LIGHT * spring_mass:
+        name, mass = lightest
+        addition = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
+        addition += f"springs of {spring_mass:.3g} kg make unstable"
+        hint = addition if step is None else f"{hint}, or {addition}"
     return hint
 
 
-def _refused(simulation: _Simulation, stats: Stats) -> Fault:
+def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
     """Return why auto stopped, and alternatives."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "

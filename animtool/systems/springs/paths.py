@@ -73,23 +73,23 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     >>> times.tolist(), path.shape
     ([0.0, 1.0], (2, 1, 3))
     """
-    moving = [times for times, _ in paths if len(times) > 1]
-    knots = np.unique(np.concatenate(moving)) if moving else np.zeros(1)
-    shared = []
+    moving_times = [times for times, _ in paths if len(times) > 1]
+    knots = np.unique(np.concatenate(moving_times)) if moving_times else np.zeros(1)
+    resampled = []
     for times, path in paths:
         constant = len(times) == 1
-        same = constant or np.array_equal(times, knots)
-        shared.append(
-            np.ascontiguousarray(path if same else _resampled(times, path, knots))
+        is_aligned = constant or np.array_equal(times, knots)
+        resampled.append(
+            np.ascontiguousarray(path if is_aligned else _resampled(times, path, knots))
         )
-    return knots, shared
+    return knots, resampled
 
 
 def combined(ties: Sequence[Tied]) -> Tied | None:
     """Merge pins, or targets, with times into one; None if there are none."""
     if not ties:
         return None
-    names = {each.name for each in fields(ties[0])} - {"positions", "times"}
+    names = {field.name for field in fields(ties[0])} - {"positions", "times"}
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(tie, name) for tie in ties]) for name in names
     }
@@ -101,7 +101,7 @@ def combined(ties: Sequence[Tied]) -> Tied | None:
 def _merged(paths: Sequence[Path]) -> Path:
     """Concatenate paths along their particles, over shared times."""
     knots, tracks = over_knots(paths)
-    rows = [np.broadcast_to(one, (len(knots), *one.shape[1:])) for one in tracks]
+    rows = [np.broadcast_to(track, (len(knots), *track.shape[1:])) for track in tracks]
     return knots, np.concatenate(rows, axis=1)
 
 
@@ -130,8 +130,8 @@ def _resampled(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatA
     after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
     begin, end = times[after - 1], times[after]
     fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
-    moved: FloatArray = path[after - 1] + fraction * (path[after] - path[after - 1])
-    return np.where(fraction == 1, path[after], moved)
+    values: FloatArray = path[after - 1] + fraction * (path[after] - path[after - 1])
+    return np.where(fraction == 1, path[after], values)
 
 
 class Teleports:
@@ -150,11 +150,11 @@ class Teleports:
         self._pins = paths[0][1].shape[1]
         self._knots, self._positions = _merged(paths)
         distances = np.linalg.norm(np.diff(self._positions, axis=0), axis=2)
-        fast = distances > limit * np.diff(self._knots)[:, None]
+        too_fast = distances > limit * np.diff(self._knots)[:, None]
         self._groups = np.zeros(len(body.positions), np.int64)
-        if fast.any():
+        if too_fast.any():
             self._groups = _groups(body)
-        self._jumping = _together(fast, self._groups[holders])
+        self._jumping = _jumps_by_group(too_fast, self._groups[holders])
         self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
         # Times of the jumps ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._begins + 1]
@@ -199,30 +199,30 @@ class Teleports:
 
     def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
         """Return a state carried over the jumps between two stages ``(2, N, 3)``."""
-        moved = state.copy() if end > begin else state
+        result = state.copy() if end > begin else state
         for row in self._begins[begin:end].tolist():
             for group in np.unique(self._groups[self._holders[self._jumping[row]]]):
-                self._carry(moved, row, int(group))
-        return moved
+                self._carry(result, row, int(group))
+        return result
 
     def _carry(self, state: FloatArray, row: int, group: int) -> None:
         """Move a group of particles over a jump, in the array."""
-        of = np.flatnonzero(self._groups[self._holders] == group)
-        before, after = self._positions[row : row + 2, of]
+        holder_rows = np.flatnonzero(self._groups[self._holders] == group)
+        before, after = self._positions[row : row + 2, holder_rows]
         rotation, shift = rigid_motion(before, after)
         members = self._groups == group
         state[0, members] = so3.rotate(rotation, state[0, members]) + shift
         state[1, members] = so3.rotate(rotation, state[1, members])
-        pins = of < self._pins
-        state[0, self._holders[of[pins]]] = after[pins]
-        state[1, self._holders[of[pins]]] = 0.0
+        pins = holder_rows < self._pins
+        state[0, self._holders[holder_rows[pins]]] = after[pins]
+        state[1, self._holders[holder_rows[pins]]] = 0.0
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport of pins or targets."""
         notices = []
-        for jumping, t in zip(self._jumping[self._begins], self.times, strict=True):
-            names = ["pins"] if jumping[: self._pins].any() else []
-            names += ["targets"] if jumping[self._pins :].any() else []
+        for has_jumped, t in zip(self._jumping[self._begins], self.times, strict=True):
+            names = ["pins"] if has_jumped[: self._pins].any() else []
+            names += ["targets"] if has_jumped[self._pins :].any() else []
             message = (
                 f"{' and '.join(names)} move faster than {self._limit:g} m/s until "
                 f"{t:g} s: attached particles move along without gaining velocity"
@@ -238,16 +238,16 @@ def _groups(body: Body) -> IntArray:
     from scipy.sparse.csgraph import connected_components
 
     count, ends = len(body.positions), body.springs.ends
-    ones = np.ones(len(ends), np.int8)
-    graph = coo_array((ones, (ends[:, 0], ends[:, 1])), shape=(count, count))
+    weights = np.ones(len(ends), np.int8)
+    graph = coo_array((weights, (ends[:, 0], ends[:, 1])), shape=(count, count))
     labels: IntArray = connected_components(graph, directed=False)[1]
     return labels.astype(np.int64)
 
 
-def _together(fast: BoolArray, groups: IntArray) -> BoolArray:
+def _jumps_by_group(too_fast: BoolArray, groups: IntArray) -> BoolArray:
     """Return jumping holders ``(K - 1, H)``: all of a group if one jumps."""
     _, numbers = np.unique(groups, return_inverse=True)
-    jumps = np.zeros((len(fast), numbers.max(initial=-1) + 1), bool)
-    row, holder = np.nonzero(fast)
+    jumps = np.zeros((len(too_fast), numbers.max(initial=-1) + 1), bool)
+    row, holder = np.nonzero(too_fast)
     jumps[row, numbers[holder]] = True
     return jumps[:, numbers]

@@ -47,8 +47,10 @@ class Pin:
     @property
     def offset(self) -> list[float] | None:
         """Position in the frame of the carrier [m]; None: as at 0 s."""
-        carrying = (getattr(self.model, key) for key in CARRIERS)
-        return next((each.offset for each in carrying if each is not None), None)
+        carriers = (getattr(self.model, key) for key in CARRIERS)
+        return next(
+            (carrier.offset for carrier in carriers if carrier is not None), None
+        )
 
     def poses(self, poses_of: Callable[[Any], Poses]) -> Poses:
         """Return the frame of the carrier over time."""
@@ -62,18 +64,20 @@ class Pin:
 
     def inside(self, poses: Poses, points: FloatArray) -> FloatArray:
         """Return positions in that frame ``(P, 3)`` [m]; built positions ``(N, 3)``."""
-        built: FloatArray = points[self.particles]
+        built_points: FloatArray = points[self.particles]
         if self.offset is not None:
-            return np.tile(self.offset, (len(built), 1))
+            return np.tile(self.offset, (len(built_points), 1))
         if self.carrier is None:
-            return built
-        at = poses.at(BOUND_AT)
-        return np.asarray(so3.rotate(so3.conjugate(at[3:]), built - at[:3]))
+            return built_points
+        bound_pose = poses.at(BOUND_AT)
+        return np.asarray(
+            so3.rotate(so3.conjugate(bound_pose[3:]), built_points - bound_pose[:3])
+        )
 
     def start(self, poses: Poses, points: FloatArray, begin: float) -> FloatArray:
-        """Return the world positions at the begin [s] ``(P, 3)`` [m]."""
-        now = poses.at(begin)
-        return now[:3] + so3.rotate(now[3:], self.inside(poses, points))
+        """Return the world positions at the start time [s] ``(P, 3)`` [m]."""
+        pose = poses.at(begin)
+        return pose[:3] + so3.rotate(pose[3:], self.inside(poses, points))
 
 
 # Pins with their frames over time.
@@ -97,16 +101,18 @@ def read_pins(
     pinned_by: dict[int, PinModel] = {}  # pin of each particle
     models: Sequence[PinModel] = entry.spec.pins
     for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
-        at: Location = ("pins", i)
-        particles = _particles_of(entry, (*at, "particles"), parts["particles"], body)
+        location: Location = ("pins", i)
+        particles = _particles_of(
+            entry, (*location, "particles"), parts["particles"], body
+        )
         if model.to is not None:
-            _check_alone(entry, at, model, "to")
+            _check_exclusive_keys(entry, location, model, "to")
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
             continue
-        carrier = _carrier(entry, at, model, parts)
+        carrier = _carrier(entry, location, model, parts)
         remaining = particles
         if model.stiffness is None:
-            remaining = _unclaimed(entry, at, model, particles, pinned_by)
+            remaining = _unclaimed(entry, location, model, particles, pinned_by)
         if len(remaining) or not len(particles):
             pins.append(Pin(model, remaining, carrier, f"pins[{i}]"))
     return tuple(pins), tuple(joins)
@@ -114,7 +120,7 @@ def read_pins(
 
 def _unclaimed(
     entry: BodyEntry,
-    at: Location,
+    location: Location,
     model: PinModel,
     particles: IntArray,
     pinned_by: dict[int, PinModel],
@@ -123,25 +129,32 @@ def _unclaimed(
 
     Particles that an earlier pin holds differently are recorded as a fault.
     """
-    twice = [n for n in particles.tolist() if n in pinned_by]
-    conflicting = sorted(n for n in twice if not _same_pin(model, pinned_by[n]))
+    already_pinned = [n for n in particles.tolist() if n in pinned_by]
+    conflicting = sorted(
+        n for n in already_pinned if not _same_pin(model, pinned_by[n])
+    )
     if conflicting:
         message = f"particles that another pin holds differently: {listed(conflicting)}"
         hint = "remove them from one of the two pins"
-        entry.note("SIM052", message, *at, "particles", hint=hint)
-    remaining = particles[~np.isin(particles, np.array(twice, np.int64))]
+        entry.note("SIM052", message, *location, "particles", hint=hint)
+    remaining = particles[~np.isin(particles, np.array(already_pinned, np.int64))]
     pinned_by.update(dict.fromkeys(remaining.tolist(), model))
     return remaining
 
 
 def _same_pin(first: PinModel, second: PinModel) -> bool:
     """Return whether two pins are equal except for their particles."""
-    one, other = (pin.model_dump(exclude={"particles"}) for pin in (first, second))
-    return one == other
+    first_keys, second_keys = (
+        pin.model_dump(exclude={"particles"}) for pin in (first, second)
+    )
+    return first_keys == second_keys
 
 
 def _particles_of(
-    entry: BodyEntry, at: Location, names: Sequence[list[str | int]], body: SpringBody
+    entry: BodyEntry,
+    location: Location,
+    names: Sequence[list[str | int]],
+    body: SpringBody,
 ) -> IntArray:
     """Return unique particle indices in the order of their names.
 
@@ -149,18 +162,18 @@ def _particles_of(
     recorded as a fault.
     """
     particles: list[int] = []
-    written: list[int] = []
-    for i, each in enumerate(names):
-        numbers, faults = numbered(each, body)
+    explicit: list[int] = []
+    for i, group in enumerate(names):
+        numbers, faults = numbered(group, body)
         for _, fault in faults:
-            entry.add(fault, *at, i)
+            entry.add(fault, *location, i)
         particles += numbers
-        if not any(isinstance(name, str) for name in each):
-            written += numbers
-    if len(set(written)) < len(written):
-        twice = sorted({n for n in written if written.count(n) > 1})
-        message = f"particles that appear twice: {listed(twice)}"
-        entry.note("SIM052", message, *at)
+        if not any(isinstance(name, str) for name in group):
+            explicit += numbers
+    if len(set(explicit)) < len(explicit):
+        duplicates = sorted({n for n in explicit if explicit.count(n) > 1})
+        message = f"particles that appear twice: {listed(duplicates)}"
+        entry.note("SIM052", message, *location)
     return np.array(list(dict.fromkeys(particles)), np.int64)
 
 
@@ -168,14 +181,17 @@ def numbered(
     names: Sequence[str | int], body: SpringBody
 ) -> tuple[list[int], list[tuple[int, Fault]]]:
     """Return particle indices, and a fault for each unknown name."""
-    count, known = len(body.body.positions), list(body.regions)
+    count, region_names = len(body.body.positions), list(body.regions)
     numbers: list[int] = []
     faults = []
     for i, name in enumerate(names):
         if isinstance(name, str) and name in body.regions:
             numbers += [int(n) for n in body.regions[name]]
         elif isinstance(name, str):
-            hint = nearest(name, known) or f"use one of {listed(known)}, or numbers"
+            hint = (
+                nearest(name, region_names)
+                or f"use one of {listed(region_names)}, or numbers"
+            )
             message = f"unknown particles {name!r}"
             faults.append((i, Fault("SIM052", message, hint=hint)))
         elif -count <= name < count:
@@ -186,30 +202,41 @@ def numbered(
     return numbers, faults
 
 
-def _check_alone(entry: BodyEntry, at: Location, model: PinModel, kept: str) -> None:
+def _check_exclusive_keys(
+    entry: BodyEntry, location: Location, model: PinModel, carrier_key: str
+) -> None:
     """Record keys that do not apply to a pin with one of the carrier keys."""
     keys = {"moves", *CARRIERS, "to", "stiffness", "damping"}
-    alone = {"to", "body"}  # keys that exclude stiffness and damping
-    allowed = {kept} if kept in alone else {kept, "stiffness", "damping"}
+    exclusive = {"to", "body"}  # keys that exclude stiffness and damping
+    allowed = (
+        {carrier_key}
+        if carrier_key in exclusive
+        else {carrier_key, "stiffness", "damping"}
+    )
     for key in sorted((keys & model.model_fields_set) - allowed):
-        entry.note("SIM052", f"{key} does not apply to a pin that has {kept}", *at, key)
+        entry.note(
+            "SIM052",
+            f"{key} does not apply to a pin that has {carrier_key}",
+            *location,
+            key,
+        )
 
 
 def _carrier(
-    entry: BodyEntry, at: Location, model: PinModel, parts: Mapping[str, Any]
+    entry: BodyEntry, location: Location, model: PinModel, parts: Mapping[str, Any]
 ) -> Any:
     """Return the carrier of a pin; record keys that conflict with it."""
     if model.moves:
-        _check_alone(entry, at, model, "moves")
+        _check_exclusive_keys(entry, location, model, "moves")
         if (np.diff(np.array(model.moves)[:, 0]) <= 0).any():
-            entry.note("SIM044", "its times must ascend", *at, "moves")
+            entry.note("SIM044", "its times must ascend", *location, "moves")
     carrier = None
     for key in CARRIERS:
         if getattr(model, key) is not None:
-            _check_alone(entry, at, model, key)
+            _check_exclusive_keys(entry, location, model, key)
             carrier = parts[key]
             if isinstance(carrier, OnBody):
-                where = ".".join((f"pins[{at[1]}]", key, "body"))
+                where = ".".join((f"pins[{location[1]}]", key, "body"))
                 carrier = replace(carrier, where=where)
     return carrier
 
@@ -222,8 +249,8 @@ def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
         if model.stiffness is None:
             ties.append(Pins(pin.particles, positions, frame.sample_times))
             continue
-        each = np.ones(len(pin.particles))
-        stiffness, damping = model.stiffness * each, model.damping * each
+        ones = np.ones(len(pin.particles))
+        stiffness, damping = model.stiffness * ones, model.damping * ones
         ties.append(
             PointTargets(
                 pin.particles, positions, stiffness, damping, frame.sample_times
@@ -235,18 +262,20 @@ def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
 def moved_to_pins(pins: Framed, points: FloatArray, begin: float) -> FloatArray:
     """Return points ``(N, 3)`` [m] moved rigidly to pins with an offset.
 
-    Uses the least rotation that fits the pins at the begin [s].
+    It uses the smallest rotation that fits the pins at the start time [s].
     """
-    offset = [(pin, frame) for pin, frame in pins if pin.offset is not None]
-    if not offset:
+    offset_pins = [(pin, frame) for pin, frame in pins if pin.offset is not None]
+    if not offset_pins:
         return points
-    goal = np.concatenate([pin.start(frame, points, begin) for pin, frame in offset])
-    current = np.concatenate([points[pin.particles] for pin, _ in offset])
-    centre, middle = goal.mean(axis=0), current.mean(axis=0)
-    spread = (goal - centre).T @ (current - middle)
-    rotation = polar_rotations(spread, np.maximum(np.abs(spread).max(), 1.0))
-    turned: FloatArray = centre + (points - middle) @ rotation.T
-    return turned
+    goal = np.concatenate(
+        [pin.start(frame, points, begin) for pin, frame in offset_pins]
+    )
+    current = np.concatenate([points[pin.particles] for pin, _ in offset_pins])
+    centre, centroid = goal.mean(axis=0), current.mean(axis=0)
+    covariance = (goal - centre).T @ (current - centroid)
+    rotation = polar_rotations(covariance, np.maximum(np.abs(covariance).max(), 1.0))
+    moved: FloatArray = centre + (points - centroid) @ rotation.T
+    return moved
 
 
 def air_of(wind: FaceWindModel) -> Air:
@@ -274,15 +303,17 @@ def wind_ties(
     times = np.array([first, max(last, first + 1.0)])
     if len(gusts):
         inner = gusts[(gusts[:, 0] > times[0]) & (gusts[:, 0] < times[1]), 0]
-        ends = np.unique(np.concatenate([times, inner]))
-        shares = np.arange(GUST_STEPS) / GUST_STEPS
-        fine = ends[:-1, None] + np.diff(ends)[:, None] * shares
-        times = np.append(fine.ravel(), ends[-1])
+        interval_ends = np.unique(np.concatenate([times, inner]))
+        fractions = np.arange(GUST_STEPS) / GUST_STEPS
+        fine_times = (
+            interval_ends[:-1, None] + np.diff(interval_ends)[:, None] * fractions
+        )
+        times = np.append(fine_times.ravel(), interval_ends[-1])
     speeds = np.tile(np.array(wind.velocity), (len(times) - 1, 1))
     if len(gusts):
         middle = (times[:-1] + times[1:]) / 2
-        blown = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
-        speeds = speeds + np.stack(blown, axis=1)
+        gust_speeds = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
+        speeds = speeds + np.stack(gust_speeds, axis=1)
     displacements = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
     displacements = np.concatenate([np.zeros((1, 3)), displacements])
     numbers, positions = np.arange(len(points)), points + displacements[:, None]

@@ -151,7 +151,7 @@ class SelfContact:
     three quarters of it from other edges, on the side where they were. Coulomb friction
     reduces sliding. Momentum is conserved. Pairs that are closer at rest keep that
     distance; along the surface they keep two thirds of it, so that the thickness never
-    exceeds what springs leave room for.
+    exceeds the space between particles.
 
     Limits of the method: piercing that happens anyway, for example between closing
     colliders, is tracked and undone, but cloth that starts in a tangle stays tangled

@@ -79,50 +79,53 @@ def find_rest(
     -1.1
     """
     start = system.settle(t, 1.0, system.state, system.state)[0]
-    calm = system.halted(t, replace(system.body, positions=start))
-    current, sunk = _Configuration(calm, start), False
-    firm, steps = current.typical, 0
+    frozen = system.halted(t, replace(system.body, positions=start))
+    current, has_descended = _Configuration(frozen, start), False
+    regularization, steps = current.typical, 0
     while not current.solved and steps < MAX_STEPS:
         steps += 1
-        moved = current.moved(firm)
-        if moved is not None and moved.energy <= current.energy + current.rounding:
-            current, firm = moved, firm / SOFTER
-        elif sunk:
-            firm *= FIRMER
+        candidate = current.moved(regularization)
+        if (
+            candidate is not None
+            and candidate.energy <= current.energy + current.rounding
+        ):
+            current, regularization = candidate, regularization / SOFTER
+        elif has_descended:
+            regularization *= FIRMER
         else:
-            current, sunk = _sunk(calm, current), True
+            current, has_descended = _descended(frozen, current), True
         if progress is not None:
             progress(current.settled)
     return Rest(current.x, current.residual, steps, current.solved)
 
 
-def _sunk(system: SpringSystem, start: _Configuration) -> _Configuration:
+def _descended(system: SpringSystem, start: _Configuration) -> _Configuration:
     """Return the result of a damped descent, or the start if that is expensive.
 
-    Sheets fold on the way, for which Newton's method takes many short steps.
+    Sheets fold during the descent, where Newton's method needs many short steps.
     """
     body = replace(system.body, positions=start.x)
     size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))
     pull = float(np.linalg.norm(system.gravity))
     if not size * pull > 0 or not len(body.springs.rest):
         return start
-    swing = float(np.sqrt(pull / size))
-    thick = system.halted(0.0, _damped(body), 2 * swing)
-    step = SAFE * explicit_limit(thick, 0.0, thick.state)
-    needed = SINKING / (swing * step) if step > 0 else np.inf
-    if not needed <= MAX_SINKING_STEPS:
+    swing_rate = float(np.sqrt(pull / size))
+    damped = system.halted(0.0, _with_damping(body), 2 * swing_rate)
+    step = SAFE * explicit_limit(damped, 0.0, damped.state)
+    step_count = SINKING / (swing_rate * step) if step > 0 else np.inf
+    if not step_count <= MAX_SINKING_STEPS:
         return start
-    if np.ceil(needed) * len(body.springs.rest) > MAX_SINKING:
+    if np.ceil(step_count) * len(body.springs.rest) > MAX_SINKING:
         return start
-    steps = int(np.ceil(needed))
-    steps_at_once = thick.native("symplectic_euler")
+    steps = int(np.ceil(step_count))
+    steps_at_once = damped.native("symplectic_euler")
     assert steps_at_once is not None
-    x = steps_at_once(0.0, thick.state, step, steps)[0]
-    there = _Configuration(system, x) if np.isfinite(x).all() else start
-    return there if there.energy < start.energy else start
+    x = steps_at_once(0.0, damped.state, step, steps)[0]
+    end = _Configuration(system, x) if np.isfinite(x).all() else start
+    return end if end.energy < start.energy else start
 
 
-def _damped(body: Body) -> Body:
+def _with_damping(body: Body) -> Body:
     """Return the body with strongly damped springs."""
     springs = body.springs
     masses = body.masses[springs.ends].mean(axis=1)
@@ -155,21 +158,21 @@ class _Configuration:
         )
         self.typical = float(stiffest.max(initial=1.0))
 
-    def moved(self, firm: float) -> _Configuration | None:
+    def moved(self, regularization: float) -> _Configuration | None:
         """Return the result of one Newton step; None if it does not descend."""
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
         rows = (3 * self._free[:, None] + np.arange(3)).ravel()
         matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
-        regularized = (matrix + diags_array(np.full(len(rows), firm))).tocsc()
+        regularized = (matrix + diags_array(np.full(len(rows), regularization))).tocsc()
         try:
             step = splu(regularized, **SYMMETRIC).solve(self._forces.ravel()[rows])
         except RuntimeError:
             return None
-        fall = step @ self._forces.ravel()[rows]
+        descent = step @ self._forces.ravel()[rows]
         # Reject steps that raise the energy or are not finite.
-        if not np.isfinite(step).all() or not 0 < fall < np.inf:
+        if not np.isfinite(step).all() or not 0 < descent < np.inf:
             return None
         x = self.x.copy()
         x.reshape(-1)[rows] += step

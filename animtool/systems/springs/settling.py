@@ -21,7 +21,7 @@ RESTING = 1e-6
 MAX_CELLS, MAX_WORK = 20_000, 500_000_000
 # Steps are halved as long as the gap falls below this fraction of the last.
 HELPS = 0.7
-# Gap to the static equilibrium that is not reported, relative to the system size.
+# Largest unreported gap to the static equilibrium, relative to the system size.
 NEAR = 1e-3
 
 
@@ -46,9 +46,9 @@ def rest_of_xpbd(
     """Return springs that start at the rest state of xpbd, near the equilibrium.
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
-    equilibrium and would fall at the start. They fall here and are stopped whenever the
-    kinetic energy peaks, until they rest. With `auto`, steps are halved as long as that
-    reduces the gap.
+    equilibrium and would fall at the start. They fall here instead, with velocities
+    reset whenever the kinetic energy peaks, until they rest. With `auto`, steps are
+    halved as long as that reduces the gap.
 
     Args:
         system: Springs that start in equilibrium.
@@ -56,31 +56,33 @@ def rest_of_xpbd(
         choice: Steps of xpbd.
         t: Time at which pins are sampled [s].
     """
-    halted = system.halted(t, system.body)
-    near = NEAR * float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
-    begun, work, auto = choice.substeps, 0, options.solver == Solver.AUTO
-    best: _Fallen | None = None
+    frozen = system.halted(t, system.body)
+    tolerance = NEAR * float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
+    substeps, work, auto = choice.substeps, 0, options.solver == Solver.AUTO
+    previous: _Descent | None = None
     while True:
-        fallen = _fallen(halted, options, replace(choice, substeps=begun), work)
-        work = fallen.work
-        if not np.isfinite(fallen.speed):
-            return XpbdRest(system, choice, (_unsolved(fallen.speed),))
-        nearer = best is None or fallen.gap < HELPS * best.gap
-        if not nearer and best is not None:
-            fallen = best
-        shorter = choice.cell / (2 * fallen.substeps) >= SHORTEST_OF_AUTO
-        if fallen.gap <= near or not (auto and nearer and shorter and work < MAX_WORK):
+        descent = _descend(frozen, options, replace(choice, substeps=substeps), work)
+        work = descent.work
+        if not np.isfinite(descent.speed):
+            return XpbdRest(system, choice, (_no_rest_notice(descent.speed),))
+        improves = previous is None or descent.gap < HELPS * previous.gap
+        if not improves and previous is not None:
+            descent = previous
+        can_halve = choice.cell / (2 * descent.substeps) >= SHORTEST_OF_AUTO
+        if descent.gap <= tolerance or not (
+            auto and improves and can_halve and work < MAX_WORK
+        ):
             break
-        best, begun = fallen, 2 * fallen.substeps
-    notices = [] if fallen.speed <= RESTING else [_unsolved(fallen.speed)]
-    if fallen.gap > near:
-        notices.append(_away(fallen.gap, auto=auto))
-    steps = replace(choice, substeps=fallen.substeps)
-    return XpbdRest(system.starting_at(fallen.rest), steps, tuple(notices))
+        previous, substeps = descent, 2 * descent.substeps
+    notices = [] if descent.speed <= RESTING else [_no_rest_notice(descent.speed)]
+    if descent.gap > tolerance:
+        notices.append(_gap_notice(descent.gap, auto=auto))
+    steps = replace(choice, substeps=descent.substeps)
+    return XpbdRest(system.starting_at(descent.rest), steps, tuple(notices))
 
 
 @dataclass(frozen=True, slots=True)
-class _Fallen:
+class _Descent:
     """Result of the descent with repeated stops."""
 
     rest: FloatArray  # (N, 3) [m]
@@ -90,43 +92,43 @@ class _Fallen:
     gap: float  # largest distance from the start [m]
 
 
-def _fallen(
-    halted: SpringSystem, options: SpringOptions, choice: Choice, work: int
-) -> _Fallen:
+def _descend(
+    frozen: SpringSystem, options: SpringOptions, choice: Choice, work: int
+) -> _Descent:
     """Return the rest state of halted springs."""
-    motion = np.ascontiguousarray(halted.state)
-    state = SpringState(motion, halted.none_torn, choice.substeps, choice.substeps)
+    motion = np.ascontiguousarray(frozen.state)
+    state = SpringState(motion, frozen.none_torn, choice.substeps, choice.substeps)
     grid = TimeGrid(choice.solver, 0.0, choice.cell, 0, state)
-    masses, before, cells = halted.free_masses, 0.0, 0
-    speed, first = np.inf, work
+    masses, previous_energy, cells = frozen.free_masses, 0.0, 0
+    speed, initial_work = np.inf, work
     while speed > RESTING and cells < MAX_CELLS and work < MAX_WORK:
         cells += 1
         with np.errstate(all="ignore"):
-            grid = advance(halted, options, grid, 1)
+            grid = advance(frozen, options, grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = first + grid.steps * len(halted.body.springs.rest)
+        work = initial_work + grid.steps * len(frozen.body.springs.rest)
         if not np.isfinite(speed):
             break
         # A later change to fewer steps would move it again.
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
-        if energy < before:
-            state, energy = replace(state, motion=_stopped(state)), 0.0
-        before, grid = energy, replace(grid, state=state)
+        if energy < previous_energy:
+            state, energy = replace(state, motion=_without_velocities(state)), 0.0
+        previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    gap = float(np.linalg.norm(rest - halted.state[0], axis=1).max(initial=0.0))
-    return _Fallen(rest, speed, grid.state.substeps, work, gap)
+    gap = float(np.linalg.norm(rest - frozen.state[0], axis=1).max(initial=0.0))
+    return _Descent(rest, speed, grid.state.substeps, work, gap)
 
 
-def _stopped(state: SpringState) -> FloatArray:
+def _without_velocities(state: SpringState) -> FloatArray:
     """Return the motion with zero velocities."""
     motion = state.motion.copy()
     motion[1] = 0.0
     return motion
 
 
-def _away(gap: float, *, auto: bool) -> Fault:
+def _gap_notice(gap: float, *, auto: bool) -> Fault:
     """Return a notice of the gap to the static equilibrium [m]."""
     message = f"xpbd comes to rest {length_text(gap)} from where the forces on "
     message += "particles cancel out"
@@ -137,6 +139,6 @@ def _away(gap: float, *, auto: bool) -> Fault:
     return Fault("SIM179", message, where="settle", hint=hint, severity=Severity.NOTE)
 
 
-def _unsolved(speed: float) -> Fault:
+def _no_rest_notice(speed: float) -> Fault:
     message = f"xpbd found no rest state: particles still move at {speed:.2g} m/s"
     return warning("SIM152", message, "use auto or bdf2", "settle")

@@ -101,19 +101,21 @@ def sheet(
     [[0, 1], [1, 2], [3, 4], [4, 5], [0, 3], [1, 4], [2, 5], [0, 2], [3, 5]]
     """
     grid = np.arange(rows * columns).reshape(rows, columns)
-    upward, along = np.indices(grid.shape).reshape(2, -1, 1)
-    first, right, top = (np.asarray(each, np.float64) for each in (corner, across, up))
-    positions = first + along / max(columns - 1, 1) * right
-    positions = positions + upward / max(rows - 1, 1) * top
-    one, both, bend_pairs = (
+    row_numbers, column_numbers = np.indices(grid.shape).reshape(2, -1, 1)
+    first, right, top = (
+        np.asarray(vector, np.float64) for vector in (corner, across, up)
+    )
+    positions = first + column_numbers / max(columns - 1, 1) * right
+    positions = positions + row_numbers / max(rows - 1, 1) * top
+    grid_edges, diagonal_pairs, bend_pairs = (
         np.concatenate([_grid_pairs(grid, *offset) for offset in offsets])
         for offsets in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
     )
-    rising = _grid_pairs(grid, 1, 1)
+    rising_diagonals = _grid_pairs(grid, 1, 1)
     families = [
-        (one, structural),
-        (rising, diagonal),
-        (both, diagonals),
+        (grid_edges, structural),
+        (rising_diagonals, diagonal),
+        (diagonal_pairs, diagonals),
         (bend_pairs, bend),
     ]
     return built(positions, mass, families, _triangles(grid))
@@ -150,42 +152,48 @@ def surface(
     positions = as_floats(points, ("N", 3), "points")
     sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     triangles = triangulated(sizes, corners)
-    along = edges(sizes, corners)
-    crossing = _crossing(sizes, corners)
+    mesh_edges = edges(sizes, corners)
+    face_diagonals = _face_diagonals(sizes, corners)
     # Inner edges of a fan are not mesh edges and get no bend springs.
-    hinges = _hinges(triangles, along)
-    families = [(along, structural), (crossing, diagonals), (hinges, bend)]
+    hinges = _hinges(triangles, mesh_edges)
+    families = [(mesh_edges, structural), (face_diagonals, diagonals), (hinges, bend)]
     return built(positions, mass, families, triangles)
 
 
-def _crossing(counts: IntArray, indices: IntArray) -> IntArray:
+def _face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
     pairs = [np.zeros((0, 2), np.int64)]
     for step in range(2, int(counts.max(initial=0)) // 2 + 1):
-        wide = np.repeat(counts >= 2 * step, counts)
-        pairs.append(_steps(counts, indices, np.full_like(counts, step))[wide])
+        has_diagonal = np.repeat(counts >= 2 * step, counts)
+        pairs.append(
+            _corner_pairs(counts, indices, np.full_like(counts, step))[has_diagonal]
+        )
     return distinct_pairs(np.concatenate(pairs))
 
 
-def _steps(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
+def _corner_pairs(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
     """Return each corner with the corner some steps further around its face."""
     starts = np.repeat(np.cumsum(counts) - counts, counts)
-    around, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
-    others = starts + (around + np.repeat(steps, counts)) % np.maximum(sizes, 1)
-    return np.stack([indices, indices[others]], axis=1)
+    corner_numbers, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
+    targets = starts + (corner_numbers + np.repeat(steps, counts)) % np.maximum(
+        sizes, 1
+    )
+    return np.stack([indices, indices[targets]], axis=1)
 
 
-def _hinges(triangles: IntArray, kept: IntArray) -> IntArray:
+def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
     """Return the opposite corners of triangles that share a kept edge ``(B, 2)``."""
     sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    off = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    one, other = coincident_edges(sides)
-    is_kept = _among(np.sort(sides[one], axis=1), kept)
-    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[is_kept])
+    opposite = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
+    first, second = coincident_edges(sides)
+    is_mesh_edge = _is_in(np.sort(sides[first], axis=1), mesh_edges)
+    return distinct_pairs(
+        np.stack([opposite[first], opposite[second]], axis=1)[is_mesh_edge]
+    )
 
 
-def _among(pairs: IntArray, kept: IntArray) -> BoolArray:
-    size = int(max(pairs.max(initial=0), kept.max(initial=0))) + 1
-    return np.isin(pairs @ [size, 1], kept @ [size, 1])
+def _is_in(pairs: IntArray, allowed: IntArray) -> BoolArray:
+    size = int(max(pairs.max(initial=0), allowed.max(initial=0))) + 1
+    return np.isin(pairs @ [size, 1], allowed @ [size, 1])
 
 
 def block(
@@ -217,8 +225,10 @@ def block(
     grid = np.arange(np.prod(counts)).reshape(counts[::-1])
     z, y, x = np.indices(grid.shape)
     steps = np.maximum(np.array(counts) - 1, 1)
-    shares = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
-    positions = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
+    fractions = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
+    positions = np.asarray(corner, np.float64) + fractions * np.asarray(
+        size, np.float64
+    )
     offsets = [offset for offset in product((-1, 0, 1), repeat=3) if offset > (0, 0, 0)]
     families = [
         (_grid_pairs(grid, *offset), family)
@@ -245,24 +255,28 @@ def tetrahedra(
     (6, 4)
     """
     corners = np.asarray(cells, np.int64).reshape(-1, 4)
-    pairs = np.concatenate([corners[:, list(two)] for two in combinations(range(4), 2)])
+    pairs = np.concatenate(
+        [corners[:, list(ends)] for ends in combinations(range(4), 2)]
+    )
     sides = np.concatenate(
         [corners[:, side] for side in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])]
     )
-    _, first, often = np.unique(
+    _, first, counts = np.unique(
         np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
     )
     # A face shared by two cells is inside.
-    outside = sides[np.sort(first[often == 1])]
+    outside = sides[np.sort(first[counts == 1])]
     unique = np.unique(np.sort(pairs, axis=1), axis=0)
     return built(points, mass, [(unique, edges)], outside)
 
 
 def _grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
     """Return pairs of grid particles that differ by an offset along the axes."""
-    here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in offsets)
-    there = tuple(slice(max(step, 0), step if step < 0 else None) for step in offsets)
-    return np.stack([grid[here].ravel(), grid[there].ravel()], axis=1)
+    firsts = tuple(
+        slice(max(-step, 0), -step if step > 0 else None) for step in offsets
+    )
+    seconds = tuple(slice(max(step, 0), step if step < 0 else None) for step in offsets)
+    return np.stack([grid[firsts].ravel(), grid[seconds].ravel()], axis=1)
 
 
 def _triangles(grid: IntArray, *, flip: bool = False) -> IntArray:

@@ -82,9 +82,11 @@ def simulate_springs(
             grid.solver, grid.cell, grid.state.substeps, "it was carried on", limit
         )
         # Start with zero counts.
-        begun = TimeGrid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
+        start_grid = TimeGrid(
+            grid.solver, grid.origin, grid.cell, grid.index, grid.state
+        )
         plan = SpringPlan(system, options, choice, choice.reason)
-        return _motion(plan, begun, knots, progress)
+        return _motion(plan, start_grid, knots, progress)
     t = float(knots[0])
     state = np.ascontiguousarray(
         system.state if checkpoint is None else checkpoint.state
@@ -99,7 +101,7 @@ def simulate_springs(
 
     if options.error is None:
         return simulate_with(choice.substeps)
-    return _near_enough(simulate_with, choice, options.error)
+    return _within_error(simulate_with, choice, options.error)
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
@@ -107,13 +109,13 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
     if state.shape != shape:
         message = f"the start must have shape {shape}, not {state.shape}"
     elif not np.isfinite(state).all():
-        lost = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
-        message = f"particle {lost} is not finite at the start"
+        particle = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
+        message = f"particle {particle} is not finite at the start"
     if message:
         raise OptionError(Fault("SIM003", message, where="state"))
 
 
-def _near_enough(
+def _within_error(
     simulate_with: Callable[[int], SpringMotion], choice: Choice, error: float
 ) -> SpringMotion:
     """Return the motion in the longest steps whose estimated error is in bounds."""
@@ -130,8 +132,8 @@ def _near_enough(
         coarse = replace(fine, stats=replace(fine.stats, error=estimate))
         if estimate <= error:
             return coarse
-    reached = length_text(estimate) if math.isfinite(estimate) else "not known"
-    message = f"the position error is {reached}, but the limit is "
+    error_text = length_text(estimate) if math.isfinite(estimate) else "not known"
+    message = f"the position error is {error_text}, but the limit is "
     message += length_text(error)
     hint = (
         "use bdf2, or raise the limit: motion after a fold or a contact is not smooth"
@@ -141,32 +143,34 @@ def _near_enough(
 
 
 def _motion(
-    plan: SpringPlan, begun: TimeGrid, times: FloatArray, progress: Progress
+    plan: SpringPlan, start_grid: TimeGrid, times: FloatArray, progress: Progress
 ) -> SpringMotion:
-    """Return the motion at times, up to where it stops."""
-    simulation = SpringSimulation(plan, begun, float(times[-1]), progress)
+    """Return the motion at times, until the simulation stops."""
+    simulation = SpringSimulation(plan, start_grid, float(times[-1]), progress)
     simulation.forgets = False
-    start = Reached(begun.index, begun.state)
-    run = SimulationRun("springs", simulation, begun.origin, begun.cell, start)
+    start = Reached(start_grid.index, start_grid.state)
+    run = SimulationRun(
+        "springs", simulation, start_grid.origin, start_grid.cell, start
+    )
     run.collide_with(plan.system.colliders.bodies)
-    kept, states, energies = begun, [], []
+    last_grid, states, energies = start_grid, [], []
     for t in times.tolist():
         try:
             state = run.reach(t)[0].motion
         except StoppedError:
             break
-        kept = simulation.grid
+        last_grid = simulation.grid
         states.append(state)
         energies.append(simulation.energy_of(t, state))
-    reached = times[: len(states)]
-    grid, stats = simulation.grid, simulation.stats(float(reached[-1]))
+    reached_times = times[: len(states)]
+    grid, stats = simulation.grid, simulation.stats(float(reached_times[-1]))
     return SpringMotion(
-        reached,
+        reached_times,
         np.array(states),
         np.array(energies),
         stats,
         tuple(simulation.notices),
-        Checkpoint(float(reached[-1]), states[-1], kept),
+        Checkpoint(float(reached_times[-1]), states[-1], last_grid),
         second_order=True,
         solver=plan.choice.solver,
         reason=plan.choice.reason,
@@ -193,16 +197,18 @@ def plan_springs(
         progress = _by_motions(context.phase, begin, float(times[-1]))
         motion = simulate_springs(system, times, options, progress=progress)
         if motion.stats.status is not Status.OK:
-            faults = [replace(one, severity=Severity.ERROR) for one in motion.notices]
+            faults = [
+                replace(fault, severity=Severity.ERROR) for fault in motion.notices
+            ]
             raise StoppedError(faults, motion.stats)
         notices += motion.notices
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
     choice = choose(system, options, check_options(options), begin, system.state)
     if settled and choice.solver is Solver.XPBD:
-        rested = rest_of_xpbd(system, options, choice, begin)
-        system, choice = rested.system, rested.choice
-        notices += rested.notices
+        rest = rest_of_xpbd(system, options, choice, begin)
+        system, choice = rest.system, rest.choice
+        notices += rest.notices
     return SpringPlan(system, options, choice, reason or choice.reason, error, notices)
 
 

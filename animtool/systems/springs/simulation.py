@@ -70,7 +70,7 @@ class SpringSimulation:
     """Simulates springs in cells of time; counters serve warnings only.
 
     Attributes:
-        grid: Where it is, with counts over all cells so far.
+        grid: Current grid position, with counts over all cells so far.
         left: The system without torn springs.
         wrenches: Impulses on rigid bodies of other systems in the last cells.
         unsolved: Start of the cell that was not solved.
@@ -85,7 +85,7 @@ class SpringSimulation:
     longest = applied = 1.0
     stretch = 0.0
     unsolved: TimeGrid | None = None
-    # Whether surfaces of other systems may forget what is behind it.
+    # Whether surfaces of other systems may release states before its time.
     forgets = True
 
     def __init__(
@@ -100,8 +100,8 @@ class SpringSimulation:
         self._start_notices = [] if begun.index else self.system.notices()
         self._max_substeps = begun.state.substeps
         # Pushed bodies react before the next cell.
-        together = self.system.colliders.bodies or self.system.ties is not None
-        self._cells = 1 if together else LOOK_EVERY
+        is_coupled = self.system.colliders.bodies or self.system.ties is not None
+        self._cells = 1 if is_coupled else LOOK_EVERY
         self.left, self._gone = self.system, 0
         self._watch = EnergyWatch(self.system, self._bounds())
         self._exclude_torn()
@@ -115,9 +115,11 @@ class SpringSimulation:
         # Residual strain of xpbd, and of implicit steps with colliders, is not energy
         # that the motion continues with.
         solver, active = self.choice.solver, self.system.colliders.active
-        stable = solver is not Solver.SYMPLECTIC_EULER and active
-        calm = stable or solver is Solver.XPBD or self.system.ties is not None
-        growth = np.inf if calm else self.options.growth
+        implicit_contacts = solver is not Solver.SYMPLECTIC_EULER and active
+        ignores_growth = (
+            implicit_contacts or solver is Solver.XPBD or self.system.ties is not None
+        )
+        growth = np.inf if ignores_growth else self.options.growth
         return IntegrateOptions(growth=growth, stretch=self.options.longest)
 
     def initial(self) -> SpringState:
@@ -131,10 +133,12 @@ class SpringSimulation:
         if dt >= (1 - STEP_TOLERANCE) * self.step_length:
             return self.steps(state, t, dt, 1)
         self._go_to(state, t)
-        begun, fraction = self._entered(), dt / self.step_length
+        start_grid, fraction = self._after_teleports(), dt / self.step_length
         with np.errstate(all="ignore"):
-            after = advance(self.system, self.options, begun, 1).state.motion
-            motion = _between(begun.state.motion, after, begun.cell, fraction)
+            after = advance(self.system, self.options, start_grid, 1).state.motion
+            motion = _interpolate(
+                start_grid.state.motion, after, start_grid.cell, fraction
+            )
         if not np.isfinite(motion).all():
             self._stop(Status.UNSTABLE, "its state is not finite")
         return replace(state, motion=motion)
@@ -183,62 +187,62 @@ class SpringSimulation:
             return "a whole number of it is out of bounds"
         return ""
 
-    def _entered(self) -> TimeGrid:
+    def _after_teleports(self) -> TimeGrid:
         """Return the grid at the start of the next cell, after its teleports."""
         grid, jumps = self.grid, self.system.jumps
-        here = jumps.stage_of(grid)
-        last = jumps.stage_of(replace(grid, index=grid.index - 1))
-        if here == last:
+        stage = jumps.stage_of(grid)
+        previous_stage = jumps.stage_of(replace(grid, index=grid.index - 1))
+        if stage == previous_stage:
             return grid
-        motion = jumps.across(grid.state.motion, last, here)
+        motion = jumps.across(grid.state.motion, previous_stage, stage)
         return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
     def _exclude_torn(self) -> None:
         """Exclude torn springs from energy and strain checks."""
         torn = self.grid.state.torn
-        gone = int(torn.sum())
-        if gone != self._gone:
-            self._gone = gone
+        torn_count = int(torn.sum())
+        if torn_count != self._gone:
+            self._gone = torn_count
             self.left = self.system.without_springs(self.system.torn(torn))
             self._watch.watch_system(self.left)
 
     def _advance(self, cells: int) -> None:
-        """Advance by some cells at most; raise if it cannot go on."""
-        begun, self.wrenches = self._entered(), []
-        cells = int(min(cells, self.system.jumps.cells(begun)))
+        """Advance by at most some cells; raise if it cannot continue."""
+        start_grid, self.wrenches = self._after_teleports(), []
+        cells = int(min(cells, self.system.jumps.cells(start_grid)))
         with np.errstate(all="ignore"):
-            self.grid = advance(self.system, self.options, begun, cells)
+            self.grid = advance(self.system, self.options, start_grid, cells)
             t, state = self.grid.time, self.grid.state
             self._max_substeps = max(self._max_substeps, state.substeps)
             self._exclude_torn()
-            sign = self._watch.divergence(t, state.motion)
-            if begun.solver is Solver.XPBD:
+            reason = self._watch.divergence(t, state.motion)
+            if start_grid.solver is Solver.XPBD:
                 ratio = self.left.stretch(t, state.motion)
                 self.longest = max(self.longest, ratio or 0.0)
-        if sign:
-            self._stop(Status.UNSTABLE, sign)
+        if reason:
+            self._stop(Status.UNSTABLE, reason)
         if self.grid.lost:
-            self.unsolved = begun
+            self.unsolved = start_grid
             self._stop(Status.NOT_SOLVED, "Newton's method did not converge")
         if self.auto and self.strained:
-            sign = f"a spring is strained by {self.grid.stretch:.2%}"
-            self._stop(Status.NOT_SOLVED, sign)
-        self.wrenches = [*self._pressed(), *self.grid.tied]
+            reason = f"a spring is strained by {self.grid.stretch:.2%}"
+            self._stop(Status.NOT_SOLVED, reason)
+        self.wrenches = [*self._contact_wrenches(), *self.grid.tied]
 
-    def _stop(self, status: Status, sign: str) -> None:
+    def _stop(self, status: Status, reason: str) -> None:
         """Raise the warnings so far as errors."""
-        self.status, self.sign = status, sign
+        self.status, self.sign = status, reason
         stats = self.stats(self.grid.time)
         # The fault that stopped it comes last and is reported with the frame.
-        every = _as_errors(motion_notices(self, stats))
-        faults = sorted(every, key=lambda one: one.code in STOPS)
+        errors = _as_errors(motion_notices(self, stats))
+        faults = sorted(errors, key=lambda fault: fault.code in STOPS)
         if self.system.ties is not None:
             # Otherwise the fault would be attributed to the bodies.
             names = " and ".join(view.member.name for view in self.views)
             faults[-1] = replace(faults[-1], message=f"{names}: {faults[-1].message}")
         raise StoppedError(faults, stats)
 
-    def _pressed(self) -> list[Wrenches]:
+    def _contact_wrenches(self) -> list[Wrenches]:
         """Return contact impulses on bodies of other systems.
 
         Impulses are limited to those of the mass of the body: heavier contacts would
@@ -255,9 +259,9 @@ class SpringSimulation:
                 1.0, bodies.masses / np.maximum(sums[:, 6], bodies.masses)
             )
             self.applied = min(self.applied, float(fraction.min(initial=1.0)))
-            now = sums[:, :6] * fraction[:, None]
+            impulses = sums[:, :6] * fraction[:, None]
             # A constant force over a cell moves bodies as an impulse at its middle.
-            wrenches.append(Wrenches(now, self.grid.cell / 2 * now))
+            wrenches.append(Wrenches(impulses, self.grid.cell / 2 * impulses))
         return wrenches
 
     @property
@@ -287,8 +291,8 @@ class SpringSimulation:
 
     def energy_of(self, t: float, motion: FloatArray) -> float:
         """Return the energy of a state at the last time, without torn springs [J]."""
-        known = self._watch.energy if motion is self.grid.state.motion else None
-        return (known or self.left.energy(t, motion)).total
+        cached = self._watch.energy if motion is self.grid.state.motion else None
+        return (cached or self.left.energy(t, motion)).total
 
     def measure(self, state: SpringState, t: float) -> None:
         """Record strain and energy of a visited state."""
@@ -326,40 +330,45 @@ class SpringSimulation:
 
     def diagnostics(self, state: SpringState, t: float) -> Diagnostics:
         """Return the energy of a conservative system, and counters."""
-        long = (self.system.body.springs.rest > 0).any()
+        has_lengths = (self.system.body.springs.rest > 0).any()
         return Diagnostics(
             self._energy(state, t),
             notices=self.notices,
             steps=self.grid.steps,
-            stretch=self.stretch if long else None,
+            stretch=self.stretch if has_lengths else None,
         )
 
     @property
     def notices(self) -> list[Fault]:
         """Warnings collected so far, one of each kind."""
-        own = [*self._start_notices, *motion_notices(self, self.stats(self.grid.time))]
-        codes = {fault.code for fault in own}
-        every = [one for one in self._planning_notices if one.code not in codes]
-        every += [*own, *self._losses.notices(self.choice.solver)]
-        return list({str(fault): fault for fault in every}.values())
+        current = [
+            *self._start_notices,
+            *motion_notices(self, self.stats(self.grid.time)),
+        ]
+        codes = {fault.code for fault in current}
+        collected = [
+            fault for fault in self._planning_notices if fault.code not in codes
+        ]
+        collected += [*current, *self._losses.notices(self.choice.solver)]
+        return list({str(fault): fault for fault in collected}.values())
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
-        if self._slowed or state.torn.any() or self.system.ties is not None:
+        if self._dissipates or state.torn.any() or self.system.ties is not None:
             return None
         energy = self.system.energy(t, state.motion)
         return None if energy.supply else energy
 
     @cached_property
-    def _slowed(self) -> bool:
+    def _dissipates(self) -> bool:
         """Whether drag, damping or colliders dissipate energy."""
         system = self.system
-        slowing = [
+        coefficients = [
             system.drags,
             system.body.springs.damping,
             system.target_springs.damping,
         ]
-        slowing.append(np.array(system.pressures))
-        return system.colliders.active or any(values.any() for values in slowing)
+        coefficients.append(np.array(system.pressures))
+        return system.colliders.active or any(values.any() for values in coefficients)
 
     def trial_settings(self) -> TrialSettings:
         """Return solvers with several step lengths around their defaults."""
@@ -377,7 +386,7 @@ def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
     return [replace(fault, severity=Severity.ERROR) for fault in notices]
 
 
-def _between(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
+def _interpolate(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
     """Return the state at a fraction of a cell, on the cubic through its ends."""
     (x0, v0), (x1, v1) = begin, end
     slope = x1 - x0

@@ -26,25 +26,31 @@ def fastest(loads: SpringForces) -> FloatArray | None:
     sum, with all springs of a particle taken as parallel; likewise for the damping. The
     first mode has all of the damping, the second only the drag.
     """
-    stiffest = _largest(loads, loads.springs.stiffness, loads.target_springs.stiffness)
+    stiffest = _largest_row_sum(
+        loads, loads.springs.stiffness, loads.target_springs.stiffness
+    )
     if stiffest == 0:
         return None
-    slowed = _largest(loads, loads.springs.damping, loads.target_springs.damping)
-    slowed += float(loads.drags.max(initial=0.0))
+    damping = _largest_row_sum(
+        loads, loads.springs.damping, loads.target_springs.damping
+    )
+    damping += float(loads.drags.max(initial=0.0))
     omega = float(np.sqrt(stiffest))
-    least = float(loads.drags.min(initial=0.0))
-    return np.array([[omega, slowed / (2 * omega)], [omega, least / (2 * omega)]])
+    min_drag = float(loads.drags.min(initial=0.0))
+    return np.array([[omega, damping / (2 * omega)], [omega, min_drag / (2 * omega)]])
 
 
-def _largest(loads: SpringForces, pull: FloatArray, draws: FloatArray) -> float:
+def _largest_row_sum(
+    loads: SpringForces, spring_values: FloatArray, target_values: FloatArray
+) -> float:
     weights = loads.inverse_masses
     first, second = loads.springs.ends.T
-    between = np.sqrt(weights[first] * weights[second])
+    geometric_means = np.sqrt(weights[first] * weights[second])
     rows = np.zeros(len(weights))
-    np.add.at(rows, first, pull * (weights[first] + between))
-    np.add.at(rows, second, pull * (weights[second] + between))
-    drawn = loads.target_springs.particles
-    np.add.at(rows, drawn, draws * weights[drawn])
+    np.add.at(rows, first, spring_values * (weights[first] + geometric_means))
+    np.add.at(rows, second, spring_values * (weights[second] + geometric_means))
+    targets = loads.target_springs.particles
+    np.add.at(rows, targets, target_values * weights[targets])
     return float(rows.max(initial=0.0))
 
 
@@ -67,8 +73,8 @@ def slopes(
     i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
                         (len(rows), 3, 3))  # fmt: skip
     j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
-    for joined in (by_x, by_v):
-        values = loads.inverse_masses[rows][:, None, None] * joined
+    for blocks in (by_x, by_v):
+        values = loads.inverse_masses[rows][:, None, None] * blocks
         indices = (i.ravel(), j.ravel())
         yield coo_array((values.ravel(), indices), shape=(x.size, x.size)).tocsc()
 
@@ -80,29 +86,29 @@ def _blocks(
     x: FloatArray,
     v: FloatArray,
 ) -> Iterator[_Blocks]:
-    eye, every = np.eye(3), np.arange(len(x))
-    yield from _of_springs(loads.springs, x, v)
-    drawn, *numbers = loads.target_springs
-    stiffness, damping = (each[:, None, None] for each in numbers)
-    yield drawn, drawn, -stiffness * eye, -damping * eye
-    slowed = (loads.drags * masses)[:, None, None]
-    yield every, every, np.zeros((len(x), 3, 3)), -slowed * eye
+    eye, particles = np.eye(3), np.arange(len(x))
+    yield from _spring_blocks(loads.springs, x, v)
+    targets, *numbers = loads.target_springs
+    stiffness, damping = (values[:, None, None] for values in numbers)
+    yield targets, targets, -stiffness * eye, -damping * eye
+    drags = (loads.drags * masses)[:, None, None]
+    yield particles, particles, np.zeros((len(x), 3, 3)), -drags * eye
     if any(loads.pressures):
-        yield from _of_air(loads, wind, x, v)
+        yield from _air_blocks(loads, wind, x, v)
 
 
-def _of_springs(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blocks]:
+def _spring_blocks(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blocks]:
     first, second = springs.ends.T
     d, e = x[second] - x[first], v[second] - v[first]
     square = (d * d).sum(axis=1)
     inverse = np.where(square > 0, 1 / np.where(square > 0, square, 1.0), 0.0)
-    short = springs.rest * np.sqrt(square) * inverse
-    closing = springs.damping * (d * e).sum(axis=1) * inverse
+    rest_ratio = springs.rest * np.sqrt(square) * inverse
+    damping_term = springs.damping * (d * e).sum(axis=1) * inverse
     outer = d[:, :, None] * d[:, None, :] * inverse[:, None, None]
     # Derivative of the force on the first end by the position of the second.
-    isotropic = springs.stiffness * (1 - short) + closing
-    along = springs.stiffness * short - 2 * closing
-    by_x = isotropic[:, None, None] * np.eye(3) + along[:, None, None] * outer
+    isotropic = springs.stiffness * (1 - rest_ratio) + damping_term
+    axial = springs.stiffness * rest_ratio - 2 * damping_term
+    by_x = isotropic[:, None, None] * np.eye(3) + axial[:, None, None] * outer
     by_x += (springs.damping * inverse)[:, None, None] * d[:, :, None] * e[:, None, :]
     by_x[(square == 0) & (springs.rest > 0)] = 0.0
     by_v = springs.damping[:, None, None] * outer
@@ -112,41 +118,46 @@ def _of_springs(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blo
             yield row, column, sign * by_x, sign * by_v
 
 
-def _of_air(
+def _air_blocks(
     loads: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
 ) -> Iterator[_Blocks]:
-    triangles, nowhere = loads.triangles, np.zeros((1, 0, 3))
-    ones, nothing = np.ones(triangles.size), np.zeros(triangles.size)
+    triangles, no_paths = loads.triangles, np.zeros((1, 0, 3))
+    ones, zeros = np.ones(triangles.size), np.zeros(triangles.size)
     faces = np.arange(triangles.size).reshape(-1, 3)
-    alone = SpringForces(
-        ones, nothing, Springs.none(), faces, np.zeros(3), loads.pressures
+    separate_forces = SpringForces(
+        ones, zeros, Springs.none(), faces, np.zeros(3), loads.pressures
     )
-    separate = alone.network(Paths(np.zeros(1), nowhere, nowhere, wind[None]))
+    network = separate_forces.network(
+        Paths(np.zeros(1), no_paths, no_paths, wind[None])
+    )
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
     for column in range(3):
-        derivatives = [_nudged(separate, state, part, column) for part in range(2)]
+        derivatives = [
+            _finite_differences(network, state, variable, column)
+            for variable in range(2)
+        ]
         for row in range(3):
-            by_x, by_v = (each[:, row] + 0.0 for each in derivatives)
+            by_x, by_v = (derivative[:, row] + 0.0 for derivative in derivatives)
             yield triangles[:, row], triangles[:, column], by_x, by_v
 
 
-def _nudged(
-    separate: _kernels.SpringNetwork, state: FloatArray, part: int, corner: int
+def _finite_differences(
+    network: _kernels.SpringNetwork, state: FloatArray, variable: int, corner: int
 ) -> FloatArray:
     """Return derivatives of corner forces by one corner's position or velocity.
 
     ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
     """
     untorn = np.zeros(0, np.uint8)
-    size = NUDGE * max(float(np.abs(state[part]).max(initial=0.0)), 1e-3)
+    size = NUDGE * max(float(np.abs(state[variable]).max(initial=0.0)), 1e-3)
     columns = []
     for k in range(3):
-        sides = []
+        values = []
         for sign in (1.0, -1.0):
-            moved = state.copy()
-            moved[part, corner::3, k] += sign * size
-            sides.append(
-                _kernels.spring_accelerations(separate, 0.0, 1.0, moved, untorn)
+            nudged = state.copy()
+            nudged[variable, corner::3, k] += sign * size
+            values.append(
+                _kernels.spring_accelerations(network, 0.0, 1.0, nudged, untorn)
             )
-        columns.append((sides[0] - sides[1]) / (2 * size))
+        columns.append((values[0] - values[1]) / (2 * size))
     return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)

@@ -31,7 +31,7 @@ from animtool.systems.springs.ties import BodyTies, TiedCell
 # Shortest step of xpbd [s], and of xpbd chosen by auto, which also has to limit strain
 # with self-contact.
 SHORTEST, SHORTEST_OF_AUTO = 1 / 61440, 1 / 983040
-# Largest number of these in a long cell.
+# Largest number of steps in a long cell.
 LONG_CELL = 131072
 # Newton tolerance of implicit steps, relative to the mean spring length.
 SOLVED = 1e-6
@@ -39,14 +39,14 @@ SOLVED = 1e-6
 TIED = 1e-11
 # Rotation of bodies per part of a cell [rad], and most parts of a cell.
 MAX_ANGLE, MAX_PARTS = 0.125, 16
-# Refinements tried for a cell that was not solved, and the safety factor of the
-# proposed step.
+# Refinement factors tried for an unsolved cell, and the safety factor of the proposed
+# step.
 SHORTER, ROOM = (2, 4, 8, 16), 4
 # Default cell [s]: frames at 24, 30, 48, 60 and 120 per second are multiples of it.
 CELL = 1 / 240
 # Safety factor of the explicit step limit.
 SAFE = 0.8
-# Compute time per second of motion below which explicit steps are always fine [s].
+# Compute time per second of motion below which explicit steps are always chosen [s].
 LITTLE = 0.03
 # Explicit step rate above which implicit solves lose precision in float64.
 SOLVABLE = 1e9
@@ -113,11 +113,11 @@ def choose(
             steps = max(1, math.ceil(options.step * rate))
         return Choice(solver, options.step, steps, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
-        most = MAX_SUBSTEPS / CELL
-        if rate > most:
+        max_rate = MAX_SUBSTEPS / CELL
+        if rate > max_rate:
             message = (
                 f"{solver} needs {rate:.3g} steps per second, but the limit is "
-                f"{most:.3g}"
+                f"{max_rate:.3g}"
             )
             hint = "use bdf2 or auto, less stiffness or damping, or more mass"
             fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
@@ -142,25 +142,25 @@ def tied_choice(
     solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
         solver, reason = Solver.BDF2, "rigid bodies hold its pins"
-    lengths = sorted({one.step for one in ties.carriers})
+    lengths = sorted({carrier.step for carrier in ties.carriers})
     longest = lengths[-1]
     cell = longest
     substeps = max(FIRST[solver], math.ceil(cell / CELL * FIRST[solver]))
     if options.step is not None:
         cell = max(options.step, longest)
         substeps = max(1, round(cell / options.step))
-    fits = all(_is_integer(cell / one) for one in lengths)
+    fits = all(_is_integer(cell / length) for length in lengths)
     fits &= options.step is None or _is_integer(cell / options.step)
     if not fits:
-        bodies = " and ".join(f"{one:g}" for one in lengths)
+        bodies = " and ".join(f"{length:g}" for length in lengths)
         message = f"steps of {options.step or cell:g} s and those of the bodies that "
         message += f"hold its pins, of {bodies} s, do not end together"
         hint = f"use step: {longest:g}, a multiple of it, or a fraction"
         raise OptionError(Fault("SIM164", message, where="step", hint=hint))
-    for one in ties.carriers:
-        if one.begin > begin or not _is_integer((begin - one.begin) / cell):
+    for carrier in ties.carriers:
+        if carrier.begin > begin or not _is_integer((begin - carrier.begin) / cell):
             message = f"it starts at {begin:g} s, but the bodies of its pins "
-            message += f"at {one.begin:g} s"
+            message += f"at {carrier.begin:g} s"
             hint = "give both the same preroll"
             raise OptionError(Fault("SIM164", message, where="preroll", hint=hint))
     return Choice(solver, cell, substeps, reason, limit)
@@ -205,16 +205,16 @@ def _cheapest(
     implicit = steps * implicit_cost(system, ratio)
     alternative = f"about {steps:.0f} of {Solver.BDF2}"
     if explicit * len(system.body.springs.rest) <= LITTLE:
-        why = "little time"
+        cost_text = "little time"
     elif explicit <= implicit:
-        why = f"less time than {alternative}"
+        cost_text = f"less time than {alternative}"
     else:
         comparison = f"{alternative} takes {implicit / explicit:.0%} of their time"
         return Solver.BDF2, f"{limits}, and {comparison}"
-    return Solver.SYMPLECTIC_EULER, f"{limits}, which take {why}"
+    return Solver.SYMPLECTIC_EULER, f"{limits}, which take {cost_text}"
 
 
-def _met(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
+def _colliders_over(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
     cells = Cells(grid.origin, grid.cell, grid.index, count)
     return cell_colliders(system.colliders, system.radius, cells)
 
@@ -224,27 +224,30 @@ def advance(
 ) -> TimeGrid:
     """Advance a motion by some cells."""
     if system.ties is not None and cells:
-        return _tied(system, grid, system.ties)
+        return _advance_tied(system, grid, system.ties)
     network = system.network(system.jumps.stage_of(grid))
-    met = _met(system, grid, cells)
+    colliders = _colliders_over(system, grid, cells)
     if grid.solver is Solver.SYMPLECTIC_EULER:
-        return _explicit(network, grid, cells, met)
+        return _explicit(network, grid, cells, colliders)
     if grid.solver is Solver.XPBD:
         shortest = SHORTEST_OF_AUTO if options.solver == Solver.AUTO else SHORTEST
-        most = int(min(grid.cell / shortest, LONG_CELL))
+        max_steps = int(min(grid.cell / shortest, LONG_CELL))
         return projected(
-            network, grid, cells, met, system.layers, options.stretch, most
+            network, grid, cells, colliders, system.layers, options.stretch, max_steps
         )
-    return _implicit(network, grid, cells, met, SOLVED * system.spacing)
+    return _implicit(network, grid, cells, colliders, SOLVED * system.spacing)
 
 
 def _explicit(
-    network: _kernels.SpringNetwork, grid: TimeGrid, cells: int, met: CellColliders
+    network: _kernels.SpringNetwork,
+    grid: TimeGrid,
+    cells: int,
+    colliders: CellColliders,
 ) -> TimeGrid:
     state = grid.state
     motion, torn, inside, pushes = _kernels.step_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, met,
+        state.substeps, colliders,
     )  # fmt: skip
     after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
     return grid.crossed(cells, after, steps, steps, inside, pushes)
@@ -298,7 +301,7 @@ def followed(
     """Advance strands of equal masses by a span [s], each solved directly.
 
     They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
-    collide with rigid colliders too, except ``own``: the first, and how many.
+    collide with rigid colliders too, except ``own``: first index and count.
     """
     state, cells = grid.state, len(path) - 1
     motion, touched, inside, strain = _kernels.follow_strands(
@@ -312,18 +315,18 @@ def followed(
     )
 
 
-def _tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
+def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
     """Advance a motion by a cell together with the bodies that carry its pins.
 
     The cell is split into parts if bodies rotate fast or no solution is found.
     """
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    steps = [one.over(t0, t1) for one in ties.carriers]
-    angle, parts = max(one.angle for one in steps), 1
+    steps = [carrier.over(t0, t1) for carrier in ties.carriers]
+    angle, parts = max(step.angle for step in steps), 1
     while parts < MAX_PARTS and angle > MAX_ANGLE * parts:
         parts *= 2
     while True:
-        after = _in_parts(system, grid, ties, steps, parts)
+        after = _advance_in_parts(system, grid, ties, steps, parts)
         if not after.lost or parts >= MAX_PARTS:
             return replace(after, origin=grid.origin, cell=grid.cell,
                            index=grid.index + 1)  # fmt: skip
@@ -335,25 +338,25 @@ def working_step(system: SpringSystem, grid: TimeGrid) -> float | None:
 
     With pins on bodies it is a step of the bodies.
     """
-    ties, begun = system.ties, grid.state
+    ties, state = system.ties, grid.state
     if ties is not None:
         t1 = grid.origin + (grid.index + 1) * grid.cell
-        steps = [one.over(grid.time, t1) for one in ties.carriers]
+        steps = [carrier.over(grid.time, t1) for carrier in ties.carriers]
         for k in SHORTER:
-            if not _in_parts(system, grid, ties, steps, k * MAX_PARTS).lost:
-                return min(one.step for one in ties.carriers) / (ROOM * k)
+            if not _advance_in_parts(system, grid, ties, steps, k * MAX_PARTS).lost:
+                return min(carrier.step for carrier in ties.carriers) / (ROOM * k)
         return None
-    met = _met(system, grid, 1)
+    colliders = _colliders_over(system, grid, 1)
     network, size = system.network(system.jumps.stage_of(grid)), system.spacing
     for k in SHORTER:
-        fine = replace(begun, substeps=k * begun.substeps, before=None)
-        tried = replace(grid, state=fine)
-        if not _implicit(network, tried, 1, met, SOLVED * size).lost:
-            return grid.cell / (ROOM * fine.substeps)
+        fine_state = replace(state, substeps=k * state.substeps, before=None)
+        trial = replace(grid, state=fine_state)
+        if not _implicit(network, trial, 1, colliders, SOLVED * size).lost:
+            return grid.cell / (ROOM * fine_state.substeps)
     return None
 
 
-def _in_parts(
+def _advance_in_parts(
     system: SpringSystem,
     grid: TimeGrid,
     ties: BodyTies,
@@ -362,58 +365,64 @@ def _in_parts(
 ) -> TimeGrid:
     """Advance a motion by a cell in parts, with the bodies after each part."""
     if parts == 1:
-        return _tied_part(system, grid, ties, steps)[0]
-    begun, count = grid.state, -(-grid.state.substeps // parts)
-    if count * parts != begun.substeps:
-        begun = replace(begun, before=None)
-    state = replace(begun, substeps=count)
-    now = replace(grid, origin=grid.time, cell=grid.cell / parts, index=0, state=state)
-    bodies, pushes = [one.begun for one in steps], []
+        return _advance_part(system, grid, ties, steps)[0]
+    start_state, count = grid.state, -(-grid.state.substeps // parts)
+    if count * parts != start_state.substeps:
+        start_state = replace(start_state, before=None)
+    state = replace(start_state, substeps=count)
+    current = replace(
+        grid, origin=grid.time, cell=grid.cell / parts, index=0, state=state
+    )
+    bodies, pushes = [step.begun for step in steps], []
     for _ in range(parts):
         part_steps = [
-            one.part(state, now.time, now.cell)
-            for one, state in zip(steps, bodies, strict=True)
+            step.part(state, current.time, current.cell)
+            for step, state in zip(steps, bodies, strict=True)
         ]
-        now, bodies = _tied_part(system, now, ties, part_steps)
-        pushes.append(now.pushes)
-        if now.lost:
+        current, bodies = _advance_part(system, current, ties, part_steps)
+        pushes.append(current.pushes)
+        if current.lost:
             break
     body_results = [
-        one.leading_to(state) for one, state in zip(steps, bodies, strict=True)
+        step.leading_to(state) for step, state in zip(steps, bodies, strict=True)
     ]
-    pushed = np.sum(pushes, axis=0)
-    pushed[:, 6] = np.max(pushes, axis=0)[:, 6]
-    left = replace(now.state, substeps=grid.state.substeps)
-    if count * parts != left.substeps:
-        left = replace(left, before=None)
-    return replace(now, state=left, tied=tuple(body_results), pushes=pushed)
+    total_push = np.sum(pushes, axis=0)
+    total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
+    end_state = replace(current.state, substeps=grid.state.substeps)
+    if count * parts != end_state.substeps:
+        end_state = replace(end_state, before=None)
+    return replace(
+        current, state=end_state, tied=tuple(body_results), pushes=total_push
+    )
 
 
-def _tied_part(
+def _advance_part(
     system: SpringSystem, grid: TimeGrid, ties: BodyTies, steps: Sequence[TiedStep]
 ) -> tuple[TimeGrid, list[Any]]:
     """Return the grid a cell later, and the states of the bodies."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.jumps.stage_of(grid)
-    network, pinned, drawn = system.cell_network(stage, t0, t1)
-    met = _met(system, grid, 1)
+    network, pinned, targets = system.cell_network(stage, t0, t1)
+    colliders = _colliders_over(system, grid, 1)
     columns = np.concatenate([tie.columns for tie in ties.ties])
     fraction = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
 
     def cross(begins: FloatArray, ends: FloatArray) -> Pulled:
         pinned[:, columns] = begins + fraction * (ends - begins)
-        network.lead(pinned, drawn)
-        return _pulled(network, grid, met, TIED * ties.size)
+        network.lead(pinned, targets)
+        return _solve_with_pulls(network, grid, colliders, TIED * ties.size)
 
     solution = TiedCell(ties, steps).cross(cross, grid.state.known)
-    pulled: Pulled = solution.crossed
-    state = replace(pulled.grid.state, known=solution.known)
+    result: Pulled = solution.crossed
+    state = replace(result.grid.state, known=solution.known)
     bodies = [
-        one.pulled(wrenches)[0]
-        for one, wrenches in zip(steps, solution.wrenches, strict=True)
+        step.pulled(wrenches)[0]
+        for step, wrenches in zip(steps, solution.wrenches, strict=True)
     ]
-    ended = replace(pulled.grid, state=state, lost=pulled.lost, tied=solution.wrenches)
-    return ended, bodies
+    end_grid = replace(
+        result.grid, state=state, lost=result.lost, tied=solution.wrenches
+    )
+    return end_grid, bodies
 
 
 @dataclass(slots=True)
@@ -425,43 +434,46 @@ class Pulled:
     lost: bool
 
 
-def _pulled(
+def _solve_with_pulls(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
-    met: CellColliders,
+    colliders: CellColliders,
     tolerance: float,
 ) -> Pulled:
     state = grid.state
     (
-        motion, before, known, torn, steps, corrections, unsolved, inside, pushes,
-        pulls,
+        motion, before, has_previous, torn, steps, corrections, unsolved, inside,
+        pushes, pulls,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
-        grid.cell, 1, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
+        grid.cell, 1, state.substeps, grid.solver is Solver.BDF2, tolerance, colliders,
         state.pulls,
     )  # fmt: skip
     after = replace(
-        state, motion=motion, before=before if known else None, torn=torn,
-        pulls=pulls[1],
+        state, motion=motion, before=before if has_previous else None,
+        torn=torn, pulls=pulls[1],
     )  # fmt: skip
-    crossed = grid.crossed(1, after, steps, corrections, inside, pushes)
-    return Pulled(crossed, pulls[0], unsolved > 0)
+    end_grid = grid.crossed(1, after, steps, corrections, inside, pushes)
+    return Pulled(end_grid, pulls[0], unsolved > 0)
 
 
 def _implicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
     cells: int,
-    met: CellColliders,
+    colliders: CellColliders,
     tolerance: float,
 ) -> TimeGrid:
     state = grid.state
     (
-        motion, before, known, torn, steps, corrections, lost, inside, pushes, _,
+        motion, before, has_previous, torn, steps, corrections, lost, inside, pushes, _,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
-        grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
+        grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance,
+        colliders,
     )  # fmt: skip
-    after = replace(state, motion=motion, before=before if known else None, torn=torn)
-    crossed = grid.crossed(cells, after, steps, corrections, inside, pushes)
-    return replace(crossed, lost=lost > 0)
+    after = replace(
+        state, motion=motion, before=before if has_previous else None, torn=torn
+    )
+    end_grid = grid.crossed(cells, after, steps, corrections, inside, pushes)
+    return replace(end_grid, lost=lost > 0)

@@ -35,7 +35,7 @@ from animtool.systems.framework.fields import (
 from animtool.systems.framework.spec import CollidingSpec
 from animtool.systems.springs import Air, Family, SelfContact, SpringOptions
 
-# What systems that are joined have in common, where one of them states it.
+# Keys that joined systems share.
 _OPTIONS = ("solver", "step", "error", "stretch")
 _OTHERS = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
 _SHARED = (*_OPTIONS, *_OTHERS, "save_at", "resume")
@@ -43,7 +43,7 @@ _SHARED = (*_OPTIONS, *_OTHERS, "save_at", "resume")
 
 @with_fields(SelfContact, "thickness", "friction", "speed", ranges="schema")
 class SelfContactModel(FileModel):
-    """How a surface keeps apart from itself, in folds and layers."""
+    """Self-contact of a surface, in folds and layers."""
 
 
 SelfContactField = Annotated[
@@ -57,7 +57,7 @@ SelfContactField = Annotated[
 
 @with_fields(Family, "stiffness", "damping", "ratio", "rest", "tear", "frequency")
 class FamilyModel(FileModel):
-    """What springs of a family have in common."""
+    """Properties of a family of springs."""
 
 
 @with_fields(Family, "axial_stiffness")
@@ -139,7 +139,7 @@ class JoinedModel(FileModel):
 
 
 class PinModel(FileModel):
-    """Particles that are held, drawn, or joined to others."""
+    """Particles that are pinned, pulled, or joined to others."""
 
     particles: Annotated[list[NameEntry], Len(1)] = Field(
         description="Particles: names of locations, numbers from 0 (-1 is the last), "
@@ -189,7 +189,7 @@ class PinModel(FileModel):
 
 
 class WindModel(FileModel):
-    """The air of ropes and strands: `drag` takes them along with it."""
+    """The air around ropes and strands; `drag` couples to it."""
 
     velocity: Vector = key("Wind velocity [m/s].", [4, 0, 0], default=[0.0, 0.0, 0.0])
     gusts: list[TimedVector] = key(
@@ -202,7 +202,7 @@ class WindModel(FileModel):
 
 @with_fields(Air, "density", "drag", "lift")
 class FaceWindModel(WindModel):
-    """The air that faces bear."""
+    """The air that acts on faces."""
 
 
 FaceWindField = Annotated[
@@ -215,11 +215,11 @@ FaceWindField = Annotated[
 
 @with_fields(SpringOptions, *_OPTIONS)
 class SolvedModel(CollidingSpec):
-    """What a solver takes through time."""
+    """Keys of systems with a solver."""
 
 
 class SpringsModel(SolvedModel):
-    """What ropes, strands, cloth and volumes have in common."""
+    """Keys shared by ropes, strands, cloth and volumes."""
 
     method_key: ClassVar[str] = "solver"
     tried: ClassVar[bool] = True
@@ -256,14 +256,14 @@ class SpringsModel(SolvedModel):
     )
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
-        """Return particles and springs, and what holds them, with all that is wrong."""
-        # Loaded by name: it looks at models.
+        """Return particles, springs and pins, and all faults."""
+        # Loaded by name, as the module imports these models.
         read: Any = load_object("animtool.systems.springs.entry:read_entry")
         built: tuple[Any, Sequence[Fault]] = read(self, parts)
         return built
 
     def shared(self, *, meets: bool = True) -> Mapping[str, Any]:
-        """Return what it states for all that it is joined to; a radius if any meets."""
+        """Return keys that apply to all joined systems; the radius if any collides."""
         wind = ("wind",) if isinstance(self.air, FaceWindModel) else ()
         stated = self.model_fields_set - (set() if meets else {"radius"})
         names = [name for name in (*_SHARED, *wind) if name in stated]
@@ -271,17 +271,17 @@ class SpringsModel(SolvedModel):
 
     @property
     def options(self) -> SpringOptions:
-        """The solver, and its steps."""
+        """The solver and its steps."""
         return record_of(SpringOptions, self)
 
     @property
     def air(self) -> WindModel | None:
-        """Air that takes particles along, or that faces bear; None is still."""
+        """Air that acts on particles or faces; None is calm air."""
         return getattr(self, "wind", None)
 
     @property
     def contact(self) -> SelfContact | None:
-        """How the surface keeps apart from itself; None goes through."""
+        """Self-contact of the surface; None turns it off."""
         model: SelfContactModel | None = getattr(self, "self_contact", None)
         return None if model is None else record_of(SelfContact, model)
 

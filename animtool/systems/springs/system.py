@@ -83,7 +83,7 @@ class SpringSystem(SecondOrder):
         resistance: Drag per speed, of each particle ``(N,)`` or all [N s/m].
         air: Air that acts on the triangles.
         velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
-        colliders: What particles collide with.
+        colliders: Colliders of the particles.
         radius: Distance that particles keep from colliders [m].
         speed_limit: Faster pins and targets count as teleports: attached particles move
             along rigidly and gain no velocity [m/s].
@@ -122,10 +122,10 @@ class SpringSystem(SecondOrder):
     ) -> None:
         pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
         targets = targets or PointTargets((), np.zeros((0, 3)), 0.0)
-        self.pinned, drawn = (
-            np.asarray(each.particles, np.int64).reshape(-1) for each in (pins, targets)
+        self.pinned, pulled = (
+            np.asarray(ties.particles, np.int64).reshape(-1) for ties in (pins, targets)
         )
-        check_body(body, self.pinned, drawn)
+        check_body(body, self.pinned, pulled)
         if not speed_limit > 0:
             message = f"speed_limit must be above 0, not {speed_limit:g}"
             raise OptionError(Fault("SIM004", message, where="speed_limit"))
@@ -146,14 +146,14 @@ class SpringSystem(SecondOrder):
         )
         pin_path = check_path("pins", pinned_positions, pins.times, len(self.pinned))
         target_path = check_path(
-            "targets", targets.positions, targets.times, len(drawn)
+            "targets", targets.positions, targets.times, len(pulled)
         )
         stiffness, damping = (
-            np.array(np.broadcast_to(value, drawn.shape), np.float64)
+            np.array(np.broadcast_to(value, pulled.shape), np.float64)
             for value in (targets.stiffness, targets.damping)
         )
-        self.target_springs = TargetSprings(drawn, stiffness, damping)
-        holders = np.append(self.pinned, drawn)
+        self.target_springs = TargetSprings(pulled, stiffness, damping)
+        holders = np.append(self.pinned, pulled)
         self._paths = (pin_path, target_path)
         self.jumps = Teleports(body, holders, self._paths, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
@@ -166,8 +166,8 @@ class SpringSystem(SecondOrder):
         self._pins_move = len(pin_path[0]) > 1
         self.self_contact = self_contact
         contact_rest = None if self_contact is None else self_contact.rest
-        rest = body.positions if contact_rest is None else contact_rest
-        self._rest = np.ascontiguousarray(rest, np.float64)
+        rest_positions = body.positions if contact_rest is None else contact_rest
+        self._rest = np.ascontiguousarray(rest_positions, np.float64)
         self._collides = self.colliders.active or self_contact is not None
         self.settles = self._pins_move or self._collides or len(self.jumps) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
@@ -196,8 +196,8 @@ class SpringSystem(SecondOrder):
             (knots, np.ascontiguousarray(path[:, rows]))
             for rows in (self.pinned, self.target_springs.particles)
         )
-        before, self._paths = self._paths, (pins, targets)
-        if self._staged is None or not np.array_equal(before[0][0], knots):
+        previous, self._paths = self._paths, (pins, targets)
+        if self._staged is None or not np.array_equal(previous[0][0], knots):
             self._staged = None
             return
         network = self._staged[1].network
@@ -215,11 +215,14 @@ class SpringSystem(SecondOrder):
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
         """Return both ends of a cell, and the path knots within it [s]."""
-        staged = self._stage(stage)
-        times = [one for one, _ in (staged.pins, staged.targets, self._wind_path)]
-        every = np.unique(np.concatenate(times))
-        inside = every[(every > t0) & (every < t1)]
-        return np.concatenate([[t0], inside, [t1]])
+        stage_paths = self._stage(stage)
+        times = [
+            knots
+            for knots, _ in (stage_paths.pins, stage_paths.targets, self._wind_path)
+        ]
+        all_knots = np.unique(np.concatenate(times))
+        inner = all_knots[(all_knots > t0) & (all_knots < t1)]
+        return np.concatenate([[t0], inner, [t1]])
 
     def cell_network(
         self, stage: int, t0: float, t1: float
@@ -228,14 +231,14 @@ class SpringSystem(SecondOrder):
 
         Paths at the knots of the cell are ``(K, P, 3)`` and ``(K, A, 3)`` [m].
         """
-        staged, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
-        pinned, drawn, wind = (
+        stage_paths, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
+        pinned, targets, wind = (
             np.array([position_at(path, t) for t in knots.tolist()])
-            for path in (staged.pins, staged.targets, self._wind_path)
+            for path in (stage_paths.pins, stage_paths.targets, self._wind_path)
         )
         springs = self.body.springs.select(self.order)
-        paths = Paths(knots, pinned, drawn, wind)
-        return replace(self.loads, springs=springs).network(paths), pinned, drawn
+        paths = Paths(knots, pinned, targets, wind)
+        return replace(self.loads, springs=springs).network(paths), pinned, targets
 
     def faces_of(self, particles: IntArray) -> bool:
         """Return whether particles have faces, which collide too."""
@@ -329,23 +332,25 @@ class SpringSystem(SecondOrder):
             drag: Drag per mass and speed [1/s].
         """
         stage = self._stage(self.jumps.stage(t))
-        aims, draws = position_at(stage.targets, t), self.target_springs
+        target_positions, springs = position_at(stage.targets, t), self.target_springs
         return SpringSystem(
             body,
             pins=Pins(self.pinned, position_at(stage.pins, t)),
-            targets=PointTargets(draws.particles, aims, draws.stiffness, draws.damping),
+            targets=PointTargets(
+                springs.particles, target_positions, springs.stiffness, springs.damping
+            ),
             gravity=self.gravity,
             drag=drag,
         )
 
     def without_springs(self, gone: BoolArray) -> SpringSystem:
         """Return the system without some springs ``(S,)``."""
-        left = copy(self)
-        left.body = replace(self.body, springs=self.body.springs.select(~gone))
-        left._staged = None
+        result = copy(self)
+        result.body = replace(self.body, springs=self.body.springs.select(~gone))
+        result._staged = None
         for name in ("order", "whole"):
-            left.__dict__.pop(name, None)
-        return left
+            result.__dict__.pop(name, None)
+        return result
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
         """Return the system starting at rest in other positions.
@@ -354,10 +359,10 @@ class SpringSystem(SecondOrder):
             positions: ``(N, 3)`` [m].
         """
         points = as_floats(positions, self.body.positions.shape, "positions")
-        moved = copy(self)
-        moved.body = replace(self.body, positions=points)
-        moved._state = np.stack([points, np.zeros_like(points)])
-        return moved
+        result = copy(self)
+        result.body = replace(self.body, positions=points)
+        result._state = np.stack([points, np.zeros_like(points)])
+        return result
 
     def energy(self, t: float, state: FloatArray) -> Energy:
         """Return the energy of springs, gravity and motion.
@@ -378,23 +383,23 @@ class SpringSystem(SecondOrder):
         stage = self._stage(self.jumps.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
-        draws = self.target_springs
-        if len(draws.particles):
-            gaps = x[draws.particles] - position_at(stage.targets, t)
-            potential += 0.5 * float(draws.stiffness @ (gaps * gaps).sum(axis=1))
-        mass, supplied, speed = self._driven
+        springs = self.target_springs
+        if len(springs.particles):
+            gaps = x[springs.particles] - position_at(stage.targets, t)
+            potential += 0.5 * float(springs.stiffness @ (gaps * gaps).sum(axis=1))
+        mass, supplied, speed = self._supply
         supply = mass * (supplied + max(speed, self.colliders.fastest) ** 2)
         return Energy(kinetic, potential, supply)
 
     @cached_property
-    def _driven(self) -> tuple[float, float, float]:
+    def _supply(self) -> tuple[float, float, float]:
         """Moving mass, squared speed supplied by wind and paths, and path speed."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
         speed, travel = map(max, zip(*map(reach_of, self._paths), strict=True))
-        pull = float(np.linalg.norm(self.gravity))
+        gravity = float(np.linalg.norm(self.gravity))
         # Teleports supply no speed.
-        return mass, wind**2 + pull * travel, min(speed, self.speed_limit)
+        return mass, wind**2 + gravity * travel, min(speed, self.speed_limit)
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
@@ -417,25 +422,25 @@ class SpringSystem(SecondOrder):
         """Return the state after a step with pins and contacts applied."""
         if not self.settles:
             return after
-        moved = after.copy()
+        result = after.copy()
         if self.layers is not None:
             network = self.network(self.jumps.stage(t))
-            moved = _kernels.part_springs(network, self.layers, before[0], moved, h)
+            result = _kernels.part_springs(network, self.layers, before[0], result, h)
         if self.colliders.active:
-            met = collide(
-                moved[0], moved[1], before, self.colliders, t - h, t, self.radius
+            collision = collide(
+                result[0], result[1], before, self.colliders, t - h, t, self.radius
             )
-            moved = np.stack([met.points, met.velocities])
-            self.contacts = met.contacts
-        moved[:, self.pinned] = after[:, self.pinned]
+            result = np.stack([collision.points, collision.velocities])
+            self.contacts = collision.contacts
+        result[:, self.pinned] = after[:, self.pinned]
         if not self._pins_move and not len(self.jumps):
-            return moved
+            return result
         begin, end = self.jumps.stage(t - h), self.jumps.stage(t)
-        moved = self.jumps.across(moved, begin, end)
-        was = self.jumps.across(before, begin, end)[0, self.pinned]
-        moved[0, self.pinned] = position_at(self._stage(end).pins, t)
-        moved[1, self.pinned] = (moved[0, self.pinned] - was) / h
-        return moved
+        result = self.jumps.across(result, begin, end)
+        previous = self.jumps.across(before, begin, end)[0, self.pinned]
+        result[0, self.pinned] = position_at(self._stage(end).pins, t)
+        result[1, self.pinned] = (result[0, self.pinned] - previous) / h
+        return result
 
     def native(self, method: str) -> Native | None:
         """Return a native stepper of symplectic_euler, or None."""

@@ -67,7 +67,7 @@ class BodyTies:
         return None if mass == np.inf else (name, mass)
 
 
-class _Pulled(NamedTuple):
+class _TrialPull(NamedTuple):
     """Result of a trial pull."""
 
     crossed: Any
@@ -100,9 +100,9 @@ class _Unknown(NamedTuple):
     reach: float  # largest distance from the centre to carried particles [m]
 
 
-def _newton_correction(slopes: FloatArray, now: _Pulled) -> FloatArray:
+def _newton_correction(jacobian: FloatArray, trial: _TrialPull) -> FloatArray:
     """Return the Newton correction of velocities."""
-    correction = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+    correction = np.linalg.lstsq(jacobian, trial.left, rcond=None)[0]
     return np.asarray(-correction, np.float64)
 
 
@@ -116,13 +116,13 @@ class TiedCell:
             for tie in ties.ties
         ]
         self._unknown = list(self._bodies())
-        # Velocities of carried particles at the begin, by body.
+        # Velocities of carried particles at the start, by body.
         self._begun = [
             {
-                k: self._steps[one.carrier].begun_at(one.number, self._positions[k])
-                for k in one.ties
+                k: self._steps[body.carrier].begun_at(body.number, self._positions[k])
+                for k in body.ties
             }
-            for one in self._unknown
+            for body in self._unknown
         ]
 
     def _bodies(self) -> Any:
@@ -148,7 +148,7 @@ class TiedCell:
     @property
     def _scale(self) -> FloatArray:
         """Displacement of carried particles per body velocity in a cell ``(6 U,)``."""
-        rows = [[1.0] * 3 + [one.reach] * 3 for one in self._unknown]
+        rows = [[1.0] * 3 + [body.reach] * 3 for body in self._unknown]
         return self._h * np.array(rows).reshape(-1)
 
     def cross(self, cross: Cross, known: FloatArray | None) -> TiedCrossing:
@@ -158,83 +158,88 @@ class TiedCell:
         """
         count = 6 * len(self._unknown)
         if not count:
-            now = self._tried(np.zeros(0), cross)
-            return TiedCrossing(now.crossed, tuple(now.wrenches), None)
+            current = self._trial(np.zeros(0), cross)
+            return TiedCrossing(current.crossed, tuple(current.wrenches), None)
         fits = known is not None and known.shape == (count, count + 1)
         y = known[:, -1].copy() if known is not None and fits else np.zeros(count)
-        now = self._tried(y, cross)
-        slopes = known[:, :-1] if known is not None and fits else None
+        current = self._trial(y, cross)
+        jacobian = known[:, :-1] if known is not None and fits else None
         size, scale, fresh = self._ties.size, self._scale, False
-        moved = np.inf
+        displacement = np.inf
         for _ in range(MAX_CORRECTIONS):
-            if now.crossed.lost:
+            if current.crossed.lost:
                 break
-            if slopes is None:
-                slopes, fresh = self._slopes(y, now, TRIAL * size / scale, cross), True
-            change = _newton_correction(slopes, now)
-            moved = float(np.abs(change * scale).max())
-            if moved <= MET * size:
+            if jacobian is None:
+                jacobian, fresh = (
+                    self._jacobian(y, current, TRIAL * size / scale, cross),
+                    True,
+                )
+            change = _newton_correction(jacobian, current)
+            displacement = float(np.abs(change * scale).max())
+            if displacement <= MET * size:
                 break
-            fraction, left, after = self._taken(y, change, slopes, cross)
+            fraction, next_size, after = self._line_search(y, change, jacobian, cross)
             if after is None:
-                if fresh or moved <= NEAR * size:
+                if fresh or displacement <= NEAR * size:
                     break
-                slopes = None
+                jacobian = None
                 continue
             change = fraction * change
             y = y + change
-            gap = after.left - now.left - slopes @ change
-            now = after
-            if left > SLOW * moved or fraction < 1.0:
-                slopes, fresh = None, False
+            gap = after.left - current.left - jacobian @ change
+            current = after
+            if next_size > SLOW * displacement or fraction < 1.0:
+                jacobian, fresh = None, False
                 continue
             # Broyden update of the Jacobian.
-            slopes = slopes + np.outer(gap, change) / float(change @ change)
+            jacobian = jacobian + np.outer(gap, change) / float(change @ change)
             fresh = False
-        now.crossed.lost |= not moved <= ENOUGH * size
-        warm_start = None if slopes is None else np.column_stack([slopes, y])
-        return TiedCrossing(now.crossed, tuple(now.wrenches), warm_start)
+        current.crossed.lost |= not displacement <= ENOUGH * size
+        warm_start = None if jacobian is None else np.column_stack([jacobian, y])
+        return TiedCrossing(current.crossed, tuple(current.wrenches), warm_start)
 
-    def _slopes(
-        self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
+    def _jacobian(
+        self, y: FloatArray, current: _TrialPull, steps: FloatArray, cross: Cross
     ) -> FloatArray:
         """Return the Jacobian of residuals by velocities ``(6 U, 6 U)``."""
         columns = []
         for k, step in enumerate(steps.tolist()):
-            moved = y.copy()
-            moved[k] += step
-            columns.append((self._tried(moved, cross).left - now.left) / step)
+            shifted = y.copy()
+            shifted[k] += step
+            columns.append((self._trial(shifted, cross).left - current.left) / step)
         return np.stack(columns, axis=1)
 
-    def _taken(
+    def _line_search(
         self,
         y: FloatArray,
         change: FloatArray,
-        slopes: FloatArray,
+        jacobian: FloatArray,
         cross: Cross,
-    ) -> tuple[float, float, _Pulled | None]:
+    ) -> tuple[float, float, _TrialPull | None]:
         """Return the accepted fraction of a correction and its result, or None.
 
         With the size of the next simplified correction [m], which must decrease
         (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
         """
         size, scale, fraction = self._ties.size, self._scale, 1.0
-        moved = float(np.abs(change * scale).max())
+        displacement = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
-            after = self._tried(y + fraction * change, cross)
+            after = self._trial(y + fraction * change, cross)
             if not after.crossed.lost and np.isfinite(after.left).all():
-                left = float(np.abs(_newton_correction(slopes, after) * scale).max())
-                if left <= max((1 - fraction / 4) * moved, MET * size):
-                    return fraction, left, after
+                next_size = float(
+                    np.abs(_newton_correction(jacobian, after) * scale).max()
+                )
+                if next_size <= max((1 - fraction / 4) * displacement, MET * size):
+                    return fraction, next_size, after
             fraction /= 2
         return fraction, np.inf, None
 
-    def _tried(self, y: FloatArray, cross: Cross) -> _Pulled:
+    def _trial(self, y: FloatArray, cross: Cross) -> _TrialPull:
         """Return the result of trial velocities ``(6 U,)`` of bodies."""
-        pulls = [np.zeros((one.count, 6)) for one in self._ties.carriers]
-        for one, velocity in zip(self._unknown, y.reshape(-1, 6), strict=True):
-            row = pulls[one.carrier][one.number]
-            row[:3], row[3:] = one.mass * velocity[:3], one.inertia @ velocity[3:]
+        pulls = [np.zeros((carrier.count, 6)) for carrier in self._ties.carriers]
+        for body, velocity in zip(self._unknown, y.reshape(-1, 6), strict=True):
+            row = pulls[body.carrier][body.number]
+            row[:3], row[3:] = body.mass * velocity[:3], body.inertia @ velocity[3:]
         ends = [
             step.pulled(step.wrenches(rows))
             for step, rows in zip(self._steps, pulls, strict=True)
@@ -245,34 +250,34 @@ class TiedCell:
         ]
         crossed = cross(np.concatenate(self._positions), np.concatenate(goals))
         totals = [np.zeros_like(rows) for rows in pulls]
-        left = []
+        residuals = []
         for u, velocity in enumerate(y.reshape(-1, 6)):
-            one = self._unknown[u]
-            step = self._steps[one.carrier]
-            pull = self._pull(u, ends[one.carrier][0], goals, crossed.pulls)
-            turning = step.turning(one.number, pull)
-            gained = [pull[:3] / one.mass, one.ease @ turning]
-            left.append(np.concatenate(gained) - velocity)
-            totals[one.carrier][one.number] = *pull[:3], *turning
+            body = self._unknown[u]
+            step = self._steps[body.carrier]
+            pull = self._pull(u, ends[body.carrier][0], goals, crossed.pulls)
+            moment = step.turning(body.number, pull)
+            velocity_change = [pull[:3] / body.mass, body.ease @ moment]
+            residuals.append(np.concatenate(velocity_change) - velocity)
+            totals[body.carrier][body.number] = *pull[:3], *moment
         wrenches = [
             step.wrenches(rows) for step, rows in zip(self._steps, totals, strict=True)
         ]
-        return _Pulled(crossed, np.array(left).reshape(-1), wrenches)
+        return _TrialPull(crossed, np.array(residuals).reshape(-1), wrenches)
 
     def _pull(
         self, u: int, end: Any, goals: Sequence[FloatArray], pulls: FloatArray
     ) -> FloatArray:
-        """Return impulse and moment on a body from springs and carried masses ``(6,)``.
+        """Return impulse and moment of springs and carried masses on a body ``(6,)``.
 
         The inertia of carried particles is added: springs do not include it.
         """
-        one, total = self._unknown[u], np.zeros(6)
-        step = self._steps[one.carrier]
-        for k in one.ties:
+        body, total = self._unknown[u], np.zeros(6)
+        step = self._steps[body.carrier]
+        for k in body.ties:
             tie, x0, x1 = self._ties.ties[k], self._positions[k], goals[k]
             total += pulls[tie.columns].sum(axis=0)
             mass, v0 = tie.masses[:, None], self._begun[u][k]
-            v1 = step.speeds_at(end, one.number, x1)
+            v1 = step.speeds_at(end, body.number, x1)
             inertial = mass * (self._h * self._ties.gravity - (v1 - v0))
             total[:3] += inertial.sum(axis=0)
             total[3:] += so3.cross((x0 + x1) / 2, inertial).sum(axis=0)

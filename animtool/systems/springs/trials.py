@@ -23,16 +23,16 @@ def trial_settings(
     system: SpringSystem, configured: SpringOptions, begin: float
 ) -> TrialSettings:
     """Return solvers with several step lengths around their defaults."""
-    free = replace(configured, step=None)
+    defaults = replace(configured, step=None)
 
-    def default_setting(solver: Solver, options: SpringOptions = free) -> Setting:
+    def default_setting(solver: Solver, options: SpringOptions = defaults) -> Setting:
         """Return a solver with its default step."""
         choice = choose(system, options, solver, begin, system.state)
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
     chosen = default_setting(Solver(configured.solver), configured)
 
-    def able(solver: Solver) -> list[Setting]:
+    def default_settings(solver: Solver) -> list[Setting]:
         """Return the setting of a solver; empty if it cannot simulate the springs."""
         try:
             return [default_setting(solver)]
@@ -40,17 +40,31 @@ def trial_settings(
             return []
 
     def settings() -> list[Setting]:
-        each = [one for s in Solver if s is not Solver.AUTO for one in able(s)]
-        each = [chosen if one.method == chosen.method else one for one in each]
-        return [row for one in each for row in step_settings(one.method, one["step"])]
+        solver_settings = [
+            setting
+            for s in Solver
+            if s is not Solver.AUTO
+            for setting in default_settings(s)
+        ]
+        solver_settings = [
+            chosen if setting.method == chosen.method else setting
+            for setting in solver_settings
+        ]
+        return [
+            row
+            for setting in solver_settings
+            for row in step_settings(setting.method, setting["step"])
+        ]
 
     def references() -> list[list[Setting]]:
         """Return finer steps of bdf2, of explicit Euler, and of the chosen solver."""
-        exact = [min(chosen["step"], one["step"]) for one in able(EXACT)]
+        exact = [
+            min(chosen["step"], setting["step"]) for setting in default_settings(EXACT)
+        ]
         groups = [step_settings(EXACT, step, REFERENCE_FACTORS) for step in exact]
         groups += [
-            step_settings(EXPLICIT, one["step"], REFERENCE_FACTORS)
-            for one in able(EXPLICIT)
+            step_settings(EXPLICIT, setting["step"], REFERENCE_FACTORS)
+            for setting in default_settings(EXPLICIT)
         ]
         if chosen.method not in {EXACT, EXPLICIT}:
             groups.append(

@@ -91,30 +91,42 @@ class SpringView:
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
         """Measure depth, piercing and strain of a surface in contact."""
         system, body, shape = self.simulation.system, self.body.body, self.body.shape
-        colliders, touches = system.colliders, system.self_contact is not None
-        if not isinstance(shape, FaceShape) or not (colliders.active or touches):
+        colliders, has_self_contact = system.colliders, system.self_contact is not None
+        if not isinstance(shape, FaceShape) or not (
+            colliders.active or has_self_contact
+        ):
             return
         if self._sides is None:
-            self._sides = _sides_of(shape, system.fixed[self.rows], body, touches)
+            self._sides = _sides_of(
+                shape, system.fixed[self.rows], body, has_self_contact
+            )
         solids, depths = closed_surfaces(colliders, t), depths_of(colliders, points, t)
         sides, torn = self._sides, self.torn(state)
         if torn.any():
-            sides = _sides_of(shape, system.fixed[self.rows], body, touches, torn)
+            sides = _sides_of(
+                shape, system.fixed[self.rows], body, has_self_contact, torn
+            )
         self._meter.measure(t, points, sides, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings: self-intersection and thin colliders (SIM194, SIM195)."""
         simulation, body, name = self.simulation, self.body, self.member.name
         notices = self._crossings.notices(name) if self._crossings is not None else []
-        met = simulation.system.faces_of(self.rows)
-        if met and not notices:
+        has_faces = simulation.system.faces_of(self.rows)
+        if has_faces and not notices:
             return notices
         # Edges of ropes and strands collide too, but not with balls.
         edges = not len(simulation.system.body.triangles)
         gap = widest_gap(body.shape, body.body.positions)
         colliders, radius = list(simulation.system.colliders), simulation.system.radius
         return notices + thin_notices(
-            name, colliders, radius, gap, simulation.stretch, faces=met, edges=edges
+            name,
+            colliders,
+            radius,
+            gap,
+            simulation.stretch,
+            faces=has_faces,
+            edges=edges,
         )
 
     @property
@@ -132,10 +144,14 @@ class SpringView:
         """Return its intact faces."""
         self.simulation.measure(state, t)
         shape, torn = cast(FaceShape, self.body.shape), self.torn(state)
-        gone = int(torn.sum())
-        if self._intact is None or gone != self._intact[0]:
-            intact = shape.intact_faces(torn) if gone else (shape.counts, shape.indices)
-            self._intact = gone, *intact
+        torn_count = int(torn.sum())
+        if self._intact is None or torn_count != self._intact[0]:
+            intact = (
+                shape.intact_faces(torn)
+                if torn_count
+                else (shape.counts, shape.indices)
+            )
+            self._intact = torn_count, *intact
         points, velocities = state.motion[:, self.rows]
         return MeshFrame(points, velocities, *self._intact[1:], self.closed)
 
@@ -178,18 +194,18 @@ class SpringView:
 
     def _note(self, torn: int) -> Fault:
         simulation = self.simulation
-        parts = [
+        phrases = [
             f"{simulation.choice.solver} ({simulation.reason})",
             f"shortest step {plain(simulation.shortest)} s",
             f"springs stretch by up to {percent(simulation.stretch)}",
         ]
         if simulation.error is not None and math.isfinite(simulation.error):
-            parts.append(f"error {length_text(simulation.error)}")
+            phrases.append(f"error {length_text(simulation.error)}")
         if torn:
-            parts.append(f"{counted(torn, 'spring')} torn")
+            phrases.append(f"{counted(torn, 'spring')} torn")
         if self._meter.text:
-            parts.append(self._meter.text)
-        message = f"{self.member.name}: {', '.join(parts)}"
+            phrases.append(self._meter.text)
+        message = f"{self.member.name}: {', '.join(phrases)}"
         return Fault("SIM130", message, severity=Severity.NOTE)
 
 
@@ -197,7 +213,7 @@ def _sides_of(
     shape: FaceShape,
     fixed: BoolArray,
     body: Body,
-    touches: bool,
+    has_self_contact: bool,
     torn: BoolArray | None = None,
 ) -> MeasuredSurface:
     """Return the sides to measure, without torn springs ``(S,)``.
@@ -205,12 +221,12 @@ def _sides_of(
     Triangles are included only with self-contact.
     """
     side_springs = shape.side_springs
-    kept = (body.springs.rest[side_springs] > 0) & ~fixed[
+    is_measured = (body.springs.rest[side_springs] > 0) & ~fixed[
         body.springs.ends[side_springs]
     ].all(axis=1)
-    kept &= True if torn is None else ~torn[side_springs]
-    triangles = body.triangles if touches else body.triangles[:0]
-    springs = body.springs.select(side_springs[kept])
+    is_measured &= True if torn is None else ~torn[side_springs]
+    triangles = body.triangles if has_self_contact else body.triangles[:0]
+    springs = body.springs.select(side_springs[is_measured])
     return MeasuredSurface(
         np.flatnonzero(~fixed), triangles, springs.ends, springs.rest
     )

@@ -23,7 +23,7 @@ from animtool.systems.crowds.falls import (
     REST_TIME,
     Falls,
     FallSimulator,
-    _stepped,
+    _step_ragdoll,
     is_at_rest,
 )
 from animtool.systems.crowds.ground import Frame, Terrain
@@ -216,7 +216,7 @@ def test_who_would_fall_too_fast_takes_the_step_in_eight_parts(
     simulation: Any = SimpleNamespace(initial=lambda: begun, step=step)
     motion = np.zeros((1, 14))
     motion[0, 7] = 2.0
-    made = _stepped(simulation, motion, 0.0, 0.8)
+    made = _step_ragdoll(simulation, motion, 0.0, 0.8)
     assert made[0, 0] == pytest.approx(expected)
     assert made[0, 7] == (1.0 if expected else 0.0)
     assert motion[0, 7] == 2.0

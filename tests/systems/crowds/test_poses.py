@@ -16,7 +16,7 @@ from animtool.systems.crowds.poses import (
     PHASES,
     _ankles,
     _clearance_deficit,
-    _lowered,
+    _hip_lowering,
     _swing_poses,
     _tilts,
     idle_rows,
@@ -165,4 +165,4 @@ def hips_lowered(swing: float, before: float, far: float) -> float:
     state: Any = SimpleNamespace(
         lowered=np.array([before]), swings=np.array([[swing, -1.0]])
     )
-    return float(_lowered(walker, joints, goals, state)[0])
+    return float(_hip_lowering(walker, joints, goals, state)[0])

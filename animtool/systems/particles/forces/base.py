@@ -34,7 +34,7 @@ class Force(ABC):
 
     Attributes:
         pairs: Whether particles act on each other.
-        drains: Whether it takes energy from particles and never gives any.
+        drains: Whether it only removes energy from particles.
         varies: Whether it depends on position, velocity or time.
     """
 
