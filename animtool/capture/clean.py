@@ -167,7 +167,7 @@ def _runs(
                 (2, 1),
                 (run + 1, run + 2),
             ):
-                shifted[k] = _signed(shifted[k], shifted[reference])
+                shifted[k] = _align_signs(shifted[k], shifted[reference])
         before, after = shifted[1], shifted[run + 2]
         forward, backward = 2 * before - shifted[0], 2 * after - shifted[run + 3]
         step = (after - before) / (run + 1)
@@ -184,7 +184,7 @@ def _runs(
         yield run, np.min(sizes, axis=0)
 
 
-def _signed(rotations: FloatArray, others: FloatArray) -> FloatArray:
+def _align_signs(rotations: FloatArray, others: FloatArray) -> FloatArray:
     """Return quaternions ``(F, 4)`` with signs nearest to others."""
     dots = np.sum(rotations * others, axis=-1, keepdims=True)
     return np.where(dots < 0, -rotations, rotations)
@@ -279,13 +279,13 @@ def notices(
         names = listed(spiky, MAX_LISTED_JOINTS)
         signal_parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
     if filtered:
-        signal_parts.append(_filtered(filtered, len(signals)))
+        signal_parts.append(_cutoff_text(filtered, len(signals)))
     if signal_parts:
         faults.append(Fault("CAP101", "; ".join(signal_parts), severity=Severity.NOTE))
     return faults
 
 
-def _filtered(signals: list[CleanedSignal], count: int) -> str:
+def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
     """Return the chosen cut-offs, and the noise they are based on."""
     order = sorted(signals, key=lambda s: s.cutoff or 0.0)
     lowest, highest = order[0], order[-1]
@@ -334,18 +334,20 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     )
 
 
-def _refused(message: str) -> OptionError:
+def _option_error(message: str) -> OptionError:
     return OptionError(Fault("CAP001", message))
 
 
 def _check_spikes(spikes: int) -> None:
     if not 0 <= spikes <= ROUGHNESS_FRAMES // 2:
-        raise _refused(f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}")
+        raise _option_error(
+            f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}"
+        )
 
 
 def _check_cutoff(cutoff: float | None) -> None:
     if cutoff is not None and not 0 < cutoff < math.inf:
-        raise _refused(f"cutoff is {cutoff:g} Hz; it must be above 0")
+        raise _option_error(f"cutoff is {cutoff:g} Hz; it must be above 0")
 
 
 def _checks(options: CleanOptions) -> OptionChecks:
@@ -362,7 +364,7 @@ def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
     return cleaned
 
 
-_PARTS = frozenset({TakePart.JOINTS})
+_EDITED_PARTS = frozenset({TakePart.JOINTS})
 
 PASS = Pass(
     "clean",
@@ -371,6 +373,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    reads=_PARTS | {TakePart.RIG, TakePart.CLOCK},
-    changes=_PARTS,
+    reads=_EDITED_PARTS | {TakePart.RIG, TakePart.CLOCK},
+    changes=_EDITED_PARTS,
 )

@@ -65,7 +65,7 @@ class ChannelReader:
             self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
         default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
         if isinstance(model.keys, PlainKeys):
-            plain_channel = self._plain(at, model, target, kind, unit)
+            plain_channel = self._plain_channel(at, model, target, kind, unit)
             if plain_channel is not None:
                 return plain_channel
             if model.keys.name:
@@ -112,7 +112,7 @@ class ChannelReader:
             Extrapolation(model.post),
         )
 
-    def _plain(
+    def _plain_channel(
         self, at: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
         """Return the channel of plain keys; None on a fault."""

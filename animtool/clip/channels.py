@@ -210,8 +210,8 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
         ]
     return Curves(
         np.array(first_key, np.int64),
-        _joined([times for times, *_ in channel_curves]),
-        _joined([values for _, values, *_ in channel_curves]),
+        _concatenate([times for times, *_ in channel_curves]),
+        _concatenate([values for _, values, *_ in channel_curves]),
         np.concatenate(
             [np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in channel_curves]]
         ),
@@ -222,7 +222,7 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
     )
 
 
-def _joined(parts: list[FloatArray]) -> FloatArray:
+def _concatenate(parts: list[FloatArray]) -> FloatArray:
     return np.concatenate([np.zeros(0), *parts])
 
 

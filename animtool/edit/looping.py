@@ -265,7 +265,7 @@ def loop(
         slice(i, j + 1),
         slice(i - has_frame_before, j + has_frame_after + 1),
     )
-    cycle = _Cycling(
+    cycle = _CycleState(
         cycle_travel(take.rig, take.motion.select(cycle_frames)), seam, repeats
     )
     motion = cycle.motion(take.motion.select(frames_with_neighbours))
@@ -313,7 +313,7 @@ def _looped_track(
         Channel.from_dense(known.rotations[:, None]),
     )
     cycle_slice = slice(seam.before, seam.before + seam.length + 1)
-    cycle = _Cycling(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
+    cycle = _CycleState(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
     looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
@@ -340,7 +340,7 @@ def _looped_track(
 
 
 @dataclass(frozen=True, slots=True)
-class _Cycling:
+class _CycleState:
     travel: CycleTravel
     blend: SeamBlend
     repeats: int

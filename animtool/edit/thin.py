@@ -66,7 +66,7 @@ def thin_samples(
     measure = _Measure(rig, codes, motion, bounds)
     kept_samples = _split(measure, np.unique([0, len(codes) - 1]))
     for round_ in range(MAX_DROP_PASSES):
-        kept_samples = _joined(measure, kept_samples, round_ % 2)
+        kept_samples = _without_alternate(measure, kept_samples, round_ % 2)
     return measure.report(kept_samples)
 
 
@@ -96,7 +96,9 @@ def _split(measure: _Measure, kept_samples: IntArray) -> IntArray:
     return kept_samples
 
 
-def _joined(measure: _Measure, kept_samples: IntArray, skip: int) -> IntArray:
+def _without_alternate(
+    measure: _Measure, kept_samples: IntArray, skip: int
+) -> IntArray:
     """Return the samples without every second one that is unnecessary."""
     trial = np.arange(1 + skip, len(kept_samples) - 1, 2)
     if not len(trial):

@@ -63,14 +63,14 @@ class Chain:
         """Return chain coordinates ``(B, C)`` from rig coordinates ``(B, Q)``."""
         q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
         columns, ball_frames = self._balls
-        q[:, columns] = _conjugated(so3.normalize(q[:, columns]), ball_frames)
+        q[:, columns] = _conjugate(so3.normalize(q[:, columns]), ball_frames)
         return q
 
     def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return rig coordinates ``(B, Q)`` updated from the chain's ``(B, C)``."""
         q = q.copy()
         columns, ball_frames = self._balls
-        q[:, columns] = _conjugated(q[:, columns], so3.conjugate(ball_frames))
+        q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_frames))
         if len(self.turning):
             low, high = self.periods[self.turning].T
             angles = q[:, self.turning]
@@ -84,7 +84,7 @@ class Chain:
         return rig_coordinates
 
 
-def _conjugated(q: FloatArray, frame: FloatArray) -> FloatArray:
+def _conjugate(q: FloatArray, frame: FloatArray) -> FloatArray:
     """Return rotations ``(B, T, 4)`` expressed in rotated frames ``(T, 4)``."""
     return np.concatenate([so3.rotate(frame, q[..., :3]), q[..., 3:]], axis=-1)
 

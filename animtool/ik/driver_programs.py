@@ -205,7 +205,7 @@ class Programs:
     ) -> list[_Row]:
         rows: list[_Row] = []
         if driver.expression is None:
-            rows += self._named(driver, driver.by, sources, scales)
+            rows += self._input_rows(driver, driver.by, sources, scales)
             slopes = [0.0] * len(driver.curve)
             if driver.smooth and len(driver.curve) > 1:
                 slopes = smooth_slopes(driver.curve).tolist()
@@ -217,14 +217,14 @@ class Programs:
         else:
             for kind, value in driver.expression.program():
                 if kind == "name":
-                    rows += self._named(driver, str(value), sources, scales)
+                    rows += self._input_rows(driver, str(value), sources, scales)
                 elif kind == "number":
                     rows.append(("number", 0, (float(value),)))
                 else:
                     rows.append((str(value), 0, ()))
         return rows + _times(driver.unit)
 
-    def _named(
+    def _input_rows(
         self,
         driver: Driver,
         name: str,

@@ -234,9 +234,9 @@ class _ValueBuilder:
             return self._sparse(rows, joint, self.reduce)
         if self.arrays is None:
             return Keyed(self._keys(rows))
-        return ArrayRows(f"{self.arrays}#{self._named(name)}", rows, self.first)
+        return ArrayRows(f"{self.arrays}#{self._unique_name(name)}", rows, self.first)
 
-    def _named(self, name: str) -> str:
+    def _unique_name(self, name: str) -> str:
         unique = identifier = re.sub(r"\W", "_", name)
         number = 2
         while unique in self.names:

@@ -167,7 +167,7 @@ def _faults(
             faults.append(Fault("TGT001", f"unknown joint {name!r} of {rig.name!r}"))
     faults += rest_faults(rest_weight)
     for joint in rig.joints:
-        if _reversed(joint.limits):
+        if _is_reversed(joint.limits):
             message = f"the limits of {joint.name!r} are reversed or not numbers"
             faults.append(Fault("IK005", message))
         if not max(map(abs, joint.translation)) <= MAX_COORDINATE:
@@ -185,7 +185,7 @@ def rest_faults(weight: float) -> list[Fault]:
     return [Fault("IK014", f"rest_weight must be at least 0, not {weight}")]
 
 
-def _reversed(limits: RangeLimit | BallLimit | None) -> bool:
+def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
     match limits:
         case RangeLimit(low, high):
             return not low <= high

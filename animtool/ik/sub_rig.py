@@ -85,7 +85,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     """
     included: set[int] = set()
     pending = [rig.index(name) for name in names]
-    links = _linked(rig) if rig.is_driven else {}
+    links = _driver_links(rig) if rig.is_driven else {}
     while pending:
         j = pending.pop()
         if j in included:
@@ -116,7 +116,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     return smaller_rig, np.array(indices, np.int64)
 
 
-def _linked(rig: Rig) -> dict[int, list[int]]:
+def _driver_links(rig: Rig) -> dict[int, list[int]]:
     """Return for each joint the joints that its driver reads or that it drives."""
     linked: dict[int, list[int]] = {}
     for name, sources in plan_of(rig).reads.items():
@@ -193,14 +193,14 @@ def dressed(rig: Rig, other: Rig) -> Rig:
                 axis=typed.axis,
                 limits=typed.limits,
                 mimic=typed.mimic if has_leader else None,
-                driven=typed.driven if _readable(typed, names, rig) else None,
+                driven=typed.driven if _has_driver_inputs(typed, names, rig) else None,
             )
         )
     chains = tuple(chain for chain in other.chains if {chain.root, chain.tip} <= names)
     return replace(rig, joints=tuple(joints), chains=chains)
 
 
-def _readable(joint: Joint, names: Collection[str], rig: Rig) -> bool:
+def _has_driver_inputs(joint: Joint, names: Collection[str], rig: Rig) -> bool:
     """Return whether a rig has all inputs of a joint's driver."""
     available = {*names, *(control.name for control in rig.controls)}
     read = () if joint.driven is None else joint.driven.names

@@ -84,14 +84,14 @@ class FreeEffector:
             blended[rows] = so3.slerp(self.orientation()[rows], values[rows], fraction)
             return so3.align_signs(blended)
         if not kind.directed:
-            blended[rows] = self._reaching(values, rows, fraction)
+            blended[rows] = self._blend_positions(values, rows, fraction)
             return blended
         origins, directions = self._axis() if kind.turning else self._bend(values)
         offsets = values[rows] - origins[rows]
         blended[rows] = origins[rows] + swung(directions[rows], offsets, fraction)
         return blended
 
-    def _reaching(
+    def _blend_positions(
         self, values: FloatArray, rows: BoolArray, fraction: FloatArray
     ) -> FloatArray:
         """Return blended positions of some rows ``(N, 3)``."""
@@ -341,7 +341,7 @@ class TargetTracks:
             for i, kind in enumerate(KINDS):
                 if not track.goal.weights[i]:
                     continue
-                value, weight = _part(track, kind, frames, source)
+                value, weight = _part_targets(track, kind, frames, source)
                 values_by_field[kind.targets][:, e] = away.towards(
                     kind, value, is_active
                 )
@@ -352,7 +352,7 @@ class TargetTracks:
 rename_attributes(TargetTracks, rate_place="rate_location")
 
 
-def _part(
+def _part_targets(
     track: GoalTrack, kind: GoalKind, frames: SampleFrames, pose: FreeEffector
 ) -> tuple[FloatArray, FloatArray]:
     """Return targets ``(F, W)`` and weights ``(F,)`` of a part of a goal."""

@@ -128,9 +128,9 @@ def anatomy(
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
-    _rest(search)
+    _assign_remaining(search)
     notices += _doubts(search)
-    evidence = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
+    evidence = [_role_source(role, votes[j]) for j, role in enumerate(search.roles)]
     confidence = tuple(_CONFIDENCE[source] for source in evidence)
     name = chosen.name if chosen else ""
     return Anatomy(
@@ -138,7 +138,7 @@ def anatomy(
     )
 
 
-def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
+def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
     if not role or role in {TWIST, END, CONTROL}:
         return RoleSource.NONE
     weight = votes.get(role, 0.0)
@@ -416,7 +416,7 @@ def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
     return np.asarray(body.positions[last_joint] + body.last_bones[last_joint])
 
 
-def _rest(search: _Search) -> None:
+def _assign_remaining(search: _Search) -> None:
     """Assign face roles, and mark why the remaining joints have no role."""
     body = search.body
     for j, votes in enumerate(body.votes):

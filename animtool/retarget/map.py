@@ -114,10 +114,10 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         yield "ignored:"
     for side, names in unmapped.items():
         if names:
-            yield from _wrapped(f"  {side}: [", list(map(text, names)))
+            yield from _wrapped_lines(f"  {side}: [", list(map(text, names)))
 
 
-def _wrapped(prefix: str, names: Sequence[str]) -> Iterator[str]:
+def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
     """Yield the wrapped lines of a list of names."""
     line = prefix
     for i, name in enumerate(names):

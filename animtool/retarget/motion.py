@@ -62,7 +62,7 @@ ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
-class _Posed:
+class _PosedFrames:
     """Frames of the target before its feet are planted."""
 
     source: FloatArray  # source joints in the target's axes (F, J, 3) [m]
@@ -170,7 +170,7 @@ class Retargeting:
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
             self._note_moving(motion)
-            block = self._posed(motion, legs)
+            block = self._pose_frames(motion, legs)
             rotations = block.rotations
             arm_arguments = block.source, rotations.world, block.about
             tracks.append(
@@ -239,7 +239,7 @@ class Retargeting:
         )
         return placed
 
-    def _posed(self, motion: Motion, legs: str) -> _Posed:
+    def _pose_frames(self, motion: Motion, legs: str) -> _PosedFrames:
         """Return target frames whose joints follow the source's."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
@@ -255,7 +255,7 @@ class Retargeting:
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
         source_points = transfer.turned(positions), transfer.turned(balls)
-        return _Posed(*source_points, posed, bones, relative, hips)
+        return _PosedFrames(*source_points, posed, bones, relative, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:

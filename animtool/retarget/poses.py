@@ -159,14 +159,14 @@ def local_rotations(
         joint_local = rest_rotation[None]
         if transfer.follows[j] >= 0:
             joint_local = so3.multiply(inverse_parent, rotations[:, j])
-            twisted_joint = _twisted(target, j)
+            twisted_joint = _twist_joint(target, j)
             if twisted_joint >= 0:
                 twisted_rest = so3.conjugate(rig.rest_rotations[twisted_joint])
                 joint_local = so3.multiply(
                     inverse_parent,
                     so3.multiply(rotations[:, twisted_joint], twisted_rest),
                 )
-        joint_local, is_clamped = _within(joint, rest_rotation, joint_local)
+        joint_local, is_clamped = _within_limits(joint, rest_rotation, joint_local)
         clamped.pop(j, None)
         if is_clamped.any():
             clamped[j] = np.broadcast_to(is_clamped, len(local)).copy()
@@ -179,7 +179,7 @@ def local_rotations(
     return LocalRotations(local, world, clamped)
 
 
-def _twisted(target: RoledSkeleton, j: int) -> int:
+def _twist_joint(target: RoledSkeleton, j: int) -> int:
     """Return the joint whose twist a pin along its bone carries; -1 for other pins."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
@@ -201,7 +201,7 @@ def _twisted(target: RoledSkeleton, j: int) -> int:
     )
 
 
-def _within(
+def _within_limits(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""

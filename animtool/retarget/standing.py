@@ -146,7 +146,7 @@ def stance(
         up: The assumed up axis.
         rest: Joint positions at rest ``(J, 3)`` [m]; None if unknown.
     """
-    axes, other_axis = body_axes(roles, positions), _other(up)
+    axes, other_axis = body_axes(roles, positions), _other_axis(up)
     is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     upright = axes @ np.array(up.vector)
     fraction, upright_fraction = (
@@ -264,7 +264,7 @@ def stands_along(
     world = forward(rig, frames.translations.dense(), frames.rotations.dense())
     positions, rest = world.positions, rest_world(rig).positions[0]
     if downwards:
-        mirror = 1.0 - 2.0 * np.array(_other(rig.up).vector)
+        mirror = 1.0 - 2.0 * np.array(_other_axis(rig.up).vector)
         positions, rest = positions * mirror, rest * mirror
     return stance(roles, positions, rig.up, rest).axis
 
@@ -274,7 +274,10 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
-    up_vector, other_vector = np.array(rig.up.vector), np.array(_other(rig.up).vector)
+    up_vector, other_vector = (
+        np.array(rig.up.vector),
+        np.array(_other_axis(rig.up).vector),
+    )
     for frame in sorted(set(sampled_frames.tolist())):
         single_frame = motion.select(slice(frame, frame + 1))
         pose = forward(
@@ -306,7 +309,7 @@ def lying_notice(
     read_as = axis
     if axis is None and up is not None:
         axis = stands_along(rig, motion, roles, downwards=True)
-        read_as, sign = _other(up), "-"
+        read_as, sign = _other_axis(up), "-"
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
@@ -374,5 +377,5 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     return [Fault("RIG217", message, str(path), (), hint, Severity.WARNING)]
 
 
-def _other(up: UpAxis) -> UpAxis:
+def _other_axis(up: UpAxis) -> UpAxis:
     return UpAxis.Z if up is UpAxis.Y else UpAxis.Y

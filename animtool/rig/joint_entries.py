@@ -251,7 +251,7 @@ def _joint(
     location: Location = ("joints", i)
     rotation = quaternion(document, (*location, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
-    tips = tuple(_scaled(tip, units.length) for tip in model.tips)
+    tips = tuple(_scale_vector(tip, units.length) for tip in model.tips)
     _refuse_repeats(document, (*location, "channels"), model.channels or [])
     joint = Joint(
         model.name,
@@ -282,7 +282,7 @@ def _refuse_repeats(document: Document, at: Location, channels: Sequence[str]) -
             document.add("RIG028", (*at, k), message, "write each once")
 
 
-def _scaled(values: list[float], unit: float) -> Vector:
+def _scale_vector(values: list[float], unit: float) -> Vector:
     x, y, z = (value * unit for value in values)
     return (x, y, z)
 

@@ -107,21 +107,21 @@ def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
     return q
 
 
-_ROTATING = (JointType.FREE, JointType.BALL)
+_ROTATING_TYPES = (JointType.FREE, JointType.BALL)
 _ALL_TYPES = tuple(JointType)
 
 # Parts that a control may add to, and joint types that have them.
 DRIVEN_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    **{f"rotation.{axis}": _ROTATING for axis in "xyz"},
+    **{f"rotation.{axis}": _ROTATING_TYPES for axis in "xyz"},
     **{f"translation.{axis}": (JointType.FREE,) for axis in "xyz"},
 }
 # Parts that a clip's channel may key.
 KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    "rotation": _ROTATING,
+    "rotation": _ROTATING_TYPES,
     "translation": (JointType.FREE,),
     "local_translation": _ALL_TYPES,
     "local_rotation": _ALL_TYPES,

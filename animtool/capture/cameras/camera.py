@@ -150,12 +150,12 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
     """
     # Overflows are invalid, and become NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        undistorted = _undistorted(camera, pixels)
+        undistorted = _undistort(camera, pixels)
     undistorted[~np.isfinite(undistorted).all(axis=-1)] = np.nan
     return undistorted
 
 
-def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
+def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
     """Return undistorted points at depth 1 of pixels, by Newton's method."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]

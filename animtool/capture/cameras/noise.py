@@ -80,7 +80,7 @@ def measured_noise(
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         if trust is not None:
             lengths = lengths * np.sqrt(np.maximum(trust, 0))
-        pooled = _pooled(lengths, states == USED)
+        pooled = _pooled_noise(lengths, states == USED)
         if pooled is None:
             break
         noises = _camera_noise(lengths, states)
@@ -113,7 +113,7 @@ def measured_noise(
             pixels, trust, numbers, active, noise, _OPEN_GATE, condition, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
-        overall = _pooled(lengths, states == USED)
+        overall = _pooled_noise(lengths, states == USED)
         noise[:] = noise if overall is None else max(overall, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
@@ -178,7 +178,7 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     )
 
 
-def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
+def _pooled_noise(lengths: FloatArray, used: BoolArray) -> float | None:
     """Return the noise estimated from the points' sums of squares [px]."""
     counts = used.sum(axis=1)
     sums = np.where(used, lengths, 0.0)

@@ -112,13 +112,13 @@ def shifted_ranges(
     most_rejections = 0
     for camera in range(judged.shape[1]):
         live = active[:, camera] & (active.sum(axis=1) > 2)
-        count = _around(np.where(live, judged[:, camera], 0), window)
-        rejected_count = _around(np.where(live, rejected[:, camera], 0), window)
+        count = _window_sums(np.where(live, judged[:, camera], 0), window)
+        rejected_count = _window_sums(np.where(live, rejected[:, camera], 0), window)
         is_off = (
             live & (rejected_count > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
         )
         rejections = np.where(live[:, None], rejected, 0.0)
-        ranges = _shifted(judged, rejections, camera, is_off, window)
+        ranges = _find_shifts(judged, rejections, camera, is_off, window)
         rejection_total = sum(
             int(rejected[shift.first : shift.end, camera].sum()) for shift in ranges
         )
@@ -135,12 +135,12 @@ def stale_ranges(
     Arguments are those of `shifted_ranges`.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
-    count = _around(judged[:, camera], window)
-    rejected_count = _around(rejected[:, camera], window)
+    count = _window_sums(judged[:, camera], window)
+    rejected_count = _window_sums(rejected[:, camera], window)
     is_off = (rejected_count > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
     if not (is_off & (count >= MIN_OBSERVATIONS)).any():
         is_off[:] = True
-    return _shifted(judged, rejected, camera, is_off, window)
+    return _find_shifts(judged, rejected, camera, is_off, window)
 
 
 def disagreements(
@@ -198,7 +198,7 @@ def truncated_error(
     return float(squares[visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12))
 
 
-def _shifted(
+def _find_shifts(
     judged: FloatArray,
     rejected: FloatArray,
     camera: int,
@@ -226,7 +226,7 @@ def _rejected_fraction(
     return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
 
 
-def _around(values: FloatArray, window: int) -> FloatArray:
+def _window_sums(values: FloatArray, window: int) -> FloatArray:
     """Return sums over a window around each frame ``(F,)``, clipped at the ends."""
     cumulative = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))

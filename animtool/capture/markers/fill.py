@@ -145,7 +145,7 @@ def _filled_markers(
 
             skeleton = skeleton_markers(markers, subject)
             notices += skeleton.notices
-        positions, gaps = _filled(markers, options.longest, skeleton)
+        positions, gaps = _fill_gaps(markers, options.longest, skeleton)
     measured = markers.visible
     is_known = np.asarray(np.isfinite(positions).all(axis=-1))
     filled = is_known & ~measured
@@ -170,7 +170,7 @@ def _filled_markers(
     return result, report
 
 
-def _filled(
+def _fill_gaps(
     markers: Markers, max_seconds: float | None, skeleton: SkeletonMarkers | None
 ) -> tuple[FloatArray, list[FilledGap]]:
     """Return positions with gaps filled, shorter ones first, and the gaps."""

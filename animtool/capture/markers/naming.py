@@ -294,7 +294,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
     A conflicting name is removed first; if that is not enough, all names around the two
     markers.
     """
-    best = _redoubted(best, rest)
+    best = _retry_doubtful(best, rest)
     best_total = best.total()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
@@ -317,12 +317,12 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total()
         if candidate_total > best_total + MIN_GAIN:
-            best = _redoubted(candidate, rest)
+            best = _retry_doubtful(candidate, rest)
             best_total = best.total()
     return best
 
 
-def _redoubted(best: Naming, rest: FloatArray) -> Naming:
+def _retry_doubtful(best: Naming, rest: FloatArray) -> Naming:
     """Return names after trying the most doubtful ones again."""
     best.improve()
     best_total = best.total()

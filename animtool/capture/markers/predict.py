@@ -77,10 +77,10 @@ def predict(
     positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``. spread: How
     much the distance to each marker varies ``(M,)``. rate: [frame/s].
     """
-    neighbours = _near(visible, marker, gap, spread)
+    neighbours = _nearest_markers(visible, marker, gap, spread)
     if len(neighbours) < 3:
         return None
-    training = _training(visible, marker, gap, neighbours, rate)
+    training = _training_frames(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING:
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
@@ -88,12 +88,14 @@ def predict(
     for count in FRAME_MARKERS:
         if count <= len(neighbours):
             local, pose, to_world = _local(positions, frames, marker, neighbours, count)
-            best = _best(local, pose, frames, gap, rate, STRAY_KERNELS, count)
+            best = _best_prediction(
+                local, pose, frames, gap, rate, STRAY_KERNELS, count
+            )
             predictions.append(Prediction(to_world(best.positions), best.error))
     return min(predictions, key=lambda each: each.error)
 
 
-def _best(
+def _best_prediction(
     local: FloatArray,
     pose: FloatArray,
     frames: IntArray,
@@ -121,7 +123,7 @@ def _best(
             kernel = _kernel(
                 part, frames / rate, length_scale, stray, time, local[:known_count]
             )
-            error, values = _regressed(local[:known_count], kernel, frames, gap)
+            error, values = _regress(local[:known_count], kernel, frames, gap)
             if best is None or error < best.error:
                 best = Prediction(values, error)
     assert best is not None
@@ -143,8 +145,8 @@ def predict_in_parent(
     marker on the same joint if there is any. Its motion there is learnt as in
     `predict`, with the same arguments.
     """
-    neighbours = _near(visible, marker, gap, spread)
-    training = _training(visible, marker, gap, neighbours, rate)
+    neighbours = _nearest_markers(visible, marker, gap, spread)
+    training = _training_frames(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING or not skeleton.above(marker):
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
@@ -165,7 +167,7 @@ def predict_in_parent(
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best(local, pose, frames, gap, rate, LOOSE_KERNELS)
+        best = _best_prediction(local, pose, frames, gap, rate, LOOSE_KERNELS)
         world_positions = np.einsum(
             "fij,fj->fi", rotation[known_count:], best.positions
         )
@@ -210,7 +212,7 @@ def follow(
 
     positions: ``(F, M, 3)`` [m]. visible: Measured ones ``(F, M)``. rate: [frame/s].
     """
-    training = _training(visible, marker, gap, np.zeros(0, np.int64), rate)
+    training = _training_frames(visible, marker, gap, np.zeros(0, np.int64), rate)
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
     path, known_count = points[:, marker], len(training)
@@ -224,7 +226,7 @@ def follow(
     no_pose = np.zeros((len(frames), 0))
     for stray, time in SKIN_KERNELS if known_count >= MIN_TRAINING else ():
         kernel = _kernel(no_pose, frames / rate, LENGTH_SCALES[0], stray, time, offsets)
-        error, values = _regressed(offsets, kernel, frames, gap)
+        error, values = _regress(offsets, kernel, frames, gap)
         if error < least_error:
             least_error, correction = error, values
     world_correction = np.einsum("fij,fj->fi", rotations[known_count:], correction)
@@ -233,7 +235,9 @@ def follow(
     )
 
 
-def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
+def _nearest_markers(
+    visible: BoolArray, marker: int, gap: slice, spread: FloatArray
+) -> IntArray:
     """Return the markers visible throughout a gap, the most rigid first."""
     is_usable = visible[gap].all(axis=0) & np.isfinite(spread)
     is_usable[marker] = False
@@ -241,7 +245,7 @@ def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> In
     return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
 
 
-def _training(
+def _training_frames(
     visible: BoolArray, marker: int, gap: slice, neighbours: IntArray, rate: float
 ) -> IntArray:
     """Return the training frames: all next to the gap, and some farther off."""
@@ -285,7 +289,7 @@ def _local(
     return local, pose, to_world
 
 
-def _regressed(
+def _regress(
     local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
     """Return predictions for the unknown frames, and their error.

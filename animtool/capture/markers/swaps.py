@@ -78,7 +78,7 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
         for a, b in _pairs(positions, rate):
             if (a, b) not in crossings and (a, b) not in tested:
                 lengths = lengths or distances(positions)
-                crossings[a, b] = _crossed(positions, a, b, rate, lengths)
+                crossings[a, b] = _crossed_frames(positions, a, b, rate, lengths)
         # The clearest pair first: among three markers it decides about the others.
         clearest = max(
             crossings, key=lambda pair: (crossings[pair][0], pair), default=None
@@ -100,10 +100,10 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
             if not set(other_pair) & set(clearest)
         }
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
-    return (_taken(markers, source) if swaps else markers), swaps
+    return (_take_columns(markers, source) if swaps else markers), swaps
 
 
-def _expected(
+def _expected_positions(
     positions: FloatArray, rate: float, acceleration: float = DEFAULT_ACCELERATION
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return each marker's expected position, its tolerance [m], and validity.
@@ -144,7 +144,7 @@ def _expected(
 
 def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     """Return pairs where one marker jumps to the other's position, by frequency."""
-    expected, tolerance, is_known = _expected(positions, rate)
+    expected, tolerance, is_known = _expected_positions(positions, rate)
     visible = np.isfinite(positions[..., 0])
     deviation = np.linalg.norm(positions - expected, axis=-1)
     continues = visible & is_known & (deviation <= tolerance)
@@ -180,7 +180,7 @@ class _Path:
     past: tuple[list[Any], list[Any]]
 
 
-def _crossed(
+def _crossed_frames(
     positions: FloatArray, a: int, b: int, rate: float, lengths: MarkerDistances
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
@@ -194,7 +194,9 @@ def _crossed(
     pair_positions = positions[:, [a, b]]
     visible = np.isfinite(pair_positions[..., 0])
     acceleration = _acceleration(pair_positions, rate)
-    expected, tolerance, is_known = _expected(pair_positions, rate, acceleration)
+    expected, tolerance, is_known = _expected_positions(
+        pair_positions, rate, acceleration
+    )
     deviation = np.linalg.norm(pair_positions - expected, axis=-1)
     is_smooth = ~visible | (is_known & (deviation <= tolerance))
     # In frames without events, both keep their names.
@@ -369,7 +371,7 @@ def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, in
     return spans
 
 
-def _taken(markers: Markers, source: IntArray) -> Markers:
+def _take_columns(markers: Markers, source: IntArray) -> Markers:
     """Return markers with values taken from other columns ``(F, M)``."""
 
     def exchanged(values: Any) -> Any:

@@ -134,12 +134,12 @@ def calibrate(
     with the others.
     """
     options = options or SolveOptions()
-    solver = _Calibrating(markers, rig, template, static, options)
+    solver = _CalibrationState(markers, rig, template, static, options)
     rounds, converged = solver.run()
     return solver.result(rounds, converged)
 
 
-class _Calibrating:
+class _CalibrationState:
     """State of a calibration: bones, offsets and poses."""
 
     def __init__(

@@ -72,7 +72,7 @@ def match_markers(
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
     if not matching or not (next(iter(matching.values())) >= 0).any():
-        raise OptionError(_unmatched(template, labelled, names))
+        raise OptionError(_unmatched_fault(template, labelled, names))
     ((subject, columns),) = matching.items()
     used_columns = set(columns[columns >= 0].tolist())
     missing = [m for m, c in zip(template.names, columns, strict=True) if c < 0]
@@ -117,7 +117,7 @@ def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> In
     return columns
 
 
-def _unmatched(
+def _unmatched_fault(
     template: MarkerTemplate, labelled: Sequence[str], names: Sequence[str]
 ) -> Fault:
     """Return the fault of a capture that has no marker of a template."""
