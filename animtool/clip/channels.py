@@ -114,9 +114,11 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
     rig_joint = rig.joints[rig.index(joint)]
     if rig_joint.type not in KEYED_PARTS[part]:
-        fitting = [p for p, types in KEYED_PARTS.items() if rig_joint.type in types]
+        fitting_parts = [
+            p for p, types in KEYED_PARTS.items() if rig_joint.type in types
+        ]
         message = f"a {rig_joint.type} joint has no {part}"
-        return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
+        return Fault("CLIP003", message, hint=f"it has {', '.join(fitting_parts)}")
     return kind
 
 

@@ -165,8 +165,8 @@ def requested_of_joints(
     Returns target values ``(F or 1,)``, and the targets of joints that also move along
     axes that no control drives.
     """
-    requested: dict[str, FloatArray] = {}
-    keyed: set[str] = set()
+    requested_values: dict[str, FloatArray] = {}
+    keyed_names: set[str] = set()
     for target in sorted(targets):
         group, _, name = target.partition("/")
         if group != "joint":
@@ -180,20 +180,20 @@ def requested_of_joints(
             vector = _nearest_revolution(
                 motion.rotation, np.stack(np.broadcast_arrays(*guess), -1)
             )
-            requested[target] = vector[:, "xyz".index(axis)]
+            requested_values[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
             if np.abs(vector[:, other_axes]).max(initial=0.0) > same.angle:
-                keyed.add(target)
+                keyed_names.add(target)
         elif kind == "translation":
-            requested[target] = motion.shift[:, "xyz".index(axis)]
+            requested_values[target] = motion.shift[:, "xyz".index(axis)]
         else:
-            requested[target] = motion.coordinate
+            requested_values[target] = motion.coordinate
             is_unreachable = (
                 motion.rotation_error > same.angle if kind == "angle" else False
             )
             if is_unreachable or (kind == "slide" and motion.shift_error > same.length):
-                keyed.add(target)
-    return requested, keyed
+                keyed_names.add(target)
+    return requested_values, keyed_names
 
 
 def _nearest_revolution(rotation: FloatArray, guess: FloatArray) -> FloatArray:

@@ -235,9 +235,9 @@ class _Job:
     ) -> frozenset[tuple[ChannelKind, int]]:
         """Return the keyed channels, and those of mimic joints of keyed joints."""
         keyed_channels = {(track.kind, track.index) for track in tracks}
-        leading = {self.rig.joints[index].name for _, index in keyed_channels}
+        leading_joints = {self.rig.joints[index].name for _, index in keyed_channels}
         for j, joint in enumerate(self.rig.joints):
-            if joint.mimic is not None and joint.mimic.joint in leading:
+            if joint.mimic is not None and joint.mimic.joint in leading_joints:
                 keyed_channels |= {
                     (ChannelKind.TRANSLATION, j),
                     (ChannelKind.ROTATION, j),

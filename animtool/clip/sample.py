@@ -440,11 +440,17 @@ class _Joints:
         self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
 
 
-def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
+def _sum(
+    keyed_values: FloatArray | None, driven_values: FloatArray | None
+) -> FloatArray | None:
     """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
-    if driven is None:
-        return keyed
-    return driven[:, None] if keyed is None else keyed + driven[:, None]
+    if driven_values is None:
+        return keyed_values
+    return (
+        driven_values[:, None]
+        if keyed_values is None
+        else keyed_values + driven_values[:, None]
+    )
 
 
 def _column_channel(columns: list[FloatArray], count: int) -> Channel:

@@ -73,10 +73,10 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     """Refuse two takes whose joints differ in name or parent (SCN017)."""
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
-    missing = sorted(set(rig.names) ^ set(other.names))
+    missing_joints = sorted(set(rig.names) ^ set(other.names))
     problem = (
-        f"joint {missing[0]!r} is in only one of them"
-        if missing
+        f"joint {missing_joints[0]!r} is in only one of them"
+        if missing_joints
         else ("joints are in different positions")
     )
     raise OptionError(
@@ -97,11 +97,11 @@ def combine(
     A motion without scales has scale 1, one without shape weights has 0; controls
     change only if both motions have some.
     """
-    everything = strength.joints is None
+    is_unmasked = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
         a, b = getattr(base, name), getattr(other, name)
-        if not everything or (a is None and b is None):
+        if not is_unmasked or (a is None and b is None):
             return _as_channel(a)
         if name == "controls" and (a is None or b is None):
             return _as_channel(a)

@@ -214,7 +214,7 @@ class _PoseView:
             self._points(frame_indices) for frame_indices in neighbour_frames
         )
         end_offset = (frames - middle)[:, None, None]
-        speed = (points_after - points_before) / 2 + end_offset * (
+        velocities = (points_after - points_before) / 2 + end_offset * (
             points_after - 2 * points_at + points_before
         )
         current_points = np.where(
@@ -224,7 +224,7 @@ class _PoseView:
         )
         ground, heading = self._ground_pose(frames)
         inverse_heading = so3.conjugate(heading)[:, None]
-        speed_as_distance = speed * (SPEED_TIME * float(self.take.clock.rate))
+        speed_as_distance = velocities * (SPEED_TIME * float(self.take.clock.rate))
         columns = [
             so3.rotate(inverse_heading, current_points - ground[:, None]),
             so3.rotate(inverse_heading, speed_as_distance),

@@ -90,8 +90,10 @@ class ControlMirror:
 
     def __call__(self, values: FloatArray, c: IntArray) -> FloatArray:
         """Return values ``(..., A, 1)`` of controls mapped to their partners."""
-        flipped = self.pivots[self.partners[c], None] - (values - self.pivots[c, None])
-        return np.where(self.signs[c, None] < 0, flipped, values)
+        flipped_values = self.pivots[self.partners[c], None] - (
+            values - self.pivots[c, None]
+        )
+        return np.where(self.signs[c, None] < 0, flipped_values, values)
 
 
 def _pivot(control: Control) -> float:
@@ -277,8 +279,8 @@ def _strays(
             "each keeps its values; give both sides the same name except for the side"
         )
     elif likely_pairs:
-        written = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
-        hint = f"add pairs: [{written}] to the pass's options to pair them"
+        written_pairs = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
+        hint = f"add pairs: [{written_pairs}] to the pass's options to pair them"
     else:
         stray = names[min(stray_indices)]
         hint = (

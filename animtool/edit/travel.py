@@ -123,11 +123,11 @@ class FramePositions:
         if is_rotation:
             values = so3.align_signs(values)
             row_before, row_after = so3.normalize(row_before), so3.normalize(row_after)
-        extended = np.concatenate([row_before, values, row_after])
+        extended_values = np.concatenate([row_before, values, row_after])
         values_at_frames = channel.values[self.frames]
         (is_between,) = np.nonzero(self.fractions > 0)
         t = self.fractions[is_between, None, None]
-        a, b, c, d = (extended[self.frames[is_between] + k] for k in range(4))
+        a, b, c, d = (extended_values[self.frames[is_between] + k] for k in range(4))
         curve = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )

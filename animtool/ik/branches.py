@@ -83,9 +83,9 @@ class Interval:
             batch = slice(first, min(first + TRACK_BATCH, len(rows)))
             result = self._solve(start, self.frames.start + rows[batch], frame_options)
             poses[batch] = self.chain.from_rig(result.coordinates)
-            missed = np.flatnonzero(~result.converged)
-            if len(missed):
-                return poses, first + int(missed[0])
+            missed_frames = np.flatnonzero(~result.converged)
+            if len(missed_frames):
+                return poses, first + int(missed_frames[0])
             start = result.coordinates[-1]
         return poses, len(rows)
 
@@ -308,8 +308,8 @@ def _blend_paths(
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
         step = difference(interval.chain, interval.poses, track)
-        blended = moved(interval.chain, interval.poses, weights * step)
-        yield interval.solved(blended, np.array(interval.frames))
+        blended_poses = moved(interval.chain, interval.poses, weights * step)
+        yield interval.solved(blended_poses, np.array(interval.frames))
 
 
 def best_path(

@@ -75,9 +75,9 @@ class Chain:
             low, high = self.periods[self.turning].T
             angles = q[:, self.turning]
             revolutions = np.round((angles - (low + high) / 2) / (2 * np.pi))
-            wrapped = np.clip(angles - 2 * np.pi * revolutions, low, high)
+            wrapped_angles = np.clip(angles - 2 * np.pi * revolutions, low, high)
             q[:, self.turning] = np.where(
-                (angles < low) | (angles > high), wrapped, angles
+                (angles < low) | (angles > high), wrapped_angles, angles
             )
         rig_coordinates = coordinates.copy()
         rig_coordinates[:, self.columns] = q * self.scales
@@ -133,9 +133,9 @@ def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
 def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
     """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
     columns = _layout(chain)[0][_endless(chain)]
-    unwrapped = poses.copy()
-    unwrapped[:, columns] = np.unwrap(poses[:, columns], axis=0)
-    return unwrapped
+    unwrapped_poses = poses.copy()
+    unwrapped_poses[:, columns] = np.unwrap(poses[:, columns], axis=0)
+    return unwrapped_poses
 
 
 def with_periods(chain: Chain) -> FloatArray:

@@ -145,16 +145,18 @@ def parts_of(
 
 
 def _moving_sources(
-    rig: Rig, driven: set[int], solved: set[int], changed: BoolArray
+    rig: Rig, driven_joints: set[int], solved_joints: set[int], is_changed: BoolArray
 ) -> list[int]:
     """Return joints that move without being solved and that drivers read."""
     if not rig.is_driven:
         return []
     plan = plan_of(rig)
     sources = {
-        source for j in driven.intersection(plan.joints) for source in plan.sources(j)
+        source
+        for j in driven_joints.intersection(plan.joints)
+        for source in plan.sources(j)
     }
-    return [j for j in sources - solved if changed[j]]
+    return [j for j in sources - solved_joints if is_changed[j]]
 
 
 def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
@@ -172,10 +174,10 @@ def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig
 
 def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
     """Return the joints whose rotation moves a goal, without pivots."""
-    turning: set[int] = set()
+    rotation_joints: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
-        turning.update(path[1:] if goal.pivots else path)
-    return turning
+        rotation_joints.update(path[1:] if goal.pivots else path)
+    return rotation_joints
 
 
 def _rests(

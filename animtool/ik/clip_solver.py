@@ -134,10 +134,10 @@ def _solve_in_order(clip: ClipPath) -> IkResult:
     while True:
         poses = clip.poses(result)
         jumps = clip.jumping(poses)
-        remaining = jumps[jumps > last_checked]
-        if not len(remaining):
+        remaining_jumps = jumps[jumps > last_checked]
+        if not len(remaining_jumps):
             break
-        last_checked = int(remaining[0])
+        last_checked = int(remaining_jumps[0])
         if _can_be_passed(clip, poses, last_checked):
             result = _with_detour(clip, result, last_checked)
     if clip.moving:

@@ -119,11 +119,11 @@ class Programs:
             sources: Chain coordinates by joint.
             scales: Divisor of each chain coordinate.
         """
-        needed = set(self.requested)
+        needed_inputs = set(self.requested)
         for target in reversed(self.plan.order):
-            if target in needed:
-                needed.update(self._reads(target))
-        order = [target for target in self.plan.order if target in needed]
+            if target in needed_inputs:
+                needed_inputs.update(self._reads(target))
+        order = [target for target in self.plan.order if target in needed_inputs]
         self._numbers = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []

@@ -152,7 +152,7 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     joints_above = {
         j for chain in chains for j in _path(rig, chain.root)
     } - chain_joints
-    stretching = {
+    stretching_joints = {
         j
         for chain in chains
         for j in _path(rig, chain.tip, chain.root)
@@ -162,7 +162,7 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     moving_joints = _leaving(
         motion.translations,
         rig.rest_translations,
-        joints_above | roots | chain_joints - stretching,
+        joints_above | roots | chain_joints - stretching_joints,
     )
     rotating_joints = _leaving(motion.rotations, rig.rest_rotations, joints_above)
     names = [rig.names[j] for j in sorted(moving_joints | rotating_joints)]

@@ -166,5 +166,7 @@ def _select_rows(result: IkResult, rows: IntArray) -> IkResult:
 
 def _arrays() -> list[str]:
     """Return the names of a result's per-problem arrays."""
-    excluded = {"problem", "jumps", "statuses"}
-    return [field.name for field in fields(IkResult) if field.name not in excluded]
+    excluded_fields = {"problem", "jumps", "statuses"}
+    return [
+        field.name for field in fields(IkResult) if field.name not in excluded_fields
+    ]

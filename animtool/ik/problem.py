@@ -224,10 +224,10 @@ def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list
         joints_above = rig.upwards(rig.index(goal.joint))
         if moving.intersection(joints_above):
             continue
-        movable = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
+        movable_names = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
         hint = "a joint cannot move a position at its own origin: set an offset"
-        if movable:
-            hint = f"none of the joints that could move it may: {listed(movable)}"
+        if movable_names:
+            hint = f"none of the joints that could move it may: {listed(movable_names)}"
         elif not any(rig.joints[j].type is not JointType.FIXED for j in joints_above):
             hint = "only fixed joints are above it"
         message = f"no joint moves {goal.joint!r}"

@@ -135,15 +135,15 @@ def goal_reports(
 
 
 def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
-    worst = int(np.argmax(misses))
+    worst_frame = int(np.argmax(misses))
     return Misses(
         part,
         len(misses),
         float(misses.mean()),
         # Without interpolation, which fails between infinite misses.
         float(np.percentile(misses, 95, method="inverted_cdf")),
-        float(misses[worst]),
-        float(times[worst]),
+        float(misses[worst_frame]),
+        float(times[worst_frame]),
     )
 
 
@@ -304,10 +304,10 @@ def _jump_hint(solved: TakeIk, worst: Jump) -> str:
             remaining_text = "leaves rotations of "
             remaining_text += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
         return f"{argument('smooth', f'{steadier.seconds:g}')} {remaining_text}"
-    fading = _fading_goal(solved, worst)
-    if fading is not None:
-        hint = f"the goal {fading.name!r} starts or ends there within "
-        return f"{hint}{counted(round(fading.ease), 'frame')}: a longer ease: slows it"
+    track = _fading_goal(solved, worst)
+    if track is not None:
+        hint = f"the goal {track.name!r} starts or ends there within "
+        return f"{hint}{counted(round(track.ease), 'frame')}: a longer ease: slows it"
     if worst.by_goals:
         return "its goals move or rotate as fast there: space their keys farther apart"
     goal = _straightening_goal(solved, worst)

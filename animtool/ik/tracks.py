@@ -75,21 +75,25 @@ class FreeEffector:
         ``values``: the targets, points ``(F, 3)`` or rotations ``(F, 4)``; ``weights``
         ``(F,)``.
         """
-        blended = values.copy()
+        blended_values = values.copy()
         rows = (weights > 0) & (weights < 1)
         fraction = weights[rows]
         if not len(fraction):
-            return blended
+            return blended_values
         if kind.value is TargetValue.ROTATION:
-            blended[rows] = so3.slerp(self.orientation()[rows], values[rows], fraction)
-            return so3.align_signs(blended)
+            blended_values[rows] = so3.slerp(
+                self.orientation()[rows], values[rows], fraction
+            )
+            return so3.align_signs(blended_values)
         if not kind.directed:
-            blended[rows] = self._blend_positions(values, rows, fraction)
-            return blended
+            blended_values[rows] = self._blend_positions(values, rows, fraction)
+            return blended_values
         origins, directions = self._axis() if kind.turning else self._bend(values)
         offsets = values[rows] - origins[rows]
-        blended[rows] = origins[rows] + swung(directions[rows], offsets, fraction)
-        return blended
+        blended_values[rows] = origins[rows] + swung(
+            directions[rows], offsets, fraction
+        )
+        return blended_values
 
     def _blend_positions(
         self, values: FloatArray, rows: BoolArray, fraction: FloatArray

@@ -80,10 +80,10 @@ def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
     >>> bend(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
     [0.0, 3.141593]
     """
-    clamped = np.clip(distance, np.abs(a - b), a + b)
+    clamped_distance = np.clip(distance, np.abs(a - b), a + b)
     # The half-angle form stays accurate at both ends.
-    closing = (a + b - clamped) * (a + b + clamped)
-    opening = (clamped - (a - b)) * (clamped + (a - b))
+    closing = (a + b - clamped_distance) * (a + b + clamped_distance)
+    opening = (clamped_distance - (a - b)) * (clamped_distance + (a - b))
     tangent = np.sqrt(np.maximum(closing, 0)), np.sqrt(np.maximum(opening, 0))
     return np.asarray(2 * np.arctan2(*tangent))
 

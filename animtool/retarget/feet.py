@@ -113,23 +113,23 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         _ankle_rise(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)
     ]
     hips[:, up] += _lift(hips, feet, pinned_points, heel_heights, fps, up)
-    planted = [foot.contacts.any for foot in feet]
+    is_planted = [foot.contacts.any for foot in feet]
     ankles = [
         _locked_path(hips + ankle, bone, foot, fps, up)
         for foot, ankle, bone in zip(feet, pinned_points, bones, strict=True)
     ]
-    lowering, rise = _hip_shifts(hips, feet, ankles, fps, up)
-    hips[:, up] += rise - lowering
+    hip_drop, rise = _hip_shifts(hips, feet, ankles, fps, up)
+    hips[:, up] += rise - hip_drop
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
     return Placed(
         hips,
         ankles,
         rotations,
-        planted,
+        is_planted,
         rolls,
         soles,
-        max(float(lowering.max(initial=0.0)), 0.0),
+        max(float(hip_drop.max(initial=0.0)), 0.0),
     )
 
 
@@ -184,7 +184,7 @@ def _lift(
     hips: FloatArray,
     feet: Sequence[Foot],
     relative: Sequence[FloatArray],
-    raised: Sequence[FloatArray],
+    ankle_rises: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> FloatArray:
@@ -192,7 +192,7 @@ def _lift(
     weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
     for weight, foot, ankle, raised_ankle in zip(
-        weights, feet, relative, raised, strict=True
+        weights, feet, relative, ankle_rises, strict=True
     ):
         lift[:, 0] += weight * (foot.height + raised_ankle - ankle[:, up] - hips[:, up])
     return _smoothest(weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4)[:, 0]
@@ -354,7 +354,7 @@ def _hip_shifts(
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far hips sink and rise so that legs reach, each ``(F,)`` [m]."""
-    sinking, rise = np.full((2, len(hips)), -np.inf)
+    hip_drop, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
         largest_reach = upper(
@@ -371,12 +371,12 @@ def _hip_shifts(
         highest = np.sqrt(
             np.maximum((fraction * foot.length) ** 2 - horizontal_squared, 0.0)
         )
-        sinking = np.maximum(sinking, offset[:, up] - highest)
+        hip_drop = np.maximum(hip_drop, offset[:, up] - highest)
         lowest = np.sqrt(np.maximum(foot.shortest**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
         upright = (offset[:, up] > 0) & (lowest > 0)
         rise = np.maximum(rise, np.where(upright, lowest - offset[:, up], 0.0))
-    return covering(sinking, LOWERING_SECONDS * fps), covering(
+    return covering(hip_drop, LOWERING_SECONDS * fps), covering(
         rise, LOWERING_SECONDS * fps
     )
 

@@ -393,7 +393,7 @@ class Retargeting:
 
     def _with_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
         """Return rotations with arms that bring the hands to their contacts."""
-        changed: set[int] = set()
+        changed_joints: set[int] = set()
         part, world = slice(begin, begin + len(rotations.world)), rotations.world.copy()
         for hand in self.standing.hands:
             arm = arm_of(self.transfer.target, hand.side)
@@ -401,10 +401,10 @@ class Retargeting:
             if arm is None or not bends.any():
                 continue
             world[:, arm[:2]] = so3.multiply(so3.exp(bends), world[:, arm[:2]])
-            changed.update(arm[:2])
-        if not changed:
+            changed_joints.update(arm[:2])
+        if not changed_joints:
             return rotations
-        return local_rotations(self.transfer, world, rotations, changed)
+        return local_rotations(self.transfer, world, rotations, changed_joints)
 
 
 def _floor(transfer: Transfer, feet: Sequence[Foot], *, placed: bool) -> Floor | None:
@@ -428,20 +428,20 @@ def joined(parts: list[Tracks]) -> Tracks:
 
 def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
     """Yield a motion in blocks of a size [frames]; the last has the remainder."""
-    buffered: list[Motion] = []
+    buffered_blocks: list[Motion] = []
     count = 0
     for motion in motions:
         start = 0
         while start < motion.frames:
             end = min(start + size - count, motion.frames)
-            buffered.append(motion.select(slice(start, end)))
+            buffered_blocks.append(motion.select(slice(start, end)))
             count += end - start
             start = end
             if count == size:
-                yield Motion.concatenate(buffered)
-                buffered, count = [], 0
-    if buffered:
-        yield Motion.concatenate(buffered)
+                yield Motion.concatenate(buffered_blocks)
+                buffered_blocks, count = [], 0
+    if buffered_blocks:
+        yield Motion.concatenate(buffered_blocks)
 
 
 @dataclass(frozen=True, slots=True)

@@ -342,12 +342,14 @@ def with_source_warnings(
         stream.notices.extend(
             replace(notice, path=str(path)) for notice in rate_warnings
         )
-    form = stream.details.get("format")
-    if unit is not None and "RIG217" not in known_codes and form != "markers":
+    file_format = stream.details.get("format")
+    if unit is not None and "RIG217" not in known_codes and file_format != "markers":
         stream.notices.extend(_size_warning(path, stream.rig, unit))
-    if up is None and form not in {"BVH", "markers"}:
+    if up is None and file_format not in {"BVH", "markers"}:
         return stream
-    severity = Severity.NOTE if up is None and form == "BVH" else Severity.WARNING
+    severity = (
+        Severity.NOTE if up is None and file_format == "BVH" else Severity.WARNING
+    )
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
@@ -366,14 +368,16 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     if not size or low <= size <= MAX_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
-    fitting = [
-        str(other)
-        for other in LengthUnit
-        if PERSON_METERS[0] <= size / unit.meters * other.meters <= PERSON_METERS[1]
+    fitting_units = [
+        str(unit_option)
+        for unit_option in LengthUnit
+        if PERSON_METERS[0]
+        <= size / unit.meters * unit_option.meters
+        <= PERSON_METERS[1]
     ]
     hint = f"remove {argument('source.unit')} if the file states its unit"
-    if fitting:
-        hint = f"use {argument('source.unit', fitting[0])}, or {hint}"
+    if fitting_units:
+        hint = f"use {argument('source.unit', fitting_units[0])}, or {hint}"
     return [Fault("RIG217", message, str(path), (), hint, Severity.WARNING)]
 
 

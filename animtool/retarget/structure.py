@@ -341,7 +341,7 @@ def split_limb(
         limb: Shape of the limb.
         branch: The joint where the end begins, if the tree shows it.
     """
-    beyond, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
+    remaining_joints, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
     n = len(path)
     distances = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
     best_labels, best_score = [""] * n, -np.inf
@@ -364,7 +364,7 @@ def split_limb(
                 )
             if score > best_score:
                 best_labels, best_score = labels, score
-    return best_labels + [""] * len(beyond)
+    return best_labels + [""] * len(remaining_joints)
 
 
 def _name_score(

@@ -260,10 +260,10 @@ class DriverPlan:
         A joint that mimics another is moved by that joint.
         """
         sources: dict[int, None] = {}
-        pending = [joint]
-        visited = {joint}
-        while pending:
-            j = pending.pop()
+        pending_joints = [joint]
+        visited_joints = {joint}
+        while pending_joints:
+            j = pending_joints.pop()
             if j in self.joints:
                 read_joints = list(map(self.rig.index, self.reads[self.rig.names[j]]))
             elif (mimic := self.rig.joints[j].mimic) is not None:
@@ -271,8 +271,10 @@ class DriverPlan:
             else:
                 sources[j] = None
                 continue
-            pending += [source for source in read_joints if source not in visited]
-            visited.update(read_joints)
+            pending_joints += [
+                source for source in read_joints if source not in visited_joints
+            ]
+            visited_joints.update(read_joints)
         return sorted(sources)
 
     def controls_read(self) -> set[str]:

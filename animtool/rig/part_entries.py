@@ -105,12 +105,12 @@ class PartReader:
                 self._is_known((*location, "combine", k), name, names, "shape")
             inbetweens: list[Inbetween] = []
             weights = [step.at for step in shape.inbetweens]
-            unordered = dict(
+            unordered_shapes = dict(
                 self.document.descents((*location, "inbetweens"), weights, "at")
             )
             for k, step in enumerate(shape.inbetweens):
                 inbetween_location = (*location, "inbetweens", k)
-                if step.at in {0, 1} or k in unordered:
+                if step.at in {0, 1} or k in unordered_shapes:
                     message = f"inbetween weight {step.at:g} is out of order"
                     hint = (
                         "weights ascend strictly between 0 (no deltas) and 1 (the "

@@ -81,24 +81,24 @@ def pair_sides(
     index = {name: i for i, name in enumerate(names)}
     parents_of = [-1] * len(names) if parents is None else [int(p) for p in parents]
     partners = np.arange(len(names))
-    unpaired = set(range(len(names)))
+    unpaired_indices = set(range(len(names)))
     for a, b in ((index[a], index[b]) for a, b in stated):
-        if a in unpaired and b in unpaired:
+        if a in unpaired_indices and b in unpaired_indices:
             partners[a], partners[b] = b, a
-            unpaired -= {a, b}
+            unpaired_indices -= {a, b}
     partner_of: list[int] = []
     for _, _, left, right in sorted(_candidates(names, index, _depths(parents_of))):
         parent = parents_of[left]
         partner_of_parent = int(partners[parent]) if parent >= 0 else -1
         if (
-            left in unpaired
-            and right in unpaired
+            left in unpaired_indices
+            and right in unpaired_indices
             and partner_of_parent == parents_of[right]
         ):
             partners[left], partners[right] = right, left
-            unpaired -= {left, right}
+            unpaired_indices -= {left, right}
             partner_of.append(left)
-    strays = [i for i in sorted(unpaired) if _looks(names[i])]
+    strays = [i for i in sorted(unpaired_indices) if _looks(names[i])]
     return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 

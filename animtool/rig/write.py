@@ -48,13 +48,13 @@ def rig_text(rig: Rig) -> str:
         f"up: {rig.up}",
         "joints:" if rig.joints else "joints: []",
     ]
-    written: set[str] = set()
+    written_names: set[str] = set()
     joints = rig.joints if _mirrors_drivers(rig) else _without_mirrors(rig.joints)
     for joint in joints:
-        if joint.mirror not in written:
+        if joint.mirror not in written_names:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             text_lines.append(f"- {units.joint(joint, parent, rig)}")
-            written.add(joint.name)
+            written_names.add(joint.name)
     bind = {**_unbound(rig), **_explicit_bind(rig)}
     if bind:
         text_lines.append("bind:")
@@ -290,12 +290,12 @@ def _mirrors_drivers(rig: Rig) -> bool:
         return True
     joints = {joint.name: joint for joint in rig.joints}
     partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
-    written: set[str] = set()
+    written_names: set[str] = set()
     for joint in rig.joints:
         partner = joints.get(joint.mirror)
-        if partner is None or joint.mirror in written:
+        if partner is None or joint.mirror in written_names:
             continue
-        written.add(joint.name)
+        written_names.add(joint.name)
         if (joint.driven is None) != (partner.driven is None):
             return False
         if (

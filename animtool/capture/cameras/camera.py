@@ -150,9 +150,9 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
     """
     # Overflows are invalid, and become NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        undistorted = _undistort(camera, pixels)
-    undistorted[~np.isfinite(undistorted).all(axis=-1)] = np.nan
-    return undistorted
+        undistorted_points = _undistort(camera, pixels)
+    undistorted_points[~np.isfinite(undistorted_points).all(axis=-1)] = np.nan
+    return undistorted_points
 
 
 def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:

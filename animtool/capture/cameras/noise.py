@@ -192,14 +192,14 @@ def _pooled_noise(lengths: FloatArray, used: BoolArray) -> float | None:
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera, from its median residual [px] ``(C,)``."""
-    used = states == USED
-    other_counts = used.sum(axis=1)[:, None] - used
-    is_judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (
+    is_used = states == USED
+    other_counts = is_used.sum(axis=1)[:, None] - is_used
+    is_judged = (is_used | (states == _REJECTED) | (states == _INACTIVE)) & (
         other_counts > 1
     )
     # A point seen by n cameras takes 3 of their 2n residuals.
     residual_fraction = np.where(
-        used, 1 - 1.5 / np.maximum(other_counts + used, 2), 1.0
+        is_used, 1 - 1.5 / np.maximum(other_counts + is_used, 2), 1.0
     )
     scaled_lengths = np.where(
         is_judged & np.isfinite(lengths), lengths / np.sqrt(residual_fraction), np.nan

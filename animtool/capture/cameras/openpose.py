@@ -85,13 +85,13 @@ def follow_people(
     lost_after = max(1, round(LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
         live = [t for t in tracks if frame - t.last_frame <= lost_after]
-        unassigned = {
+        unassigned_detections = {
             (camera, i)
             for camera, detected in enumerate(people)
             for i in range(len(detected))
         }
-        groups = _continue_tracks(live, people, cameras, unassigned)
-        first_new = _group_detections(people, cameras, sorted(unassigned))
+        groups = _continue_tracks(live, people, cameras, unassigned_detections)
+        first_new = _group_detections(people, cameras, sorted(unassigned_detections))
         for known_as, group in [*groups, *((None, group) for group in first_new)]:
             points = _solve_person(group, people, cameras, keypoints)
             if points is None:
@@ -360,12 +360,14 @@ def read_keypoints(
 
 def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     """Return the camera of each folder: by name, else in order."""
-    calibrated = set(cameras.names)
+    calibrated_names = set(cameras.names)
     suffixes = ("", "_json", "-json")
     names = []
     for folder in folders:
-        stripped = [folder.name.removesuffix(end) for end in suffixes]
-        names.append(next((name for name in stripped if name in calibrated), ""))
+        stripped_names = [folder.name.removesuffix(end) for end in suffixes]
+        names.append(
+            next((name for name in stripped_names if name in calibrated_names), "")
+        )
     if all(names):
         return tuple(names)
     if any(names):

@@ -260,20 +260,20 @@ def pose_change(
     if len(points) < MIN_OBSERVATIONS:
         return None
     rotation, translation = camera.rotation, camera.translation
-    refined = camera
+    refined_camera = camera
     for _ in range(_GAUSS_NEWTON_STEPS):
-        refined = Camera(
+        refined_camera = Camera(
             camera.name, camera.focal, camera.centre, rotation, translation,
             camera.size, camera.skew, camera.distortion,
         )  # fmt: skip
-        residual_vectors = project(refined, points) - pixels
+        residual_vectors = project(refined_camera, points) - pixels
         lengths = np.linalg.norm(residual_vectors, axis=-1)
         usable = np.isfinite(lengths)
         if usable.sum() < MIN_OBSERVATIONS:
             return None
         middle = max(float(np.median(lengths[usable])), 1e-6)
         weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
-        slopes = _slopes(refined, points)
+        slopes = _slopes(refined_camera, points)
         usable &= np.isfinite(slopes).all(axis=(1, 2))
         root = np.sqrt(weights[usable])[:, None]
         matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
@@ -282,30 +282,30 @@ def pose_change(
         )[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    residuals = np.linalg.norm(project(refined, points) - pixels, axis=-1)
+    residuals = np.linalg.norm(project(refined_camera, points) - pixels, axis=-1)
     initial_residuals = np.linalg.norm(project(camera, points) - pixels, axis=-1)
     if not np.nanmedian(residuals) < 0.5 * np.nanmedian(initial_residuals):
         return None
-    angle_vector = log(from_matrix(refined.rotation @ camera.rotation.T))
+    angle_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
     return PoseChange(
         float(np.linalg.norm(angle_vector)),
-        float(np.linalg.norm(refined.position - camera.position)),
+        float(np.linalg.norm(refined_camera.position - camera.position)),
         float(np.nanmedian(residuals)),
     )
 
 
 def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
     """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
-    projected = project(camera, points)
+    projected_points = project(camera, points)
     increment = 1e-6
     columns = []
     for axis in range(6):
         rotation = to_matrix(exp(increment * np.eye(6)[axis][:3]))
         shift = increment * np.eye(6)[axis][3:]
-        nudged = Camera(
+        shifted_camera = Camera(
             camera.name, camera.focal, camera.centre, rotation @ camera.rotation,
             rotation @ camera.translation + shift, camera.size, camera.skew,
             camera.distortion,
         )  # fmt: skip
-        columns.append((project(nudged, points) - projected) / increment)
+        columns.append((project(shifted_camera, points) - projected_points) / increment)
     return np.stack(columns, axis=-1)

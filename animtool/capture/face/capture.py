@@ -102,10 +102,10 @@ def read_capture(
     if path.suffix.lower() != ".npz":
         reader = find_reader(path).markers_opener(path)
         markers = reader(path, unit=unit, up=up, fps=fps)
-        labelled = [name for name in markers.names if not name.startswith("*")]
+        labelled_names = [name for name in markers.names if not name.startswith("*")]
         return FaceCapture(
             path,
-            tuple(markers.names) if len(labelled) == len(markers.names) else None,
+            tuple(markers.names) if len(labelled_names) == len(markers.names) else None,
             markers.clock,
             markers.positions,
             markers.up,

@@ -97,9 +97,9 @@ class FaceModel:
     def similar_shapes(self) -> list[tuple[int, int]]:
         """Return pairs of shapes that displace landmarks in the same directions."""
         moving = np.flatnonzero(self.moving())
-        flat = self.deltas[moving].reshape(len(moving), -1)
-        flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
-        pairs = np.argwhere(np.triu(flat @ flat.T > SAME_SHAPE, 1))
+        flat_deltas = self.deltas[moving].reshape(len(moving), -1)
+        flat_deltas = flat_deltas / np.linalg.norm(flat_deltas, axis=1, keepdims=True)
+        pairs = np.argwhere(np.triu(flat_deltas @ flat_deltas.T > SAME_SHAPE, 1))
         return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:

@@ -78,12 +78,12 @@ def transfer_weights(
         moving_shapes = {
             name for name, m in zip(source, moves.tolist(), strict=True) if m
         }
-        unlinked = [name for name in links.lost if name in moving_shapes]
+        unlinked_names = [name for name in links.lost if name in moving_shapes]
         notices = []
-        if unlinked:
-            message = f"{len(unlinked)} shapes that move are not in the target: "
+        if unlinked_names:
+            message = f"{len(unlinked_names)} shapes that move are not in the target: "
             notices.append(
-                naming("FAC108", message, unlinked, severity=Severity.WARNING)
+                naming("FAC108", message, unlinked_names, severity=Severity.WARNING)
             )
         linked_weights = links.apply(weights, len(target))
         return TransferredWeights(linked_weights, links, None, tuple(notices))

@@ -75,12 +75,15 @@ def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, 
     for seed in seeds:
         if any(names.get(point, marker) != marker for point, marker in seed.items()):
             continue
-        combined = names | seed
-        points, markers = np.array(list(combined)), np.array(list(combined.values()))
+        combined_names = names | seed
+        points, markers = (
+            np.array(list(combined_names)),
+            np.array(list(combined_names.values())),
+        )
         clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
         np.fill_diagonal(clash, False)
         if not clash.any():
-            names = combined
+            names = combined_names
     return names
 
 

@@ -88,11 +88,13 @@ def predict(
     for count in FRAME_MARKERS:
         if count <= len(neighbours):
             local, pose, to_world = _local(positions, frames, marker, neighbours, count)
-            best = _best_prediction(
+            best_prediction = _best_prediction(
                 local, pose, frames, gap, rate, STRAY_KERNELS, count
             )
-            predictions.append(Prediction(to_world(best.positions), best.error))
-    return min(predictions, key=lambda each: each.error)
+            predictions.append(
+                Prediction(to_world(best_prediction.positions), best_prediction.error)
+            )
+    return min(predictions, key=lambda prediction: prediction.error)
 
 
 def _best_prediction(
@@ -309,10 +311,12 @@ def _regress(
     weights = inverse @ (local - mean)
     values = kernel[known_count:] @ weights + mean
     length = gap.stop - gap.start
-    training = frames[:known_count]
+    training_frames = frames[:known_count]
     errors = []
-    for begin in _spans(training, gap):
-        left_out = np.flatnonzero((training >= begin) & (training < begin + length))
+    for begin in _spans(training_frames, gap):
+        left_out = np.flatnonzero(
+            (training_frames >= begin) & (training_frames < begin + length)
+        )
         if 0 < len(left_out) < known_count - MIN_TRAINING:
             block = inverse[np.ix_(left_out, left_out)]
             residuals = np.linalg.solve(block, weights[left_out])
@@ -343,9 +347,9 @@ def _kernel(
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), NOISE**2)
     lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known_count]) / stray_time
     over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
-    centred = pose - pose[:known_count].mean(axis=0)
-    features = centred / (
-        np.sqrt((centred[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
+    centred_pose = pose - pose[:known_count].mean(axis=0)
+    features = centred_pose / (
+        np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
     )
     products = features @ features[:known_count].T
     if length_scale:

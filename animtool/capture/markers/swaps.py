@@ -73,10 +73,10 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     source = np.tile(np.arange(count), (len(markers), 1))
     lengths: MarkerDistances | None = None
     crossings: dict[tuple[int, int], tuple[float, BoolArray]] = {}
-    tested: set[tuple[int, int]] = set()
+    tested_pairs: set[tuple[int, int]] = set()
     while True:
         for a, b in _pairs(positions, rate):
-            if (a, b) not in crossings and (a, b) not in tested:
+            if (a, b) not in crossings and (a, b) not in tested_pairs:
                 lengths = lengths or distances(positions)
                 crossings[a, b] = _crossed_frames(positions, a, b, rate, lengths)
         # The clearest pair first: among three markers it decides about the others.
@@ -93,7 +93,7 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
             span = slice(first, last + 1)
             positions[span, pair] = positions[span, pair[::-1]]
             source[span, pair] = source[span, pair[::-1]]
-        tested.add(clearest)
+        tested_pairs.add(clearest)
         crossings = {
             other_pair: candidate
             for other_pair, candidate in crossings.items()
@@ -251,11 +251,11 @@ def _crossed_frames(
                 min((later(path, state) for path in paths), key=lambda path: path.cost)
                 for state in (0, 1)
             ]
-    best = min(paths, key=lambda path: path.cost)
+    best_path = min(paths, key=lambda path: path.cost)
     crossed = np.zeros(len(pair_positions), np.int64)
-    for change in best.changes:
+    for change in best_path.changes:
         crossed[change:] ^= 1
-    return initial_path.cost - best.cost, crossed.astype(bool)
+    return initial_path.cost - best_path.cost, crossed.astype(bool)
 
 
 def _acceleration(pair_positions: FloatArray, rate: float) -> float:

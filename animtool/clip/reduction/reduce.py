@@ -260,21 +260,25 @@ def _tighten(
     contributions = np.zeros((len(budgets), len(frames)))
     for i, budget in enumerate(budgets):
         joint = budget.track.index
-        affected = np.flatnonzero(world.below[joint, joints_beyond])
-        arms = world.arms(joint, frames[affected], joints_beyond[affected])
-        contributions[i, affected] = (
-            budget.unit_motion(arms) * budget.errors[frames[affected]]
+        affected_frames = np.flatnonzero(world.below[joint, joints_beyond])
+        arms = world.arms(
+            joint, frames[affected_frames], joints_beyond[affected_frames]
+        )
+        contributions[i, affected_frames] = (
+            budget.unit_motion(arms) * budget.errors[frames[affected_frames]]
         )
     is_main_cause = (contributions >= 0.5 * contributions.max(axis=0, initial=0.0)) & (
         contributions > 0
     )
     changed_budgets = []
     for i, budget in enumerate(budgets):
-        affected = np.flatnonzero(is_main_cause[i])
-        if len(affected):
-            frame_positions, inverse = np.unique(frames[affected], return_inverse=True)
+        affected_frames = np.flatnonzero(is_main_cause[i])
+        if len(affected_frames):
+            frame_positions, inverse = np.unique(
+                frames[affected_frames], return_inverse=True
+            )
             largest_excess = np.zeros(len(frame_positions))
-            np.maximum.at(largest_excess, inverse, excess[affected])
+            np.maximum.at(largest_excess, inverse, excess[affected_frames])
             budget.tighten(
                 frame_positions,
                 budget.errors[frame_positions] * 0.9 / largest_excess,
