@@ -185,7 +185,7 @@ def _runs(
 
 
 def _align_signs(rotations: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return quaternions ``(F, 4)`` with signs nearest to others."""
+    """Return quaternions ``(F, 4)`` with signs aligned to a reference."""
     dots = np.sum(rotations * reference, axis=-1, keepdims=True)
     return np.where(dots < 0, -rotations, rotations)
 

@@ -230,7 +230,7 @@ def _retime(
     positions: FramePositions,
     shown: Callable[[FloatArray], FloatArray],
 ) -> Take:
-    """Return a take with its frames at positions between its own.
+    """Return a take resampled at fractional frame positions.
 
     clock: clock of the result, whose time t shows time ``shown(t)`` of the take.
     """

@@ -99,7 +99,7 @@ def _split(measure: _Measure, kept_samples: IntArray) -> IntArray:
 def _without_alternate(
     measure: _Measure, kept_samples: IntArray, skip: int
 ) -> IntArray:
-    """Return the samples without every second one that is unnecessary."""
+    """Return the samples without every second unnecessary one."""
     trial = np.arange(1 + skip, len(kept_samples) - 1, 2)
     if not len(trial):
         return kept_samples

@@ -249,7 +249,7 @@ def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
 
 
 def _referenced_joints(rig: Rig) -> set[str]:
-    """Return the joints that other parts of a rig refer to."""
+    """Return the joints that other parts of a rig reference."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
     chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(entry.joints for entry in rig.attach)]

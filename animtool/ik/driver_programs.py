@@ -231,7 +231,7 @@ class Programs:
         sources: Mapping[int, CoordinateSource],
         scales: FloatArray,
     ) -> list[_Row]:
-        """Return the rows that read a driver's input in its unit."""
+        """Return the program rows that read a driver's input in its unit."""
         rows = self._read(name, sources, scales)
         return rows + _times(1.0 / driver.unit_of(name))
 

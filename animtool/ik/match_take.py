@@ -181,7 +181,7 @@ def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
 
 
 def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
-    """Return the joints that leave their rest values in some frame."""
+    """Return the joints that are off their rest values in any frame."""
     joint_indices = np.array(sorted(joints), np.int64)
     values, rest_values = channel.gather(joint_indices), rest[joint_indices]
     if values.shape[2] == 4:

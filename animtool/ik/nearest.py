@@ -158,7 +158,7 @@ def _replace_rows(
 
 
 def _select_rows(result: IkResult, rows: IntArray) -> IkResult:
-    """Return some of the problems of a result."""
+    """Return a subset of a result's problems."""
     arrays = {name: getattr(result, name)[rows] for name in _arrays()}
     statuses = tuple(result.statuses[row] for row in rows.tolist())
     return replace(result, statuses=statuses, **arrays)

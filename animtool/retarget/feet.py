@@ -159,7 +159,7 @@ def _rolls(toe: BoolArray, fps: float) -> FloatArray:
 
 
 def _heading_rotation(rotation: FloatArray, up: int) -> FloatArray:
-    """Return the part of a rotation about the vertical ``(4,)``."""
+    """Return the vertical twist of a rotation ``(4,)``."""
     heading = np.zeros(4)
     heading[up], heading[3] = rotation[up], rotation[3]
     norm = float(np.linalg.norm(heading))
@@ -353,7 +353,7 @@ def _hip_shifts(
     fps: float,
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far hips sink and rise so that legs reach, each ``(F,)`` [m]."""
+    """Return how far hips drop and rise so that feet reach, each ``(F,)`` [m]."""
     hip_drop, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle

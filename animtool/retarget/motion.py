@@ -375,7 +375,7 @@ class Retargeting:
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
-        """Return rotations with ankles at their goals and feet as placed."""
+        """Return rotations with ankles at their goals and planted feet."""
         target, placed = self.transfer.target, self.standing.placed
         assert placed is not None
         world = rotations.world.copy()

@@ -156,7 +156,7 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
 
 
 def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return undistorted points at depth 1 of pixels, by Newton's method."""
+    """Undistort pixels to points at depth 1 with Newton's method."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
     target = np.stack([x, y], axis=-1)

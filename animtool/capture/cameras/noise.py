@@ -179,7 +179,7 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
 
 
 def _pooled_noise(lengths: FloatArray, used: BoolArray) -> float | None:
-    """Return the noise estimated from the points' sums of squares [px]."""
+    """Estimate the noise from the points' sums of squares [px]."""
     counts = used.sum(axis=1)
     sums = np.where(used, lengths, 0.0)
     sums = (sums * sums).sum(axis=1)[counts > 1]

@@ -110,7 +110,7 @@ def read_observations(
 
 
 def _other_kind(path: Path, message: str) -> tuple[str, str]:
-    """Return message and hint for a file of another type than npz."""
+    """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
         first_bytes = file.read(HEAD)
     if first_bytes[:2] == b"PK":

@@ -205,7 +205,7 @@ def _find_shifts(
     is_off: BoolArray,
     window: int,
 ) -> list[PoseShift]:
-    """Return runs of frames in which a camera does not fit, to the frame."""
+    """Return the exact frame ranges in which a camera does not fit."""
     is_rejected = np.concatenate(
         [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
     )

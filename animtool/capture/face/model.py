@@ -89,7 +89,7 @@ class FaceModel:
         return np.asarray(lengths.max(axis=1, initial=0) > MIN_MOTION * self.size)
 
     def select(self, shapes: BoolArray) -> FaceModel:
-        """Return the model with some of its shapes; the others have weight 0."""
+        """Return the model with a subset of its shapes; the rest have weight 0."""
         names = tuple(n for n, k in zip(self.shapes, shapes.tolist(), strict=True) if k)
         bent = None if self.bent is None else self.bent.select(shapes)
         return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)

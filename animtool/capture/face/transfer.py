@@ -1,4 +1,4 @@
-"""Weights of one face as weights of a face with other shapes."""
+"""Transfer of weights between faces with different shapes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def transfer_weights(
     fps: float = 60.0,
     smooth: float = 0.0,
 ) -> TransferredWeights:
-    """Return a face's weights as weights of another face.
+    """Transfer a face's weights to a face with different shapes.
 
     By name, in any of ARKit's spellings, and a remap file; or by landmarks that both
     faces have: the target weights whose landmarks move as the source's do, scaled by

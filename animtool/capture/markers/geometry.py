@@ -53,7 +53,7 @@ def distances(positions: FloatArray) -> MarkerDistances:
 
 
 def _quantiles(values: FloatArray) -> FloatArray:
-    """Return those of `PERCENTILES` of each column ``(3, N)``, NaN left out."""
+    """Return the `PERCENTILES` of each column ``(3, N)``, ignoring NaN."""
     sorted_values = np.sort(values, axis=0)
     last_row = np.isfinite(values).sum(axis=0) - 1
     position = np.array(PERCENTILES)[:, None] / 100.0 * last_row

@@ -267,7 +267,7 @@ def _apply_names(
     first: IntArray,
     exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
-    """Return the cloud by name."""
+    """Return the cloud with labelled markers."""
     frames = len(cloud)
     slots = np.full((frames, len(names)), -1)
     ids = tracklets.ids

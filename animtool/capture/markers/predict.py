@@ -250,7 +250,7 @@ def _nearest_markers(
 def _training_frames(
     visible: BoolArray, marker: int, gap: slice, neighbours: IntArray, rate: float
 ) -> IntArray:
-    """Return the training frames: all next to the gap, and some farther off."""
+    """Return the training frames: all near the gap, and some farther away."""
     window = int(TRAINING_SECONDS * rate)
     first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
     usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(axis=1)

@@ -372,7 +372,7 @@ def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, in
 
 
 def _take_columns(markers: Markers, source: IntArray) -> Markers:
-    """Return markers with values taken from other columns ``(F, M)``."""
+    """Return markers with their columns permuted per frame ``(F, M)``."""
 
     def exchanged(values: Any) -> Any:
         return None if values is None else np.take_along_axis(values, source, 1)

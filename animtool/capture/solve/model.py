@@ -122,7 +122,7 @@ class MarkerProblem:
         return np.asarray(world.positions[:, self.joints] + rotated_offsets)
 
     def changed(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
-        """Return the model with other bones and offsets ``(E, 3)``."""
+        """Return the model with new bones and offsets ``(E, 3)``."""
         markers = tuple(
             replace(marker, offset=tuple(offset))
             for marker, offset in zip(
