@@ -167,7 +167,7 @@ def _runs(
                 (2, 1),
                 (run + 1, run + 2),
             ):
-                shifted[k] = _signed(shifted[k], shifted[reference])
+                shifted[k] = _align_signs(shifted[k], shifted[reference])
         before, after = shifted[1], shifted[run + 2]
         forward, backward = 2 * before - shifted[0], 2 * after - shifted[run + 3]
         step = (after - before) / (run + 1)
@@ -184,9 +184,9 @@ def _runs(
         yield run, np.min(sizes, axis=0)
 
 
-def _signed(rotations: FloatArray, others: FloatArray) -> FloatArray:
-    """Return quaternions ``(F, 4)`` with signs nearest to others."""
-    dots = np.sum(rotations * others, axis=-1, keepdims=True)
+def _align_signs(rotations: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return quaternions ``(F, 4)`` with signs aligned to a reference."""
+    dots = np.sum(rotations * reference, axis=-1, keepdims=True)
     return np.where(dots < 0, -rotations, rotations)
 
 
@@ -230,8 +230,10 @@ def clean(
     options = CleanOptions(spikes, keep_noise, cutoff)
     for check in _checks(options).values():
         check()
-    cleaned, signals = cleaned_take(take, options)
-    return replace(cleaned, notices=(*take.notices, *notices(take, signals, options)))
+    cleaned_result, signals = cleaned_take(take, options)
+    return replace(
+        cleaned_result, notices=(*take.notices, *notices(take, signals, options))
+    )
 
 
 def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
@@ -262,7 +264,7 @@ def notices(
         )
         return [Fault("CAP102", message, severity=Severity.WARNING)]
     spiky = sorted({s.joint for s in signals if s.spikes})
-    filtered = [s for s in signals if s.cutoff is not None]
+    filtered_signals = [s for s in signals if s.cutoff is not None]
     faults, signal_parts, rate = [], [], float(take.clock.rate)
     if beyond_nyquist(options, rate) and not options.keep_noise:
         message = (
@@ -278,14 +280,14 @@ def notices(
         frames = sum(len(s.spikes) for s in signals)
         names = listed(spiky, MAX_LISTED_JOINTS)
         signal_parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
-    if filtered:
-        signal_parts.append(_filtered(filtered, len(signals)))
+    if filtered_signals:
+        signal_parts.append(_cutoff_text(filtered_signals, len(signals)))
     if signal_parts:
         faults.append(Fault("CAP101", "; ".join(signal_parts), severity=Severity.NOTE))
     return faults
 
 
-def _filtered(signals: list[CleanedSignal], count: int) -> str:
+def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
     """Return the chosen cut-offs, and the noise they are based on."""
     order = sorted(signals, key=lambda s: s.cutoff or 0.0)
     lowest, highest = order[0], order[-1]
@@ -301,7 +303,7 @@ def _filtered(signals: list[CleanedSignal], count: int) -> str:
 
 def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     """Return noise scores of a take, and the cleaned joints, worst first."""
-    filtered = sorted(
+    filtered_signals = sorted(
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
     )
     spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
@@ -310,7 +312,8 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     shifts = (s.noise for s in signals if not s.rotation)
     names = {
         "filtered": tuple(
-            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.noise_text}" for s in filtered
+            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.noise_text}"
+            for s in filtered_signals
         ),
         "spikes": tuple(f"{s.part} in {len(s.spikes)}" for s in spiky),
     }
@@ -334,18 +337,20 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     )
 
 
-def _refused(message: str) -> OptionError:
+def _option_error(message: str) -> OptionError:
     return OptionError(Fault("CAP001", message))
 
 
 def _check_spikes(spikes: int) -> None:
     if not 0 <= spikes <= ROUGHNESS_FRAMES // 2:
-        raise _refused(f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}")
+        raise _option_error(
+            f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}"
+        )
 
 
 def _check_cutoff(cutoff: float | None) -> None:
     if cutoff is not None and not 0 < cutoff < math.inf:
-        raise _refused(f"cutoff is {cutoff:g} Hz; it must be above 0")
+        raise _option_error(f"cutoff is {cutoff:g} Hz; it must be above 0")
 
 
 def _checks(options: CleanOptions) -> OptionChecks:
@@ -362,7 +367,7 @@ def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
     return cleaned
 
 
-_PARTS = frozenset({TakePart.JOINTS})
+_EDITED_PARTS = frozenset({TakePart.JOINTS})
 
 PASS = Pass(
     "clean",
@@ -371,6 +376,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    reads=_PARTS | {TakePart.RIG, TakePart.CLOCK},
-    changes=_PARTS,
+    reads=_EDITED_PARTS | {TakePart.RIG, TakePart.CLOCK},
+    changes=_EDITED_PARTS,
 )

@@ -29,12 +29,14 @@ def with_array_keys(document: Document, model: ClipModel) -> ClipModel:
         for i, channel in enumerate(channels):
             keys: object = channel.keys
             if isinstance(keys, str):
-                array_keys = _loaded(document, ("channels", i, "keys"), keys, archives)
+                array_keys = _load_keys(
+                    document, ("channels", i, "keys"), keys, archives
+                )
                 channels[i] = channel.model_copy(update={"keys": array_keys})
     return model.model_copy(update={"channels": channels})
 
 
-def _loaded(
+def _load_keys(
     document: Document, at: Location, text: str, archives: Archives
 ) -> PlainKeys | list[object]:
     """Return the keys of a reference; none if faulty."""

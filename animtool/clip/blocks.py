@@ -33,8 +33,8 @@ BLOCK_ROWS = 2**17
 MARGIN_KEYS = 3
 # Channels with fewer keys are evaluated with all of them.
 MANY_KEYS = 256
-_PARTS = ("translations", "rotations", "scales", "weights", "controls")
-_ENDING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+_CHANNEL_PARTS = ("translations", "rotations", "scales", "weights", "controls")
+_END_MODES = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def sample_blocks(
@@ -107,7 +107,7 @@ class _BlockSampler:
 def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
     """Return a channel with only the keys that its values between two times need."""
     few = len(channel.times) < MANY_KEYS
-    if few or not {channel.pre, channel.post} <= _ENDING:
+    if few or not {channel.pre, channel.post} <= _END_MODES:
         return channel
     begin = int(np.searchsorted(channel.times, first, "right")) - 1 - MARGIN_KEYS
     end = int(np.searchsorted(channel.times, last)) + 1 + MARGIN_KEYS
@@ -135,7 +135,7 @@ class _BlockLayout:
 
     def add(self, motion: Motion) -> None:
         """Add what moves in a block."""
-        for part in _PARTS:
+        for part in _CHANNEL_PARTS:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
                 still = np.zeros(len(channel.rest), np.bool_)
@@ -153,12 +153,14 @@ class _BlockLayout:
             skip: Number of its frames that the block before has.
         """
         arranged: dict[str, Any] = {
-            part: self._arranged(part, getattr(motion, part), motion.frames, skip)
+            part: self._arrange_channel(
+                part, getattr(motion, part), motion.frames, skip
+            )
             for part in self.moving
         }
         return replace(motion, **arranged)
 
-    def _arranged(
+    def _arrange_channel(
         self, part: str, channel: Channel | None, frames: int, skip: int
     ) -> Channel:
         if channel is None:

@@ -65,7 +65,7 @@ class ChannelReader:
             self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
         default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
         if isinstance(model.keys, PlainKeys):
-            plain_channel = self._plain(at, model, target, kind, unit)
+            plain_channel = self._plain_channel(at, model, target, kind, unit)
             if plain_channel is not None:
                 return plain_channel
             if model.keys.name:
@@ -112,7 +112,7 @@ class ChannelReader:
             Extrapolation(model.post),
         )
 
-    def _plain(
+    def _plain_channel(
         self, at: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
         """Return the channel of plain keys; None on a fault."""
@@ -177,7 +177,7 @@ class ChannelReader:
         at: Location,
         model: CurveModel,
         target: str,
-        allowed: frozenset[Interp],
+        allowed_interps: frozenset[Interp],
     ) -> bool:
         named_interps: list[tuple[Location, str | None]] = [
             ((*at, "interp"), model.interp)
@@ -189,10 +189,10 @@ class ChannelReader:
         not_allowed = [
             (location, name)
             for location, name in named_interps
-            if name is not None and Interp(name) not in allowed
+            if name is not None and Interp(name) not in allowed_interps
         ]
         for location, name in not_allowed:
-            hint = f"allowed: {', '.join(sorted(allowed))}"
+            hint = f"allowed: {', '.join(sorted(allowed_interps))}"
             if name == Interp.SPLINE:
                 hint = f"spline is for quaternions; for numbers, {hint}"
             message = f"{name} does not apply to {target!r}"
@@ -302,7 +302,7 @@ class ChannelReader:
         self, at: Location, model: CurveModel, components: int, is_positive: bool
     ) -> FloatArray | None:
         value_rows = []
-        shown: set[str] = set()  # hints that hold for the channel
+        shown_hints: set[str] = set()  # hints that hold for the channel
         for k, key in enumerate(_key_models(model)):
             value_row = key.v if isinstance(key.v, list) else [key.v]
             if components == 3 and len(value_row) == 1 and is_positive:
@@ -310,12 +310,12 @@ class ChannelReader:
             if len(value_row) != components:
                 location = (*at, "keys", k, "v")
                 hint = _form_hint(model, len(value_row), components)
-                if hint not in shown:
+                if hint not in shown_hints:
                     count = counted(len(value_row), "number")
                     message = f"{count} instead of {components}"
                     hint = hint or self.document.decimal_commas(location, components)
                     self.document.add("CLIP007", location, message, hint)
-                    shown |= {hint} if hint else set()
+                    shown_hints |= {hint} if hint else set()
                 continue
             value_rows.append(value_row)
         if len(value_rows) < len(_key_models(model)):

@@ -114,9 +114,11 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
     rig_joint = rig.joints[rig.index(joint)]
     if rig_joint.type not in KEYED_PARTS[part]:
-        fitting = [p for p, types in KEYED_PARTS.items() if rig_joint.type in types]
+        fitting_parts = [
+            p for p, types in KEYED_PARTS.items() if rig_joint.type in types
+        ]
         message = f"a {rig_joint.type} joint has no {part}"
-        return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
+        return Fault("CLIP003", message, hint=f"it has {', '.join(fitting_parts)}")
     return kind
 
 
@@ -210,8 +212,8 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
         ]
     return Curves(
         np.array(first_key, np.int64),
-        _joined([times for times, *_ in channel_curves]),
-        _joined([values for _, values, *_ in channel_curves]),
+        _concatenate([times for times, *_ in channel_curves]),
+        _concatenate([values for _, values, *_ in channel_curves]),
         np.concatenate(
             [np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in channel_curves]]
         ),
@@ -222,7 +224,7 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
     )
 
 
-def _joined(parts: list[FloatArray]) -> FloatArray:
+def _concatenate(parts: list[FloatArray]) -> FloatArray:
     return np.concatenate([np.zeros(0), *parts])
 
 

@@ -92,7 +92,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
     if not rig.is_driven:
         return rig.controls
     plan = plan_of(rig)
-    unkeyable = {
+    unkeyable_names = {
         *(f"shape/{n}" for n in plan.shapes),
         *(f"control/{n}" for n in plan.controls),
     }
@@ -101,7 +101,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
             control,
             drives=()
             if control.name in plan.controls
-            else tuple(d for d in control.drives if d.target not in unkeyable),
+            else tuple(d for d in control.drives if d.target not in unkeyable_names),
         )
         for control in rig.controls
     ]

@@ -137,7 +137,7 @@ def _with_best_revolution(
         for motion, mimic, follower_type in followers:
             differences = motion.coordinate - (mimic.gain * angle + mimic.offset)
             is_pin = follower_type is JointType.PIN
-            differences = _wrapped(differences) if is_pin else differences
+            differences = _wrap_angles(differences) if is_pin else differences
             tolerance = same.angle if is_pin else same.length
             excess_sum = excess_sum or bool(
                 np.abs(differences).max(initial=0.0) > tolerance
@@ -165,8 +165,8 @@ def requested_of_joints(
     Returns target values ``(F or 1,)``, and the targets of joints that also move along
     axes that no control drives.
     """
-    requested: dict[str, FloatArray] = {}
-    keyed: set[str] = set()
+    requested_values: dict[str, FloatArray] = {}
+    keyed_names: set[str] = set()
     for target in sorted(targets):
         group, _, name = target.partition("/")
         if group != "joint":
@@ -177,24 +177,26 @@ def requested_of_joints(
         if kind == "rotation":
             axis_targets = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
             guess = [guesses.get(part, np.zeros(1)) for part in axis_targets]
-            vector = _near(motion.rotation, np.stack(np.broadcast_arrays(*guess), -1))
-            requested[target] = vector[:, "xyz".index(axis)]
+            vector = _nearest_revolution(
+                motion.rotation, np.stack(np.broadcast_arrays(*guess), -1)
+            )
+            requested_values[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
             if np.abs(vector[:, other_axes]).max(initial=0.0) > same.angle:
-                keyed.add(target)
+                keyed_names.add(target)
         elif kind == "translation":
-            requested[target] = motion.shift[:, "xyz".index(axis)]
+            requested_values[target] = motion.shift[:, "xyz".index(axis)]
         else:
-            requested[target] = motion.coordinate
+            requested_values[target] = motion.coordinate
             is_unreachable = (
                 motion.rotation_error > same.angle if kind == "angle" else False
             )
             if is_unreachable or (kind == "slide" and motion.shift_error > same.length):
-                keyed.add(target)
-    return requested, keyed
+                keyed_names.add(target)
+    return requested_values, keyed_names
 
 
-def _near(rotation: FloatArray, guess: FloatArray) -> FloatArray:
+def _nearest_revolution(rotation: FloatArray, guess: FloatArray) -> FloatArray:
     """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
     vector = so3.log(rotation)
     vector, guess = np.broadcast_arrays(vector, guess)
@@ -305,7 +307,7 @@ class _OneJoint:
             local = so3.align_signs(so3.multiply(rest_rotation, motion.rotation))
             yield self._euler("local_rotation", local, None)
         elif joint.type is JointType.PIN:
-            difference = _wrapped(motion.coordinate - expected)
+            difference = _wrap_angles(motion.coordinate - expected)
             if self._differs(difference, tolerances.angle, rests=motion.rotation_rests):
                 driven_part = self.driven("angle", fitted=True)
                 yield self._track(
@@ -368,5 +370,5 @@ class _OneJoint:
         )
 
 
-def _wrapped(angles: FloatArray) -> FloatArray:
+def _wrap_angles(angles: FloatArray) -> FloatArray:
     return np.asarray(angles - 2 * np.pi * np.round(angles / (2 * np.pi)))

@@ -253,13 +253,13 @@ class _ClipReader:
         if not len(model.keys):
             return None
         self.curves.check(at, model)
-        kind = self._kind((*at, "target"), model.target)
+        kind = self._target_kind((*at, "target"), model.target)
         if kind is None or self.document.is_placeholder((*at, "target")):
             return None
         unit = self.units.of(model.target, model.euler or "")
         return self.curves.channel(at, model, model.target, kind, unit)
 
-    def _kind(self, at: Location, target: str) -> str | None:
+    def _target_kind(self, at: Location, target: str) -> str | None:
         kind = target_kind(target, self.rig)
         if isinstance(kind, Fault):
             self.document.add(kind.code, at, kind.message, kind.hint)

@@ -64,7 +64,7 @@ def channel_errors(
             shape_index = np.array([shapes[name]])
             weights_pair = take.motion.weights, keyed.weights
             a, b = (
-                _gathered(control, shape_index, take.motion.frames)
+                _channel_values(control, shape_index, take.motion.frames)
                 for control in weights_pair
             )
             return np.abs(a - b)[:, 0, 0], None
@@ -80,7 +80,7 @@ def channel_errors(
         if part == "scale":
             weights_pair = take.motion.scales, keyed.scales
             a, b = (
-                _gathered(control, shape_index, take.motion.frames, 1.0)
+                _channel_values(control, shape_index, take.motion.frames, 1.0)
                 for control in weights_pair
             )
             return np.abs(a - b).max(axis=(1, 2)), None
@@ -102,7 +102,7 @@ def channel_errors(
     return tuple(reports)
 
 
-def _gathered(
+def _channel_values(
     channel: Channel | None, at: IntArray, frames: int, default: float = 0.0
 ) -> FloatArray:
     if channel is None:
@@ -119,7 +119,7 @@ def key_notices(
 ) -> tuple[Fault, ...]:
     """Return notes on motion that the rig's controls and mimics cannot produce."""
     notices = [
-        *_released(solved),
+        *_released_notes(solved),
         *_on_top(rig, tracks, driven_targets),
         *_off_type(rig, joints, tracks),
         *_unreachable_notes(rig, tracks),
@@ -133,7 +133,7 @@ def key_notices(
 _Note = tuple[str, str, str | None]
 
 
-def _released(solved: SolvedControls) -> Iterator[_Note]:
+def _released_notes(solved: SolvedControls) -> Iterator[_Note]:
     if solved.released:
         names = listed(solved.released, MAX_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"

@@ -99,7 +99,9 @@ def keyed_take(
     """
     other_tolerances = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, other_tolerances)
-    tolerances = _same(rig, float(bounds.min()) if len(bounds) else tolerance)
+    tolerances = _rounding_differences(
+        rig, float(bounds.min()) if len(bounds) else tolerance
+    )
     joints = joint_motions(rig, take.motion, tolerances)
     solved = _solved(take, rig, joints, tolerances, additive=base is not None)
     weights = uncombined_weights_of(take, rig)
@@ -124,7 +126,7 @@ def keyed_take(
     return result
 
 
-def _same(rig: Rig, tolerance: float) -> Same:
+def _rounding_differences(rig: Rig, tolerance: float) -> Same:
     """Return the differences that count as rounding for a tolerance [m]."""
     rounding = SAME_FRACTION * tolerance
     return Same(
@@ -169,7 +171,7 @@ class _Job:
         take, rig, others = self.take, self.rig, self.others
         others = {pattern: factor * value for pattern, value in others.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, others)
-        unkeyable_values = self._driven()
+        unkeyable_values = self._driven_values()
         exact_targets = (
             evaluate_controls(rig.controls, self.solved.values).targets
             | unkeyable_values
@@ -208,13 +210,13 @@ class _Job:
         bounds_of_all = joint_bounds(rig, self.tolerance, self.others)
         return KeyedTake(
             clip,
-            _measured(reduction, take, sampled_motion, self.base, bounds_of_all),
+            _measure_errors(reduction, take, sampled_motion, self.base, bounds_of_all),
             tuple(controls.named),
             channel_errors(clip, rig, take, sampled_motion, self.solved.values),
             key_notices(rig, self.joints, self.solved, tracks, exact_targets),
         )
 
-    def _driven(self) -> dict[str, FloatArray]:
+    def _driven_values(self) -> dict[str, FloatArray]:
         """Return the values of unkeyable targets, driven by joint coordinates."""
         rig = self.rig
         if not rig.is_driven:
@@ -233,9 +235,9 @@ class _Job:
     ) -> frozenset[tuple[ChannelKind, int]]:
         """Return the keyed channels, and those of mimic joints of keyed joints."""
         keyed_channels = {(track.kind, track.index) for track in tracks}
-        leading = {self.rig.joints[index].name for _, index in keyed_channels}
+        leading_joints = {self.rig.joints[index].name for _, index in keyed_channels}
         for j, joint in enumerate(self.rig.joints):
-            if joint.mimic is not None and joint.mimic.joint in leading:
+            if joint.mimic is not None and joint.mimic.joint in leading_joints:
                 keyed_channels |= {
                     (ChannelKind.TRANSLATION, j),
                     (ChannelKind.ROTATION, j),
@@ -299,7 +301,7 @@ def _growth(rig: Rig, tracks: list[KeyTrack]) -> float:
     return max(1.0, *shape_weights.values()) if shape_weights else 1.0
 
 
-def _measured(
+def _measure_errors(
     reduction: Reduction,
     take: Take,
     keyed: Motion,

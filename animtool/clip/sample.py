@@ -120,8 +120,8 @@ def with_keys(
     ]
     if not keys or keys == [notice.frame]:
         return notice
-    message = notice.fault.message.removesuffix(_CLAMPED)
-    suffix = _CLAMPED if message != notice.fault.message else ""
+    message = notice.fault.message.removesuffix(_CLAMPED_SUFFIX)
+    suffix = _CLAMPED_SUFFIX if message != notice.fault.message else ""
     subject = f"{len(keys)} keys are" if len(keys) > 1 else "a key is"
     word = "frames" if len(keys) > 1 else "frame"
     frames = listed([f"{frame:g}" for frame in keys], MAX_LISTED_FRAMES)
@@ -235,7 +235,7 @@ def _range_notices(
                 f"control {control.name!r} {verb} {values[worst_frame]:.6g} at frame "
                 f"{frame:g}, outside {control.low:g} to {control.high:g}"
             )
-            message += _CLAMPED if clamp else ""
+            message += _CLAMPED_SUFFIX if clamp else ""
             hint = None if clamp else _CLAMP
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
@@ -245,7 +245,7 @@ def _range_notices(
 
 
 _CLAMP = f"{argument('source.clamp', True)} clamps it"
-_CLAMPED = ": clamped"
+_CLAMPED_SUFFIX = ": clamped"
 
 
 def _parts_by_joint(
@@ -268,7 +268,7 @@ def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
     """Drop control contributions where a local channel replaces the joint's motion."""
     notices = []
     for name, part in parts.items():
-        for local, replaced_parts in _ADDED.items():
+        for local, replaced_parts in _ADDED_PARTS.items():
             if local not in part:
                 continue
             dropped = [part.pop(key) for key in replaced_parts if key in part]
@@ -280,7 +280,7 @@ def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
 
 
 # Parts that local keys replace.
-_ADDED = {
+_ADDED_PARTS = {
     "local_translation": ("+slide", *(f"+translation.{axis}" for axis in "xyz")),
     "local_rotation": ("+angle", *(f"+rotation.{axis}" for axis in "xyz")),
 }
@@ -381,7 +381,7 @@ class _Joints:
         """Return the motion's translation in the joint's rest frame."""
         slide = _sum(parts.get("slide"), parts.get("+slide"))
         if slide is not None:
-            slide = self._limited(joint, slide)
+            slide = self._clamp_to_limits(joint, slide)
             return np.asarray(slide * np.array(joint.axis))
         translation = parts.get("translation")
         for i, axis in enumerate("xyz"):
@@ -396,7 +396,7 @@ class _Joints:
         """Return the motion's rotation in the joint's rest frame."""
         angle = _sum(parts.get("angle"), parts.get("+angle"))
         if angle is not None:
-            angle = self._limited(joint, angle)
+            angle = self._clamp_to_limits(joint, angle)
             return so3.from_axis_angle(joint.axis, angle[:, 0])
         rotation = parts.get("rotation")
         driven_axes = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
@@ -415,7 +415,7 @@ class _Joints:
             rotation = clamped_rotation if self.clamp else rotation
         return rotation
 
-    def _limited(self, joint: Joint, values: FloatArray) -> FloatArray:
+    def _clamp_to_limits(self, joint: Joint, values: FloatArray) -> FloatArray:
         if not isinstance(joint.limits, RangeLimit):
             return values
         clamped_values = joint.limits.clamped(values)
@@ -440,11 +440,17 @@ class _Joints:
         self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
 
 
-def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
+def _sum(
+    keyed_values: FloatArray | None, driven_values: FloatArray | None
+) -> FloatArray | None:
     """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
-    if driven is None:
-        return keyed
-    return driven[:, None] if keyed is None else keyed + driven[:, None]
+    if driven_values is None:
+        return keyed_values
+    return (
+        driven_values[:, None]
+        if keyed_values is None
+        else keyed_values + driven_values[:, None]
+    )
 
 
 def _column_channel(columns: list[FloatArray], count: int) -> Channel:

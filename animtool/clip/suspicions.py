@@ -159,16 +159,16 @@ def _warn_of_angles(
     i, values = max(angles, key=lambda angle_channel: np.abs(angle_channel[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
-    declared, intended = ("deg", "rad") if in_degrees else ("rad", "deg")
+    file_unit, likely_unit = ("deg", "rad") if in_degrees else ("rad", "deg")
     words = {"deg": "degrees", "rad": "radians"}
     factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
     message = (
         f"rotation keys of {counted(len(angles), 'channel')} look like "
-        f"{words[intended]}, "
-        f"but the angle unit is {declared}: the largest is {largest:.4g}"
+        f"{words[likely_unit]}, "
+        f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
     )
     hint = (
-        f"write 'units: {{angle: {intended}}}', or this key in {words[declared]}: "
+        f"write 'units: {{angle: {likely_unit}}}', or this key in {words[file_unit]}: "
         f"{largest * factor:.4g}"
     )
     document.warn("CLIP107", (*_at(i, k), "v"), message, hint)
@@ -285,8 +285,10 @@ def _warn_of_controls(
     if not controls or not joints:
         return
     times = np.unique(np.concatenate([channel.times for channel in channels]))
-    picked = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES)).astype(int)
-    times = times[picked]
+    sample_indices = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES)).astype(
+        int
+    )
+    times = times[sample_indices]
     keyed = {
         target.removeprefix("control/"): values[:, 0]
         for target, values in evaluate_channels(controls, times).items()
@@ -299,15 +301,15 @@ def _warn_of_controls(
             for name, values in driven.items()
             if name == target or name.startswith(f"{target}.")
         ]
-        own = float(np.ptp(channels[i].values, axis=0).max())
-        added = max(spans, default=0.0)
-        if not added > 0 or own < MIN_LAYER * added:
+        channel_span = float(np.ptp(channels[i].values, axis=0).max())
+        driven_span = max(spans, default=0.0)
+        if not driven_span > 0 or channel_span < MIN_LAYER * driven_span:
             continue
         names = listed([repr(name) for name in _drivers(rig, target, keyed)], 3)
         is_length = target.endswith(("translation", "slide"))
         shown = [
             length_text(span) if is_length else f"{math.degrees(span):.4g}°"
-            for span in (own, added)
+            for span in (channel_span, driven_span)
         ]
         message = (
             f"{target!r} is keyed over {shown[0]}, and control {names} moves it over "

@@ -66,7 +66,7 @@ def _warn_of_seconds(
 
 def _in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     """Return whether the key times of channels are likely seconds."""
-    steps = np.concatenate([np.diff(each) for each in times])
+    steps = np.concatenate([np.diff(channel_times) for channel_times in times])
     together = np.concatenate(times)
     on_frame = np.abs(together - np.round(together)) <= ON_FRAME
     if not len(steps) or on_frame.all():
@@ -75,9 +75,9 @@ def _in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     if step < DENSE and len(steps) >= MIN_SAMPLES:
         return True
     # Several seconds from 0, keyed by hand; even steps are samples between frames.
-    even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
-    short = float(np.ptp(together)) < fps
-    return bool(0 <= together.min() < 1 and step < CLOSE and short and not even)
+    is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
+    is_short = float(np.ptp(together)) < fps
+    return bool(0 <= together.min() < 1 and step < CLOSE and is_short and not is_even)
 
 
 def _warn_of_range(
@@ -88,18 +88,20 @@ def _warn_of_range(
     The first one on either side shapes the curve on its way there, and all are played
     where a channel repeats them.
     """
-    outside = {i: keys_beyond(c, first, last) for i, c in enumerate(channels)}
-    outside = {i: keys for i, keys in outside.items() if len(keys)}
-    if not outside:
+    keys_outside = {i: keys_beyond(c, first, last) for i, c in enumerate(channels)}
+    keys_outside = {i: keys for i, keys in keys_outside.items() if len(keys)}
+    if not keys_outside:
         return
-    i, keys = next(iter(outside.items()))
+    i, keys = next(iter(keys_outside.items()))
     frames = listed([f"{t:g}" for t in channels[i].times[keys]])
-    more = len(outside) - 1
+    other_count = len(keys_outside) - 1
     message = (
         f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the range "
         f"from {first:g} to {last:g}: {frames}"
     )
-    message += f"; keys of {counted(more, 'other channel')} too" if more else ""
+    message += (
+        f"; keys of {counted(other_count, 'other channel')} too" if other_count else ""
+    )
     hint = "widen the range, or remove what is never played"
     document.warn("CLIP201", ("channels", i, "keys", int(keys[0]), "t"), message, hint)
 
@@ -109,5 +111,5 @@ def keys_beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
     if not {channel.pre, channel.post} <= _NOT_CYCLING:
         return np.zeros(0, np.int64)
     before = np.flatnonzero(channel.times < first)[:-1]
-    behind = np.flatnonzero(channel.times > last)[1:]
-    return np.concatenate([before, behind])
+    later_keys = np.flatnonzero(channel.times > last)[1:]
+    return np.concatenate([before, later_keys])

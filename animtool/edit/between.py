@@ -93,7 +93,7 @@ class Between:
         if not self.curved or not is_between.any():
             return interpolated
         times = self._times(at)[is_between]
-        return self._evaluated(interpolated, is_between, times, shared=shared)
+        return self._evaluate(interpolated, is_between, times, shared=shared)
 
     def curve(self, shown: Callable[[FloatArray], FloatArray]) -> MotionCurve | None:
         """Return the curve of a take whose time t shows time ``shown(t)`` of this one.
@@ -117,7 +117,7 @@ class Between:
         times = float(clock.start) + frames * float(clock.step)
         return np.asarray(np.round(times, TIME_DECIMALS))
 
-    def _evaluated(
+    def _evaluate(
         self,
         interpolated: Motion,
         is_between: BoolArray,
@@ -160,12 +160,12 @@ def _same_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None
     moving = np.union1d(a.animated, b.animated)
-    is_equal: BoolArray = _near(a.rest[None], b.rest[None])[0]
-    is_equal[moving] = _near(a.gather(moving), b.gather(moving)).all(axis=0)
+    is_equal: BoolArray = _is_equal(a.rest[None], b.rest[None])[0]
+    is_equal[moving] = _is_equal(a.gather(moving), b.gather(moving)).all(axis=0)
     return is_equal
 
 
-def _near(a: FloatArray, b: FloatArray) -> BoolArray:
+def _is_equal(a: FloatArray, b: FloatArray) -> BoolArray:
     """Return a mask of equal values ``(F, J, K)``: ``(F, J)``."""
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)

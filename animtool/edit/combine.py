@@ -73,10 +73,10 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     """Refuse two takes whose joints differ in name or parent (SCN017)."""
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
-    missing = sorted(set(rig.names) ^ set(other.names))
+    missing_joints = sorted(set(rig.names) ^ set(other.names))
     problem = (
-        f"joint {missing[0]!r} is in only one of them"
-        if missing
+        f"joint {missing_joints[0]!r} is in only one of them"
+        if missing_joints
         else ("joints are in different positions")
     )
     raise OptionError(
@@ -97,11 +97,11 @@ def combine(
     A motion without scales has scale 1, one without shape weights has 0; controls
     change only if both motions have some.
     """
-    everything = strength.joints is None
+    is_unmasked = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
         a, b = getattr(base, name), getattr(other, name)
-        if not everything or (a is None and b is None):
+        if not is_unmasked or (a is None and b is None):
             return _as_channel(a)
         if name == "controls" and (a is None or b is None):
             return _as_channel(a)
@@ -111,18 +111,20 @@ def combine(
                 Fault("SCN017", f"one take has {len(a.rest)} {name}, the other "
                       f"{len(b.rest)}")
             )  # fmt: skip
-        return _joined(a, b, operations.numbers, strength)
+        return _combine_channels(a, b, operations.numbers, strength)
 
     scales = base.scales
     if base.scales is not None or other.scales is not None:
-        a = base.scales or _neutral(_some(other.scales), 1.0)
+        a = base.scales or _neutral(_not_none(other.scales), 1.0)
         b = other.scales or _neutral(a, 1.0)
-        scales = _joined(a, b, operations.scales, strength)
+        scales = _combine_channels(a, b, operations.scales, strength)
     return Motion(
-        _joined(
+        _combine_channels(
             base.translations, other.translations, operations.translations, strength
         ),
-        _joined(base.rotations, other.rotations, operations.rotations, strength),
+        _combine_channels(
+            base.rotations, other.rotations, operations.rotations, strength
+        ),
         scales,
         numbers("weights"),
         numbers("controls"),
@@ -130,7 +132,7 @@ def combine(
     )
 
 
-def _some(channel: Channel | None) -> Channel:
+def _not_none(channel: Channel | None) -> Channel:
     assert channel is not None
     return channel
 
@@ -143,7 +145,7 @@ def _neutral(like: Channel, value: float) -> Channel:
     return Channel.static(np.full(like.rest.shape, value), len(like.values))
 
 
-def _joined(
+def _combine_channels(
     a: Channel, b: Channel, operation: Operation, strength: Strength
 ) -> Channel:
     is_affected = (

@@ -104,7 +104,7 @@ def find_cycle(
             hint = "a cycle needs several frames: choose another take"
         raise _no_cycle(message, hint)
     view = _PoseView.of(take)
-    coarse = _best(view.see(frames), min_lag, max_lag, view.static_extent)
+    coarse = _best_cycle(view.see(frames), min_lag, max_lag, view.static_extent)
     if coarse is None:
         raise _no_cycle("where nothing moves")
     start, lag, extent = coarse
@@ -214,7 +214,7 @@ class _PoseView:
             self._points(frame_indices) for frame_indices in neighbour_frames
         )
         end_offset = (frames - middle)[:, None, None]
-        speed = (points_after - points_before) / 2 + end_offset * (
+        velocities = (points_after - points_before) / 2 + end_offset * (
             points_after - 2 * points_at + points_before
         )
         current_points = np.where(
@@ -222,9 +222,9 @@ class _PoseView:
             points_before,
             np.where(end_offset > 0, points_after, points_at),
         )
-        ground, heading = self._standing(frames)
+        ground, heading = self._ground_pose(frames)
         inverse_heading = so3.conjugate(heading)[:, None]
-        speed_as_distance = speed * (SPEED_TIME * float(self.take.clock.rate))
+        speed_as_distance = velocities * (SPEED_TIME * float(self.take.clock.rate))
         columns = [
             so3.rotate(inverse_heading, current_points - ground[:, None]),
             so3.rotate(inverse_heading, speed_as_distance),
@@ -241,7 +241,7 @@ class _PoseView:
         ]
         return np.concatenate([origins, *neighbours], axis=1)
 
-    def _standing(self, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _ground_pose(self, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the character's ground position ``(N, 3)`` and heading ``(N, 4)``."""
         rig: Rig = self.take.rig
         up = np.array(rig.up.vector)
@@ -259,7 +259,7 @@ def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(difference.sum(axis=0)))
 
 
-def _best(
+def _best_cycle(
     table: FloatArray, min_lag: int, max_lag: int, static_extent: float
 ) -> tuple[int, int, float] | None:
     """Return start, length and extent of the best cycle, in columns."""

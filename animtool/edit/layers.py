@@ -105,7 +105,7 @@ def blend(
     return replace(take, clock=full_clock, motion=motion)
 
 
-def _blended(take: Take, options: BlendOptions, context: PassContext) -> Take:
+def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
     return blend(
         take,
         context.take(options.take),
@@ -128,7 +128,7 @@ BLEND = Pass(
     "Blend with another take",
     BlendOptions,
     Scope.CLIP,
-    _blended,
+    _run_blend,
     _check_blend,
     changes=MOTION_PARTS,
 )
@@ -207,7 +207,7 @@ def _blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
         first, previous = first + block.frames, motion.rotations.values[-1]
 
 
-def _subtracted(
+def _run_difference(
     stream: TakeStream, options: DifferenceOptions, context: PassContext
 ) -> TakeStream:
     if options.base is None:
@@ -223,7 +223,7 @@ DIFFERENCE = Pass(
     "Make an additive take",
     DifferenceOptions,
     Scope.FRAME,
-    _subtracted,
+    _run_difference,
     changes=MOTION_PARTS,
 )
 
@@ -301,13 +301,15 @@ def layer(
         parse_choice(LayerMode, mode, "mode"),
         weight,
         parse_choice(KeyInterpolation, interpolation, "interpolation"),
-        _limited(take.rig, joints, children),
+        _limit_joints(take.rig, joints, children),
         delay,
     )
     return plan.over(TakeStream.of(take)).collect()
 
 
-def _limited(rig: Rig, joints: str | Sequence[str], children: bool) -> list[int] | None:
+def _limit_joints(
+    rig: Rig, joints: str | Sequence[str], children: bool
+) -> list[int] | None:
     return joints_matching(rig, joints, children=children) if joints else None
 
 
@@ -350,7 +352,7 @@ class _Plan:
             )
 
 
-def _layered(
+def _run_layer(
     stream: TakeStream, options: LayerOptions, context: PassContext
 ) -> TakeStream:
     plan = _Plan(
@@ -358,7 +360,7 @@ def _layered(
         parse_choice(LayerMode, options.mode, "mode"),
         options.weight,
         parse_choice(KeyInterpolation, options.interpolation, "interpolation"),
-        _limited(stream.rig, options.joints, options.children),
+        _limit_joints(stream.rig, options.joints, options.children),
         options.delay,
     )
     return plan.over(stream)
@@ -378,7 +380,7 @@ LAYER = Pass(
     "Layer another take on top",
     LayerOptions,
     Scope.FRAME,
-    _layered,
+    _run_layer,
     _check_layer,
     changes=MOTION_PARTS,
 )

@@ -99,16 +99,18 @@ def closed_lines(values: FloatArray, blend: SeamBlend, onward: NextCycle) -> Flo
     """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
     cycle = blend.cycle(values)
     start_frames, end_frames = blend.ends(values)
-    missing = _missing_speed(
+    missing_velocity = _missing_speed(
         np.diff(onward(start_frames), axis=0),
         np.diff(end_frames, axis=0),
         lambda: np.diff(cycle, axis=0),
         blend,
     )
     offset = onward(cycle[:1])[0] - cycle[-1]
-    corrected, blended = cycle[:-1].copy(), blend.late
-    corrected[blended] += blend.pose[blended] * offset + blend.speed[blended] * missing
-    return corrected
+    corrected_values, blend_frames = cycle[:-1].copy(), blend.late
+    corrected_values[blend_frames] += (
+        blend.pose[blend_frames] * offset + blend.speed[blend_frames] * missing_velocity
+    )
+    return corrected_values
 
 
 def closed_rotations(
@@ -120,16 +122,16 @@ def closed_rotations(
     offset = so3.multiply(so3.conjugate(cycle[-1]), onward(cycle[:1])[0])
     # Speeds are about the joint's own axes, which the offset rotates.
     end_values = so3.rotate(so3.conjugate(offset), so3.steps(end_frames))
-    missing = _missing_speed(
+    missing_velocity = _missing_speed(
         so3.steps(onward(start_frames)), end_values, lambda: so3.steps(cycle), blend
     )
-    corrected, blended = cycle[:-1].copy(), blend.late
-    correction = so3.slerp(so3.IDENTITY, offset, blend.pose[blended, :, 0])
-    corrected_part = so3.multiply(corrected[blended], correction)
-    corrected[blended] = so3.multiply(
-        corrected_part, so3.exp(blend.speed[blended] * missing)
+    corrected_values, blend_frames = cycle[:-1].copy(), blend.late
+    correction = so3.slerp(so3.IDENTITY, offset, blend.pose[blend_frames, :, 0])
+    corrected_part = so3.multiply(corrected_values[blend_frames], correction)
+    corrected_values[blend_frames] = so3.multiply(
+        corrected_part, so3.exp(blend.speed[blend_frames] * missing_velocity)
     )
-    return corrected
+    return corrected_values
 
 
 def _missing_speed(
@@ -265,7 +267,7 @@ def loop(
         slice(i, j + 1),
         slice(i - has_frame_before, j + has_frame_after + 1),
     )
-    cycle = _Cycling(
+    cycle = _CycleState(
         cycle_travel(take.rig, take.motion.select(cycle_frames)), seam, repeats
     )
     motion = cycle.motion(take.motion.select(frames_with_neighbours))
@@ -313,11 +315,11 @@ def _looped_track(
         Channel.from_dense(known.rotations[:, None]),
     )
     cycle_slice = slice(seam.before, seam.before + seam.length + 1)
-    cycle = _Cycling(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
+    cycle = _CycleState(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
     looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
-        cycle_values = closed_lines(values, seam, lambda same: same)
+        cycle_values = closed_lines(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
     mapped_transforms = mapped_numbers(track, known, closed)
@@ -340,7 +342,7 @@ def _looped_track(
 
 
 @dataclass(frozen=True, slots=True)
-class _Cycling:
+class _CycleState:
     travel: CycleTravel
     blend: SeamBlend
     repeats: int

@@ -69,12 +69,14 @@ class ControlMirror:
         rest_rotations = rest_world(rig).linear[0]
 
         def effect(c: int, sign: float) -> FloatArray:
-            return _flat(_effect(rig, c, sign, rest_rotations))
+            return _flatten_effect(_effect(rig, c, sign, rest_rotations))
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
             effects, weights = _effect(rig, i, 1.0, rest_rotations)
-            flat_effect = _flat(((effects * mirror_signs)[joints], weights[shapes]))
+            flat_effect = _flatten_effect(
+                ((effects * mirror_signs)[joints], weights[shapes])
+            )
             if not flat_effect.any():
                 continue
             partner_effects, mirrored_distances = (
@@ -88,8 +90,10 @@ class ControlMirror:
 
     def __call__(self, values: FloatArray, c: IntArray) -> FloatArray:
         """Return values ``(..., A, 1)`` of controls mapped to their partners."""
-        flipped = self.pivots[self.partners[c], None] - (values - self.pivots[c, None])
-        return np.where(self.signs[c, None] < 0, flipped, values)
+        flipped_values = self.pivots[self.partners[c], None] - (
+            values - self.pivots[c, None]
+        )
+        return np.where(self.signs[c, None] < 0, flipped_values, values)
 
 
 def _pivot(control: Control) -> float:
@@ -99,7 +103,7 @@ def _pivot(control: Control) -> float:
     return 0.0 if control.low <= 0 <= control.high else control.default
 
 
-def _flat(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _flatten_effect(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
     return np.concatenate([part.ravel() for part in effect])
 
 
@@ -199,7 +203,7 @@ def mirror(
             not partners (SCN019), or the axis is unknown (SCN025).
     """
     options = MirrorOptions(parse_choice(Axis, axis, "axis"), _tuples(pairs))
-    return _mirrored(TakeStream.of(take), options).collect()
+    return _run_mirror(TakeStream.of(take), options).collect()
 
 
 def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
@@ -209,21 +213,25 @@ def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
     return tuple((a, b) for a, b in pairs)
 
 
-def _stated(rig: Rig, pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+def _with_rig_pairs(
+    rig: Rig, pairs: Sequence[tuple[str, str]]
+) -> list[tuple[str, str]]:
     for name in (name for pair in pairs for name in pair):
         joint_index(rig, name, "pairs")
     stated_pairs = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
     return [*pairs, *((a, b) for a, b in stated_pairs if b in rig.names)]
 
 
-def _mirrored(
+def _run_mirror(
     stream: TakeStream, options: MirrorOptions, context: PassContext | None = None
 ) -> TakeStream:
     rig = stream.rig
-    pairs = pair_sides(rig.names, rig.parents, _stated(rig, _tuples(options.pairs)))
+    pairs = pair_sides(
+        rig.names, rig.parents, _with_rig_pairs(rig, _tuples(options.pairs))
+    )
     partners = pairs.partners
     _check_stated(rig, options.pairs, partners)
-    is_kept = _kept(rig, partners)
+    is_kept = _is_unpaired(rig, partners)
     _check_tree(rig, partners, is_kept)
     axis = "XYZ".index(parse_choice(Axis, options.axis, "axis"))
     names_by_kind = {
@@ -246,7 +254,7 @@ def _mirrored(
     return replace(stream, blocks=_blocks(stream, joint_mirror, shapes, controls))
 
 
-def _kept(rig: Rig, partners: IntArray) -> BoolArray:
+def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
     """Return which joints have no partner but a parent that has one ``(J,)``."""
     parents = rig.parents
     is_unpaired = partners == np.arange(len(partners))
@@ -271,8 +279,8 @@ def _strays(
             "each keeps its values; give both sides the same name except for the side"
         )
     elif likely_pairs:
-        written = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
-        hint = f"add pairs: [{written}] to the pass's options to pair them"
+        written_pairs = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
+        hint = f"add pairs: [{written_pairs}] to the pass's options to pair them"
     else:
         stray = names[min(stray_indices)]
         hint = (
@@ -417,13 +425,13 @@ def _blocks(
             None
             if block.scales is None
             else _mirrored_channel(block.scales, glass.partners, glass.scales),
-            _swapped(block.weights, shapes, lambda values, _: values),
-            _swapped(block.controls, controls.partners, controls),
+            _swap_partners(block.weights, shapes, lambda values, _: values),
+            _swap_partners(block.controls, controls.partners, controls),
             block.track_times,
         )
 
 
-def _swapped(
+def _swap_partners(
     channel: Channel | None, partners: IntArray, look: _ValueMap
 ) -> Channel | None:
     if channel is None or len(partners) != len(channel.rest):
@@ -444,7 +452,7 @@ PASS = Pass(
     "Swap left and right",
     MirrorOptions,
     Scope.FRAME,
-    _mirrored,
+    _run_mirror,
     reads=EVERY_PART - {TakePart.CLOCK},
     changes=MOTION_PARTS,
 )

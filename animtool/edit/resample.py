@@ -90,7 +90,7 @@ def plan_samples(
     if frame_range is not None:
         origin = Fraction(math.floor(start))
         shift = origin - start
-        frame_numbers = _within(frame_range, start, frame_span, hold=hold)
+        frame_numbers = _covered_frames(frame_range, start, frame_span, hold=hold)
     if len(frame_numbers) * max(1, len(offsets)) > MAX_FRAMES:
         raise _refusal(
             f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
@@ -120,12 +120,14 @@ def plan_samples(
         codes.T.ravel()[sort_order],
         frames,
         fractions,
-        _between(frame_numbers, shift, ratio, clock.count, frames[fractions == 0]),
+        _dropped_samples(
+            frame_numbers, shift, ratio, clock.count, frames[fractions == 0]
+        ),
         end_position - last_frame if remainder else Fraction(0),
     )
 
 
-def _between(
+def _dropped_samples(
     frames: range,
     shift: Fraction,
     ratio: Fraction,
@@ -191,7 +193,7 @@ def _codes(first: Fraction, frames: range) -> FloatArray:
     return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
-def _within(
+def _covered_frames(
     frame_range: FrameRange, start: Fraction, span: Fraction, *, hold: bool
 ) -> range:
     """Return the frames of the range that the take covers, from ``floor(start)``.
@@ -386,7 +388,7 @@ def _checks(options: ResampleOptions) -> OptionChecks:
     return {"fps": lambda: rate_option(fps)}
 
 
-def _even(options: ResampleOptions, clock: Clock) -> LinearTime | None:
+def _linear_time(options: ResampleOptions, clock: Clock) -> LinearTime | None:
     if options.fps is None or options.lowpass:
         return None
     start = float(clock.start)
@@ -402,5 +404,5 @@ PASS = Pass(
     _checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
-    even=_even,
+    even=_linear_time,
 )

@@ -69,10 +69,10 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
     Raises:
         OptionError: The take has no frame in the range (SCN013).
     """
-    return _trimmed(TakeStream.of(take), TrimOptions(first, last)).collect()
+    return _run_trim(TakeStream.of(take), TrimOptions(first, last)).collect()
 
 
-def _trimmed(
+def _run_trim(
     stream: TakeStream, options: TrimOptions, context: PassContext | None = None
 ) -> TakeStream:
     # The frames of a shot at the ends of the range may be between two samples.
@@ -97,7 +97,7 @@ def _trimmed(
         )
     if last_index is not None and last_index < first_index:
         raise frame_refusal(
-            f"there is no frame from {_shown(options.first, first_code)} to "
+            f"there is no frame from {_frame_text(options.first, first_code)} to "
             f"{options.last:g}"
         )
     new_start = (
@@ -106,7 +106,9 @@ def _trimmed(
     return replace(
         stream,
         start=new_start,
-        blocks=_kept(stream, first_index, last_index, first_code, in_shot=in_shot),
+        blocks=_trim_blocks(
+            stream, first_index, last_index, first_code, in_shot=in_shot
+        ),
     )
 
 
@@ -114,11 +116,11 @@ def _trim_checks(options: TrimOptions) -> OptionChecks:
     return {"last": lambda: check_range(options.first, options.last)}
 
 
-def _shown(frame: float | None, start: Fraction) -> str:
+def _frame_text(frame: float | None, start: Fraction) -> str:
     return f"{float(start) if frame is None else frame:g}"
 
 
-def _kept(
+def _trim_blocks(
     stream: TakeStream,
     first_index: int,
     last_index: int | None,
@@ -157,7 +159,7 @@ TRIM = Pass(
     "Keep a range of frames",
     TrimOptions,
     Scope.FRAME,
-    _trimmed,
+    _run_trim,
     _trim_checks,
     reads=frozenset({TakePart.CLOCK}),
     changes=frozenset({TakePart.CLOCK}),
@@ -214,7 +216,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         index, pivot_frame / rate - pivot_frame, rate, clock.count
     )
     pivot_and_rate, factor = float(pivot_code), float(rate)
-    return _retimed(
+    return _retime(
         take,
         replace(clock, start=clock.start + first_index * clock.step, count=len(index)),
         positions,
@@ -222,13 +224,13 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     )
 
 
-def _retimed(
+def _retime(
     take: Take,
     clock: Clock,
     positions: FramePositions,
     shown: Callable[[FloatArray], FloatArray],
 ) -> Take:
-    """Return a take with its frames at positions between its own.
+    """Return a take resampled at fractional frame positions.
 
     clock: clock of the result, whose time t shows time ``shown(t)`` of the take.
     """
@@ -252,13 +254,15 @@ def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
     return {"speed": lambda: _check_speed(options.speed)}
 
 
-def _scaled(take: Take, options: TimeScaleOptions, context: PassContext) -> Take:
+def _run_time_scale(
+    take: Take, options: TimeScaleOptions, context: PassContext
+) -> Take:
     result = time_scale(take, options.speed, options.pivot)
     context.note_once(result.notices[len(take.notices) :])
     return result
 
 
-def _even(options: TimeScaleOptions, clock: Clock) -> LinearTime | None:
+def _linear_time(options: TimeScaleOptions, clock: Clock) -> LinearTime | None:
     if options.speed <= 0:
         return None
     pivot = float(clock.start) if options.pivot is None else options.pivot
@@ -270,11 +274,11 @@ TIME_SCALE = Pass(
     "Play at another speed",
     TimeScaleOptions,
     Scope.CLIP,
-    _scaled,
+    _run_time_scale,
     _scale_checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
-    even=_even,
+    even=_linear_time,
 )
 
 
@@ -338,7 +342,7 @@ def time_warp(
     positions = nearby_positions(
         (shown(result_clock.times) - start) / step, clock.count
     )
-    return _retimed(take, result_clock, positions, shown)
+    return _retime(take, result_clock, positions, shown)
 
 
 def _check_inside(clock: Clock, values: FloatArray) -> None:
@@ -350,7 +354,7 @@ def _check_inside(clock: Clock, values: FloatArray) -> None:
         raise frame_refusal(f"{message}{first:g}-{last:g}")
 
 
-def _warped(take: Take, options: TimeWarpOptions, context: PassContext) -> Take:
+def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -> Take:
     if not options.curve:
         return take
     result = time_warp(take, options.curve, options.interpolation)
@@ -367,7 +371,7 @@ TIME_WARP = Pass(
     "Retime by a curve",
     TimeWarpOptions,
     Scope.CLIP,
-    _warped,
+    _run_time_warp,
     _warp_checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,

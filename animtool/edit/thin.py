@@ -66,7 +66,7 @@ def thin_samples(
     measure = _Measure(rig, codes, motion, bounds)
     kept_samples = _split(measure, np.unique([0, len(codes) - 1]))
     for round_ in range(MAX_DROP_PASSES):
-        kept_samples = _joined(measure, kept_samples, round_ % 2)
+        kept_samples = _without_alternate(measure, kept_samples, round_ % 2)
     return measure.report(kept_samples)
 
 
@@ -96,16 +96,19 @@ def _split(measure: _Measure, kept_samples: IntArray) -> IntArray:
     return kept_samples
 
 
-def _joined(measure: _Measure, kept_samples: IntArray, skip: int) -> IntArray:
-    """Return the samples without every second one that is unnecessary."""
+def _without_alternate(
+    measure: _Measure, kept_samples: IntArray, skip: int
+) -> IntArray:
+    """Return the samples without every second unnecessary one."""
     trial = np.arange(1 + skip, len(kept_samples) - 1, 2)
     if not len(trial):
         return kept_samples
-    fewer = np.delete(kept_samples, trial)
+    fewer_samples = np.delete(kept_samples, trial)
     frames = np.setdiff1d(
-        np.arange(kept_samples[trial[0] - 1], kept_samples[trial[-1] + 1]), fewer
+        np.arange(kept_samples[trial[0] - 1], kept_samples[trial[-1] + 1]),
+        fewer_samples,
     )
-    ratios = measure.ratios(fewer, frames)
+    ratios = measure.ratios(fewer_samples, frames)
     # Every interval of the trial contains one frame: the sample that it drops.
     interval = np.searchsorted(kept_samples[trial - 1], frames, side="right") - 1
     worst_ratios = np.zeros(len(trial))
@@ -133,13 +136,13 @@ class _Measure:
     ) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
-        restored = self.motion.select(kept_samples).map(positions.blend)
+        restored_motion = self.motion.select(kept_samples).map(positions.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
-        world = restored.world(self.rig)
+        world = restored_motion.world(self.rig)
         weights = np.zeros(len(frames))
-        if restored.weights is not None and self.motion.weights is not None:
+        if restored_motion.weights is not None and self.motion.weights is not None:
             original_weights = self.motion.weights.values[frames]
-            weight_errors = np.abs(restored.weights.values - original_weights)
+            weight_errors = np.abs(restored_motion.weights.values - original_weights)
             weights = weight_errors.max(axis=(1, 2), initial=0.0)
         return point_errors(self.points, truth, world), weights
 

@@ -28,12 +28,12 @@ class JointFrame:
 
 def above(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return the world frame that contains a joint's local transform."""
-    return _followed(motion, rig.upwards(joint)[:0:-1])
+    return _travel_frame(motion, rig.upwards(joint)[:0:-1])
 
 
 def joint_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return a joint's world frame in every frame."""
-    return _followed(motion, rig.upwards(joint)[::-1])
+    return _travel_frame(motion, rig.upwards(joint)[::-1])
 
 
 def rest_rotation(rig: Rig, joint: int) -> FloatArray:
@@ -44,7 +44,7 @@ def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     return rotation
 
 
-def _followed(motion: Motion, joints: list[int]) -> JointFrame:
+def _travel_frame(motion: Motion, joints: list[int]) -> JointFrame:
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
@@ -123,11 +123,11 @@ class FramePositions:
         if is_rotation:
             values = so3.align_signs(values)
             row_before, row_after = so3.normalize(row_before), so3.normalize(row_after)
-        extended = np.concatenate([row_before, values, row_after])
+        extended_values = np.concatenate([row_before, values, row_after])
         values_at_frames = channel.values[self.frames]
         (is_between,) = np.nonzero(self.fractions > 0)
         t = self.fractions[is_between, None, None]
-        a, b, c, d = (extended[self.frames[is_between] + k] for k in range(4))
+        a, b, c, d = (extended_values[self.frames[is_between] + k] for k in range(4))
         curve = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
@@ -158,7 +158,7 @@ def even_positions(
         pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
         frames = np.array([min(max(frame, -1), count) for frame, _ in pairs], np.int64)
         fractions = np.array([float(remainders) for _, remainders in pairs])
-    return _clamped(frames, fractions, count)
+    return _clamp_positions(frames, fractions, count)
 
 
 def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
@@ -177,7 +177,7 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
         clamped_positions,
     )
     frames = np.floor(clamped_positions).astype(np.int64)
-    return _clamped(frames, clamped_positions - frames, count)
+    return _clamp_positions(frames, clamped_positions - frames, count)
 
 
 def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
@@ -192,10 +192,12 @@ def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
     frames = np.searchsorted(codes, times, side="right") - 1
     next_frames = np.minimum(frames + 1, len(codes) - 1)
     spans = np.where(next_frames > frames, codes[next_frames] - codes[frames], 1.0)
-    return _clamped(frames, (times - codes[frames]) / spans, len(codes))
+    return _clamp_positions(frames, (times - codes[frames]) / spans, len(codes))
 
 
-def _clamped(frames: IntArray, fractions: FloatArray, count: int) -> FramePositions:
+def _clamp_positions(
+    frames: IntArray, fractions: FloatArray, count: int
+) -> FramePositions:
     is_outside = (frames < 0) | (frames >= count - 1)
     return FramePositions(
         np.clip(frames, 0, count - 1), np.where(is_outside, 0.0, fractions)

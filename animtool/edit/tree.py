@@ -152,16 +152,16 @@ def removed(take: Take, joint: int) -> Take:
 
     Its children move to its parent and take over its scale and rest pose.
     """
-    take = _unscaled(take, joint)
+    take = _move_scale_to_children(take, joint)
     rig = take.rig
     name, parent = rig.names[joint], rig.joints[joint].parent
-    if name in _referred(rig):
+    if name in _referenced_joints(rig):
         message = f"the rig's skins, chains or controls refer to {name!r}"
         raise OptionError(Fault("SCN020", message, hint="keep the joint"))
     joints = []
     for i, rig_joint in enumerate(rig.joints):
         if rig_joint.parent == joint:
-            pose = _below(_rest(rig.joints[joint]), _rest(rig_joint))
+            pose = _relative_pose(_rest_pose(rig.joints[joint]), _rest_pose(rig_joint))
             rig_joint = replace(  # noqa: PLW2901
                 rig_joint,
                 parent=parent,
@@ -186,7 +186,7 @@ def removed(take: Take, joint: int) -> Take:
     return _on(take, smaller_rig, shrunk)
 
 
-def _unscaled(take: Take, joint: int) -> Take:
+def _move_scale_to_children(take: Take, joint: int) -> Take:
     """Return the take with a joint's scale moved to its children."""
     scales = take.motion.scales
     if scales is None:
@@ -219,11 +219,11 @@ def _on(take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]) 
     )
 
 
-def _rest(joint: Joint) -> Pose:
+def _rest_pose(joint: Joint) -> Pose:
     return Pose(joint.translation, joint.rotation)
 
 
-def _below(parent_pose: Pose, pose: Pose) -> Pose:
+def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
     """Return a pose relative to another, in the frame of that pose's parent."""
     translation = (
         so3.rotate(parent_pose.rotation, pose.translation) + parent_pose.translation
@@ -241,15 +241,15 @@ def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
         if rig_joint.parent == joint and {rig_joint.name, removed_joint.name} & set(
             rig.bind
         ):
-            parent_pose = rig.bind.get(removed_joint.name, _rest(removed_joint))
-            bind[rig_joint.name] = _below(
-                parent_pose, rig.bind.get(rig_joint.name, _rest(rig_joint))
+            parent_pose = rig.bind.get(removed_joint.name, _rest_pose(removed_joint))
+            bind[rig_joint.name] = _relative_pose(
+                parent_pose, rig.bind.get(rig_joint.name, _rest_pose(rig_joint))
             )
     return bind
 
 
-def _referred(rig: Rig) -> set[str]:
-    """Return the joints that other parts of a rig refer to."""
+def _referenced_joints(rig: Rig) -> set[str]:
+    """Return the joints that other parts of a rig reference."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
     chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(entry.joints for entry in rig.attach)]
@@ -414,7 +414,7 @@ def _check_axis(axis: Sequence[float] | None) -> None:
         raise _refusal(f"axis must be three finite numbers, not {list(axis)}", "axis")
 
 
-def _named(options: HangOptions, key: str) -> None:
+def _require_option(options: HangOptions, key: str) -> None:
     if not getattr(options, key):
         raise _refusal(f"{key} is missing", key)
 
@@ -435,8 +435,8 @@ def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
 
 def _checks(options: HangOptions) -> OptionChecks:
     return {
-        "joint": lambda: _named(options, "joint"),
-        "system": lambda: _named(options, "system"),
+        "joint": lambda: _require_option(options, "joint"),
+        "system": lambda: _require_option(options, "system"),
         "axis": lambda: _check_axis(options.axis),
     }
 

@@ -174,9 +174,11 @@ def _z_onto(axis: FloatArray) -> FloatArray:
 def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
     """Return the joint that leads a mimic joint, with gain and offset."""
     gain, shift = 1.0, 0.0
-    visited = set()
-    while (mimic := rig.joints[joint].mimic) is not None and joint not in visited:
-        visited.add(joint)
+    visited_joints = set()
+    while (
+        mimic := rig.joints[joint].mimic
+    ) is not None and joint not in visited_joints:
+        visited_joints.add(joint)
         shift += gain * mimic.offset
         gain *= mimic.gain
         joint = rig.index(mimic.joint)

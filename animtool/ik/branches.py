@@ -83,9 +83,9 @@ class Interval:
             batch = slice(first, min(first + TRACK_BATCH, len(rows)))
             result = self._solve(start, self.frames.start + rows[batch], frame_options)
             poses[batch] = self.chain.from_rig(result.coordinates)
-            missed = np.flatnonzero(~result.converged)
-            if len(missed):
-                return poses, first + int(missed[0])
+            missed_frames = np.flatnonzero(~result.converged)
+            if len(missed_frames):
+                return poses, first + int(missed_frames[0])
             start = result.coordinates[-1]
         return poses, len(rows)
 
@@ -167,7 +167,7 @@ def branches(
     current_path = interval.poses[None]
     paths = [current_path, tracks]
     prices = [interval.costs[None], costs]
-    for path, cost in _passing(interval, tracks, jump_row):
+    for path, cost in _blend_paths(interval, tracks, jump_row):
         paths.append(path[None])
         prices.append(cost[None])
     return np.concatenate(paths), np.concatenate(prices)
@@ -231,14 +231,14 @@ def search_branches(
                 slice(row, min(row + search_reach, length)),
                 slice(row, row - search_reach, -1),
             ):
-                rows = np.arange(length)[_clipped(direction)]
+                rows = np.arange(length)[_from_start(direction)]
                 poses, is_reached = interval.tracked(solutions[k], rows)
                 paths[layer + k, rows[:is_reached]] = poses[:is_reached]
                 costs[layer + k, rows[:is_reached]] = 0.0
     return paths, costs
 
 
-def _clipped(rows: slice) -> slice:
+def _from_start(rows: slice) -> slice:
     """Return a slice with a negative stop replaced, so that it reaches index 0."""
     return slice(rows.start, None, rows.step) if rows.stop < 0 else rows
 
@@ -300,7 +300,7 @@ def follow_in_both_directions(
     return tracks, costs
 
 
-def _passing(
+def _blend_paths(
     interval: Interval, tracks: FloatArray, end_row: int
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield blends from the current path to others over the rows before ``end_row``."""
@@ -308,8 +308,8 @@ def _passing(
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
         step = difference(interval.chain, interval.poses, track)
-        blended = moved(interval.chain, interval.poses, weights * step)
-        yield interval.solved(blended, np.array(interval.frames))
+        blended_poses = moved(interval.chain, interval.poses, weights * step)
+        yield interval.solved(blended_poses, np.array(interval.frames))
 
 
 def best_path(

@@ -63,28 +63,28 @@ class Chain:
         """Return chain coordinates ``(B, C)`` from rig coordinates ``(B, Q)``."""
         q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
         columns, ball_frames = self._balls
-        q[:, columns] = _conjugated(so3.normalize(q[:, columns]), ball_frames)
+        q[:, columns] = _conjugate(so3.normalize(q[:, columns]), ball_frames)
         return q
 
     def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return rig coordinates ``(B, Q)`` updated from the chain's ``(B, C)``."""
         q = q.copy()
         columns, ball_frames = self._balls
-        q[:, columns] = _conjugated(q[:, columns], so3.conjugate(ball_frames))
+        q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_frames))
         if len(self.turning):
             low, high = self.periods[self.turning].T
             angles = q[:, self.turning]
             revolutions = np.round((angles - (low + high) / 2) / (2 * np.pi))
-            wrapped = np.clip(angles - 2 * np.pi * revolutions, low, high)
+            wrapped_angles = np.clip(angles - 2 * np.pi * revolutions, low, high)
             q[:, self.turning] = np.where(
-                (angles < low) | (angles > high), wrapped, angles
+                (angles < low) | (angles > high), wrapped_angles, angles
             )
         rig_coordinates = coordinates.copy()
         rig_coordinates[:, self.columns] = q * self.scales
         return rig_coordinates
 
 
-def _conjugated(q: FloatArray, frame: FloatArray) -> FloatArray:
+def _conjugate(q: FloatArray, frame: FloatArray) -> FloatArray:
     """Return rotations ``(B, T, 4)`` expressed in rotated frames ``(T, 4)``."""
     return np.concatenate([so3.rotate(frame, q[..., :3]), q[..., 3:]], axis=-1)
 
@@ -133,9 +133,9 @@ def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
 def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
     """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
     columns = _layout(chain)[0][_endless(chain)]
-    unwrapped = poses.copy()
-    unwrapped[:, columns] = np.unwrap(poses[:, columns], axis=0)
-    return unwrapped
+    unwrapped_poses = poses.copy()
+    unwrapped_poses[:, columns] = np.unwrap(poses[:, columns], axis=0)
+    return unwrapped_poses
 
 
 def with_periods(chain: Chain) -> FloatArray:

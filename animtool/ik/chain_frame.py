@@ -103,9 +103,9 @@ def parts_of(
         for j in path[: chain_root + 1]
     }
     rests = _rests(rig, local, coordinates)
-    pivots = path_joints - _turning(goals, paths)
-    changes = _moved(local), _turned(local)
-    strays = _moved(rests) | _turned(rests)
+    pivots = path_joints - _rotation_joints(goals, paths)
+    changes = _is_translated(local), _is_rotated(local)
+    strays = _is_translated(rests) | _is_rotated(rests)
     moving_between = [
         j
         for j in sorted(path_joints)
@@ -145,16 +145,18 @@ def parts_of(
 
 
 def _moving_sources(
-    rig: Rig, driven: set[int], solved: set[int], changed: BoolArray
+    rig: Rig, driven_joints: set[int], solved_joints: set[int], is_changed: BoolArray
 ) -> list[int]:
     """Return joints that move without being solved and that drivers read."""
     if not rig.is_driven:
         return []
     plan = plan_of(rig)
     sources = {
-        source for j in driven.intersection(plan.joints) for source in plan.sources(j)
+        source
+        for j in driven_joints.intersection(plan.joints)
+        for source in plan.sources(j)
     }
-    return [j for j in sources - solved if changed[j]]
+    return [j for j in sources - solved_joints if is_changed[j]]
 
 
 def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
@@ -170,12 +172,12 @@ def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig
     return replace(rig, controls=controls)
 
 
-def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
+def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
     """Return the joints whose rotation moves a goal, without pivots."""
-    turning: set[int] = set()
+    rotation_joints: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
-        turning.update(path[1:] if goal.pivots else path)
-    return turning
+        rotation_joints.update(path[1:] if goal.pivots else path)
+    return rotation_joints
 
 
 def _rests(
@@ -192,13 +194,13 @@ def _rests(
     return LocalTransforms(translations, rotations)
 
 
-def _moved(local: LocalTransforms) -> BoolArray:
+def _is_translated(local: LocalTransforms) -> BoolArray:
     """Return a mask of the joints whose translation changes over the frames."""
     displacement = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
     return np.asarray(displacement > EQUAL_TRANSFORM, np.bool_)
 
 
-def _turned(local: LocalTransforms) -> BoolArray:
+def _is_rotated(local: LocalTransforms) -> BoolArray:
     """Return a mask of the joints whose rotation changes over the frames."""
     angles = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
     return np.asarray(angles > EQUAL_TRANSFORM, np.bool_)

@@ -95,7 +95,7 @@ def follow(
     options = options or FollowOptions()
     _check(options)
     clip = ClipPath(problem, start, targets, options, prefer)
-    result = _followed(clip)
+    result = _solve_in_order(clip)
     if options.smooth > 0:
         source_motion = start if clip.moving else None
         result = smooth(
@@ -120,7 +120,7 @@ def _check(options: FollowOptions) -> None:
         raise OptionError(faults)
 
 
-def _followed(clip: ClipPath) -> IkResult:
+def _solve_in_order(clip: ClipPath) -> IkResult:
     """Return the frames solved in order, with avoidable jumps removed."""
     result = clip.solved(slice(0, len(clip)), clip.start)
     for attempt in range(MAX_SEARCHES if _is_thin(clip) else 0):
@@ -134,10 +134,10 @@ def _followed(clip: ClipPath) -> IkResult:
     while True:
         poses = clip.poses(result)
         jumps = clip.jumping(poses)
-        remaining = jumps[jumps > last_checked]
-        if not len(remaining):
+        remaining_jumps = jumps[jumps > last_checked]
+        if not len(remaining_jumps):
             break
-        last_checked = int(remaining[0])
+        last_checked = int(remaining_jumps[0])
         if _can_be_passed(clip, poses, last_checked):
             result = _with_detour(clip, result, last_checked)
     if clip.moving:
@@ -316,7 +316,7 @@ def _branch_switched(clip: ClipPath, result: IkResult) -> IkResult:
         path = clip.best(
             interval, paths, costs, free_start=True, source_weight=BRANCH_COST
         )
-        path = _eased(clip, path)
+        path = _even_speed(clip, path)
         if _jump_strains(clip, path).sum() < MIN_REDUCTION * strains.sum():
             result = clip.joined(result, all_frames, path)
     return result
@@ -330,7 +330,7 @@ def _jump_strains(clip: ClipPath, poses: FloatArray) -> FloatArray:
     return strains
 
 
-def _eased(clip: ClipPath, poses: FloatArray) -> FloatArray:
+def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
     """Return a path with its speed evened out around each jump, where that helps."""
     poses = poses.copy()
     for frame in clip.jumping(poses).tolist():

@@ -119,11 +119,11 @@ class Programs:
             sources: Chain coordinates by joint.
             scales: Divisor of each chain coordinate.
         """
-        needed = set(self.requested)
+        needed_inputs = set(self.requested)
         for target in reversed(self.plan.order):
-            if target in needed:
-                needed.update(self._reads(target))
-        order = [target for target in self.plan.order if target in needed]
+            if target in needed_inputs:
+                needed_inputs.update(self._reads(target))
+        order = [target for target in self.plan.order if target in needed_inputs]
         self._numbers = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
@@ -205,7 +205,7 @@ class Programs:
     ) -> list[_Row]:
         rows: list[_Row] = []
         if driver.expression is None:
-            rows += self._named(driver, driver.by, sources, scales)
+            rows += self._input_rows(driver, driver.by, sources, scales)
             slopes = [0.0] * len(driver.curve)
             if driver.smooth and len(driver.curve) > 1:
                 slopes = smooth_slopes(driver.curve).tolist()
@@ -217,21 +217,21 @@ class Programs:
         else:
             for kind, value in driver.expression.program():
                 if kind == "name":
-                    rows += self._named(driver, str(value), sources, scales)
+                    rows += self._input_rows(driver, str(value), sources, scales)
                 elif kind == "number":
                     rows.append(("number", 0, (float(value),)))
                 else:
                     rows.append((str(value), 0, ()))
         return rows + _times(driver.unit)
 
-    def _named(
+    def _input_rows(
         self,
         driver: Driver,
         name: str,
         sources: Mapping[int, CoordinateSource],
         scales: FloatArray,
     ) -> list[_Row]:
-        """Return the rows that read a driver's input in its unit."""
+        """Return the program rows that read a driver's input in its unit."""
         rows = self._read(name, sources, scales)
         return rows + _times(1.0 / driver.unit_of(name))
 

@@ -291,27 +291,27 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
         )
         for name, columns in [*columns_by_name, ("weights", WEIGHTS)]
     ]
-    supplied = [
+    supplied_arrays = [
         (columns, checked) for columns, checked in checked_arrays if checked is not None
     ]
-    batches = {len(checked) for _, checked in supplied}
+    batches = {len(checked) for _, checked in supplied_arrays}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
-    packed = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
-    packed[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
-    for columns, checked in supplied:
-        packed[:, :, columns] = checked[: len(packed)]
-    active = _active_parts(goals, packed)
+    packed_targets = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
+    packed_targets[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
+    for columns, checked in supplied_arrays:
+        packed_targets[:, :, columns] = checked[: len(packed_targets)]
+    active = _active_parts(goals, packed_targets)
     missing = active & [getattr(targets, kind.targets) is None for kind in KINDS]
-    if faults or missing.any() or not _is_plain(packed):
-        faults += _value_faults(packed, active, missing)
-        np.nan_to_num(packed, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    if faults or missing.any() or not _is_plain(packed_targets):
+        faults += _value_faults(packed_targets, active, missing)
+        np.nan_to_num(packed_targets, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
     for kind in KINDS:
         if kind.directed:
-            _bring_in(packed[:, :, COLUMNS[kind.name]])
-    return packed
+            _bring_in(packed_targets[:, :, COLUMNS[kind.name]])
+    return packed_targets
 
 
 def _identities() -> list[int]:

@@ -88,12 +88,14 @@ def find_jumps(
     count = len(solved_poses.rotations)
     if count < 2:
         return ()
-    moving = _moving(source_poses, solved_poses, windings)
+    moving = _moving_joints(source_poses, solved_poses, windings)
     if not len(moving):
         return ()
     names = [names[j] for j in moving]
-    solved_poses = _selected(solved_poses, moving)
-    source_poses = None if source_poses is None else _selected(source_poses, moving)
+    solved_poses = _select_joints(solved_poses, moving)
+    source_poses = (
+        None if source_poses is None else _select_joints(source_poses, moving)
+    )
     windings = None if windings is None else windings[:, moving]
     is_cut = np.zeros(count - 1, np.bool_)
     moves = goal_moves[:, None]
@@ -111,7 +113,7 @@ def find_jumps(
         angles = angles + windings
     excess = angles - old_angles
     is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
-    is_jump |= (excess > largest_step(fps)) | _jerking(excess, moves)
+    is_jump |= (excess > largest_step(fps)) | _is_jerk(excess, moves)
     is_pop = rotation_pops(rotations, 1.0 / fps, is_cut)[0]
     is_jump |= is_pop & ~rotation_pops(old_steps, 1.0 / fps, is_cut)[0]
     jumps = _jumps_at(names, is_jump, angles, old_angles, moves)
@@ -123,7 +125,7 @@ def find_jumps(
         np.linalg.norm(rows, axis=2) / length for rows in (shifts, old_steps)
     )
     excess = sizes - old_sizes
-    is_jump = (excess > largest_step(fps)) | _jerking(excess, moves)
+    is_jump = (excess > largest_step(fps)) | _is_jerk(excess, moves)
     limits = (1.0 / fps, is_cut, MIN_SLIDE * length, SLIDE_NOISE * length)
     is_jump |= (
         translation_pops(shifts, *limits)[0] & ~translation_pops(old_steps, *limits)[0]
@@ -132,7 +134,7 @@ def find_jumps(
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
 
-def _moving(
+def _moving_joints(
     before: LocalTransforms | None,
     after: LocalTransforms,
     windings: FloatArray | None,
@@ -148,7 +150,7 @@ def _moving(
     return np.asarray(np.flatnonzero(moves))
 
 
-def _selected(poses: LocalTransforms, joints: IntArray) -> LocalTransforms:
+def _select_joints(poses: LocalTransforms, joints: IntArray) -> LocalTransforms:
     return LocalTransforms(poses.translations[:, joints], poses.rotations[:, joints])
 
 
@@ -157,7 +159,7 @@ def _rotation_steps(rotations: FloatArray) -> FloatArray:
     return so3.log(so3.multiply(rotations[1:], so3.conjugate(rotations[:-1])))
 
 
-def _jerking(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
+def _is_jerk(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
     """Return a mask of steps ``(F - 1, N)`` that far exceed their neighbours."""
     largest_neighbour = np.zeros_like(steps)
     for offset in range(1, NEIGHBOURS + 1):

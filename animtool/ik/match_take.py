@@ -152,7 +152,7 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     joints_above = {
         j for chain in chains for j in _path(rig, chain.root)
     } - chain_joints
-    stretching = {
+    stretching_joints = {
         j
         for chain in chains
         for j in _path(rig, chain.tip, chain.root)
@@ -162,7 +162,7 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     moving_joints = _leaving(
         motion.translations,
         rig.rest_translations,
-        joints_above | roots | chain_joints - stretching,
+        joints_above | roots | chain_joints - stretching_joints,
     )
     rotating_joints = _leaving(motion.rotations, rig.rest_rotations, joints_above)
     names = [rig.names[j] for j in sorted(moving_joints | rotating_joints)]
@@ -181,7 +181,7 @@ def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
 
 
 def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
-    """Return the joints that leave their rest values in some frame."""
+    """Return the joints that are off their rest values in any frame."""
     joint_indices = np.array(sorted(joints), np.int64)
     values, rest_values = channel.gather(joint_indices), rest[joint_indices]
     if values.shape[2] == 4:
@@ -234,9 +234,9 @@ class _ValueBuilder:
             return self._sparse(rows, joint, self.reduce)
         if self.arrays is None:
             return Keyed(self._keys(rows))
-        return ArrayRows(f"{self.arrays}#{self._named(name)}", rows, self.first)
+        return ArrayRows(f"{self.arrays}#{self._unique_name(name)}", rows, self.first)
 
-    def _named(self, name: str) -> str:
+    def _unique_name(self, name: str) -> str:
         unique = identifier = re.sub(r"\W", "_", name)
         number = 2
         while unique in self.names:

@@ -85,7 +85,7 @@ def nearest(
                 cost_of(trial_result, hopeful_targets)
                 < cost_of(best_result, targets)[hopeful]
             )
-            best_result = _placed(
+            best_result = _replace_rows(
                 best_result, trial_result, hopeful[is_better], np.flatnonzero(is_better)
             )
     return best_result
@@ -102,11 +102,11 @@ def with_nearest_poses(
     rows = frames_out_of_reach(result, options)
     if not len(rows):
         return result
-    missed_frames = _picked(result, rows)
+    missed_frames = _select_rows(result, rows)
     nearer = nearest(
         problem, missed_frames, rows_of(targets, rows), options, prefer[rows]
     )
-    return _placed(result, nearer, rows, np.arange(len(rows)))
+    return _replace_rows(result, nearer, rows, np.arange(len(rows)))
 
 
 def cost_of(result: IkResult, targets: Targets) -> FloatArray:
@@ -140,7 +140,7 @@ def _corners(chain: Chain, home: FloatArray, max_poses: int) -> Iterator[FloatAr
         yield pose
 
 
-def _placed(
+def _replace_rows(
     result: IkResult, other: IkResult, rows: IntArray, from_rows: IntArray
 ) -> IkResult:
     """Return a result with some rows replaced by those of another."""
@@ -157,8 +157,8 @@ def _placed(
     return replace(result, statuses=tuple(statuses), **arrays)
 
 
-def _picked(result: IkResult, rows: IntArray) -> IkResult:
-    """Return some of the problems of a result."""
+def _select_rows(result: IkResult, rows: IntArray) -> IkResult:
+    """Return a subset of a result's problems."""
     arrays = {name: getattr(result, name)[rows] for name in _arrays()}
     statuses = tuple(result.statuses[row] for row in rows.tolist())
     return replace(result, statuses=statuses, **arrays)
@@ -166,5 +166,7 @@ def _picked(result: IkResult, rows: IntArray) -> IkResult:
 
 def _arrays() -> list[str]:
     """Return the names of a result's per-problem arrays."""
-    excluded = {"problem", "jumps", "statuses"}
-    return [field.name for field in fields(IkResult) if field.name not in excluded]
+    excluded_fields = {"problem", "jumps", "statuses"}
+    return [
+        field.name for field in fields(IkResult) if field.name not in excluded_fields
+    ]

@@ -171,19 +171,21 @@ def _solve_take(
     goals = [track.goal for track in tracks.goals]
     typed_rig = with_types(take.rig)
     rig, indices = sub_rig(typed_rig, (goal.joint for goal in goals))
-    joints = _chosen(take.rig, rig, options)
+    joints = _movable_names(take.rig, rig, options)
     local = LocalTransforms(
         take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
     )
     world = forward(rig, local.translations, local.rotations)
     solved_parts: list[SolvedPart] = []
-    with _placed(tracks):
+    with _locate_faults(tracks):
         fade_transforms = tuple(
             _world(rig, indices, fade_take, world) for fade_take in fade_sources
         )
         targets = tracks.sample(rig, take.clock, world, fade_transforms)
         if only is not None:
-            take, local, world, targets = _selected(take, local, world, targets, only)
+            take, local, world, targets = _select_frame(
+                take, local, world, targets, only
+            )
         rate = float(take.clock.rate)
         run = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
         controls = _controls(rig, take)
@@ -244,7 +246,7 @@ def _world(
 
 
 @contextmanager
-def _placed(tracks: TargetTracks) -> Iterator[None]:
+def _locate_faults(tracks: TargetTracks) -> Iterator[None]:
     """Locate faults of goals in the targets file."""
     try:
         yield
@@ -261,7 +263,7 @@ def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
     return replace(fault, path=str(tracks.path), lines=(line,), column=column)
 
 
-def _selected(
+def _select_frame(
     take: Take,
     local: LocalTransforms,
     world: WorldTransforms,
@@ -285,7 +287,7 @@ def _selected(
     )
 
 
-def _chosen(full_rig: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
+def _movable_names(full_rig: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     """Return the names of the joints that may move; None is all that move a goal."""
     if not options.joints:
         return None

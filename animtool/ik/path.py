@@ -77,7 +77,7 @@ class FramePath:
         weights = (1.0, 0.0, acceleration)
         ahead = math.ceil(LOOKAHEAD * acceleration**0.25)
         size = max(MIN_BLOCK, 4 * ahead)
-        done = np.zeros_like(poses)
+        smooth_poses = np.zeros_like(poses)
         misses = []
         begin = 0
         while begin < len(poses):
@@ -85,16 +85,18 @@ class FramePath:
             end = len(poses) if last else begin + size
             first = max(begin - 2, 0)
             window = slice(first, min(end + ahead, len(poses)))
-            starts = np.concatenate([done[first:begin], poses[begin : window.stop]])
+            starts = np.concatenate(
+                [smooth_poses[first:begin], poses[begin : window.stop]]
+            )
             moving = (begin - first, len(starts))
             path, missed = self.frames(window)._run(
                 starts, weights, moving, MAX_ITERATIONS
             )
             block = slice(begin - first, end - first)
-            done[begin:end] = path[block]
+            smooth_poses[begin:end] = path[block]
             misses.append(missed[block])
             begin = end
-        return done, np.concatenate(misses)
+        return smooth_poses, np.concatenate(misses)
 
     def evened(
         self, poses: FloatArray, *, free_start: bool = False

@@ -167,7 +167,7 @@ def _faults(
             faults.append(Fault("TGT001", f"unknown joint {name!r} of {rig.name!r}"))
     faults += rest_faults(rest_weight)
     for joint in rig.joints:
-        if _reversed(joint.limits):
+        if _is_reversed(joint.limits):
             message = f"the limits of {joint.name!r} are reversed or not numbers"
             faults.append(Fault("IK005", message))
         if not max(map(abs, joint.translation)) <= MAX_COORDINATE:
@@ -185,7 +185,7 @@ def rest_faults(weight: float) -> list[Fault]:
     return [Fault("IK014", f"rest_weight must be at least 0, not {weight}")]
 
 
-def _reversed(limits: RangeLimit | BallLimit | None) -> bool:
+def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
     match limits:
         case RangeLimit(low, high):
             return not low <= high
@@ -224,10 +224,10 @@ def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list
         joints_above = rig.upwards(rig.index(goal.joint))
         if moving.intersection(joints_above):
             continue
-        movable = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
+        movable_names = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
         hint = "a joint cannot move a position at its own origin: set an offset"
-        if movable:
-            hint = f"none of the joints that could move it may: {listed(movable)}"
+        if movable_names:
+            hint = f"none of the joints that could move it may: {listed(movable_names)}"
         elif not any(rig.joints[j].type is not JointType.FIXED for j in joints_above):
             hint = "only fixed joints are above it"
         message = f"no joint moves {goal.joint!r}"

@@ -135,15 +135,15 @@ def goal_reports(
 
 
 def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
-    worst = int(np.argmax(misses))
+    worst_frame = int(np.argmax(misses))
     return Misses(
         part,
         len(misses),
         float(misses.mean()),
         # Without interpolation, which fails between infinite misses.
         float(np.percentile(misses, 95, method="inverted_cdf")),
-        float(misses[worst]),
-        float(times[worst]),
+        float(misses[worst_frame]),
+        float(times[worst_frame]),
     )
 
 
@@ -189,7 +189,8 @@ def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal that is missed."""
     return [
         replace(
-            _warning(solved, "IK101", i, _missed(report)), hint=_advice(solved, report)
+            _goal_warning(solved, "IK101", i, _miss_text(report)),
+            hint=_advice(solved, report),
         )
         for i, report in enumerate(reports)
         if report.spans
@@ -208,11 +209,11 @@ def _advice(solved: TakeIk, report: GoalReport) -> str | None:
         )
         return f"{hint}start that is nearer"
     if any(span.status is IkStatus.CONFLICT for span in report.spans):
-        return _unbounded(solved)
+        return _root_hint(solved)
     return None
 
 
-def _unbounded(solved: TakeIk) -> str | None:
+def _root_hint(solved: TakeIk) -> str | None:
     """Return a hint if a goal without root moves a free joint above other goals."""
     rig, goals = solved.take.rig, [track.goal for track in solved.tracks.goals]
     chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
@@ -241,7 +242,7 @@ def span_notices(solved: TakeIk) -> list[Fault]:
     if len(times) == 1:
         return []
     return [
-        _warning(
+        _goal_warning(
             solved,
             "TGT104",
             i,
@@ -303,10 +304,10 @@ def _jump_hint(solved: TakeIk, worst: Jump) -> str:
             remaining_text = "leaves rotations of "
             remaining_text += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
         return f"{argument('smooth', f'{steadier.seconds:g}')} {remaining_text}"
-    fading = _fading_goal(solved, worst)
-    if fading is not None:
-        hint = f"the goal {fading.name!r} starts or ends there within "
-        return f"{hint}{counted(round(fading.ease), 'frame')}: a longer ease: slows it"
+    track = _fading_goal(solved, worst)
+    if track is not None:
+        hint = f"the goal {track.name!r} starts or ends there within "
+        return f"{hint}{counted(round(track.ease), 'frame')}: a longer ease: slows it"
     if worst.by_goals:
         return "its goals move or rotate as fast there: space their keys farther apart"
     goal = _straightening_goal(solved, worst)
@@ -329,12 +330,12 @@ def _fading_goal(solved: TakeIk, worst: Jump) -> GoalTrack | None:
         ends = [(first - track.ease, first) for first, _ in track.during]
         ends += [(last, last + track.ease) for _, last in track.during]
         fades = any(start < time <= end + 1 for start, end in ends)
-        if fades and worst.joint in _moving(solved, track):
+        if fades and worst.joint in _chain_names(solved, track):
             return track
     return None
 
 
-def _moving(solved: TakeIk, track: GoalTrack) -> list[str]:
+def _chain_names(solved: TakeIk, track: GoalTrack) -> list[str]:
     """Return the names of a goal's joint and the joints above it."""
     rig = solved.take.rig
     return [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
@@ -350,7 +351,11 @@ def _straightening_goal(solved: TakeIk, worst: Jump) -> str | None:
         is_missed = solved.misses[rows, e, 0] > MISSED_LENGTH
         all_active = solved.active[rows, e, 0].all()
         snaps = all_active and is_missed[0] != is_missed[1] and not track.goal.soft
-        if snaps and worst.joint in _moving(solved, track) and _may_ease(solved, e):
+        if (
+            snaps
+            and worst.joint in _chain_names(solved, track)
+            and _may_ease(solved, e)
+        ):
             return track.name
     return None
 
@@ -383,7 +388,7 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
         message += f"from its start, but the rig is {length_text(solved.size)} "
         message += "large"
         hint = "do the targets use these units and this space?"
-        notices.append(replace(_warning(solved, "TGT106", i, message), hint=hint))
+        notices.append(replace(_goal_warning(solved, "TGT106", i, message), hint=hint))
     return notices
 
 
@@ -407,7 +412,7 @@ def single_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]
     return [Fault("TGT105", message, str(solved.tracks.path), (), hint, level)]
 
 
-def _warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
+def _goal_warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
     """Return a warning about one of the goals."""
     line, column = solved.tracks.goals[goal].location
     return Fault(
@@ -421,7 +426,7 @@ def _warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
     )
 
 
-def _missed(report: GoalReport) -> str:
+def _miss_text(report: GoalReport) -> str:
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
     frames_text = listed([_frames(span) for span in report.spans], most=6)
     amounts = []

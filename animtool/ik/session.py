@@ -29,7 +29,7 @@ RequestedKinds: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Packed:
+class _PackedProblem:
     """A problem, its solver, and its target buffer."""
 
     problem: Problem
@@ -88,8 +88,8 @@ class Session:
         check_options(self.options)
         self._joints = None if joints is None else tuple(joints)
         self._pose, self._rest_weight = pose, rest_weight
-        self._goals = _named(rig, goals, self._joints or ())
-        self._packed: dict[RequestedKinds, _Packed] = {}
+        self._goals = _goals_by_name(rig, goals, self._joints or ())
+        self._packed: dict[RequestedKinds, _PackedProblem] = {}
 
     def __repr__(self) -> str:
         """Return the rig's name and the goals."""
@@ -119,7 +119,7 @@ class Session:
             OptionError: As for `build` and `solve`.
         """
         values_by_goal = named if targets is None else {**targets, **named}
-        packed, values = self._filled(values_by_goal)
+        packed, values = self._fill_buffer(values_by_goal)
         if self.options.near or self.rig.is_driven:
             return solve(
                 packed.problem, start, _targets(values), self.options, prefer=prefer
@@ -160,7 +160,7 @@ class Session:
                 the last three meet or the middle ones are parallel; and as for `solve`.
         """
         values_by_goal = named if targets is None else {**targets, **named}
-        packed, values = self._filled(values_by_goal)
+        packed, values = self._fill_buffer(values_by_goal)
         problem = packed.problem
         if closed_form(problem) is not ClosedForm.ARM:
             names = ", ".join(values_by_goal)
@@ -172,14 +172,16 @@ class Session:
         row = pose_rows(problem, start, 1, "start")[0]
         return packed.solver.branches(row, values[0])
 
-    def _filled(self, values_by_goal: Mapping[str, Any]) -> tuple[_Packed, FloatArray]:
+    def _fill_buffer(
+        self, values_by_goal: Mapping[str, Any]
+    ) -> tuple[_PackedProblem, FloatArray]:
         """Return the problem of a call, and its filled target buffer."""
         requested: list[tuple[str, tuple[bool, ...]]] = []
         values: list[Any] = []
         for name, value in values_by_goal.items():
             if name not in self._goals:
                 raise self._unknown(name)
-            goal_parts, kind_mask = _parts(name, self._goals[name], value)
+            goal_parts, kind_mask = _target_parts(name, self._goals[name], value)
             requested.append((name, kind_mask))
             values += goal_parts
         packed = self._packed.get(key := tuple(requested))
@@ -200,7 +202,7 @@ class Session:
         message = f"the session has no goal {excerpt(name)}"
         return OptionError(Fault("TGT001", message, hint=hint))
 
-    def _pack(self, requested: RequestedKinds) -> _Packed:
+    def _pack(self, requested: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of some goals, with an initial target buffer."""
         goals = [
             _requested_goal(self._goals[name], name, kind_mask)
@@ -221,12 +223,12 @@ class Session:
             for e, goal in enumerate(goals)
             for kind in goal.kinds
         ]
-        return _Packed(
+        return _PackedProblem(
             problem, make_solver(problem, self.options), targets, tuple(views)
         )
 
 
-def _named(
+def _goals_by_name(
     rig: Rig, goals: Sequence[str | Goal], joints: Sequence[str]
 ) -> dict[str, Goal | None]:
     """Return goals by joint name; None for names whose kinds each call decides."""
@@ -250,15 +252,15 @@ def _named(
     return by_name
 
 
-def _kinds(goal: Goal | None) -> tuple[GoalKind, ...]:
+def _goal_kinds(goal: Goal | None) -> tuple[GoalKind, ...]:
     return JOINT_KINDS if goal is None else goal.kinds
 
 
-def _parts(
+def _target_parts(
     name: str, goal: Goal | None, value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
     """Return the targets in a goal's value, and a mask of their kinds."""
-    kinds = _kinds(goal)
+    kinds = _goal_kinds(goal)
     if goal is None and (not isinstance(value, tuple) or len(value) == 3):
         return (value,), (True, False)
     if goal is not None and len(kinds) == 1:

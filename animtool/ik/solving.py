@@ -233,7 +233,7 @@ def check_method(problem: Problem, method: IkMethod) -> None:
     if obstacle is None:
         return
     hint = f"methods for this problem: {', '.join(serving(problem))}"
-    if method == IkMethod.FABRIK and _sliding(problem):
+    if method == IkMethod.FABRIK and _translating_joints(problem):
         hint += "; or choose joints that do not translate, or a root below them"
     raise OptionError(Fault("IK015", f"{method} {obstacle}", hint=hint))
 
@@ -247,7 +247,7 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         return reason and f"does not apply: {reason}"
     simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]
-    slides = _sliding(problem)
+    slides = _translating_joints(problem)
     levels = bool(problem.chain.goals[:, 3].any())
     rules = [
         (
@@ -275,7 +275,7 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     return next(reasons, None)
 
 
-def _sliding(problem: Problem) -> list[str]:
+def _translating_joints(problem: Problem) -> list[str]:
     """Return the names of the problem's joints that translate."""
     rig = problem.rig
     kinds = {JointType.FREE, JointType.PRISMATIC}

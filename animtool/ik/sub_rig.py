@@ -45,18 +45,18 @@ def with_mimics(
     if not names:
         return coordinates
     slices = coordinate_slices(rig)
-    updated = coordinates.copy()
+    updated_coordinates = coordinates.copy()
     if rig.is_driven:
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
         mimics_only = [name for name in names if name not in driven_names]
         return driven_coordinates(
-            plan_of(rig), _set_mimics(rig, updated, slices, mimics_only)
+            plan_of(rig), _set_mimics(rig, updated_coordinates, slices, mimics_only)
         )
-    return _set_mimics(rig, updated, slices, names)
+    return _set_mimics(rig, updated_coordinates, slices, names)
 
 
 def _set_mimics(
-    rig: Rig, updated: FloatArray, slices: list[slice], names: list[str]
+    rig: Rig, updated_coordinates: FloatArray, slices: list[slice], names: list[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic joints set from their leads."""
     # Repeated for each name, so that chains of mimics are resolved.
@@ -64,9 +64,11 @@ def _set_mimics(
         for name in names:
             mimic = rig.joints[rig.index(name)].mimic
             assert mimic is not None
-            lead = updated[:, slices[rig.index(mimic.joint)]]
-            updated[:, slices[rig.index(name)]] = mimic.gain * lead + mimic.offset
-    return updated
+            lead = updated_coordinates[:, slices[rig.index(mimic.joint)]]
+            updated_coordinates[:, slices[rig.index(name)]] = (
+                mimic.gain * lead + mimic.offset
+            )
+    return updated_coordinates
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
@@ -83,26 +85,26 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     >>> part.names, own.tolist()
     (['a', 'c'], [0, 2])
     """
-    included: set[int] = set()
-    pending = [rig.index(name) for name in names]
-    links = _linked(rig) if rig.is_driven else {}
-    while pending:
-        j = pending.pop()
-        if j in included:
+    included_joints: set[int] = set()
+    pending_joints = [rig.index(name) for name in names]
+    links = _driver_links(rig) if rig.is_driven else {}
+    while pending_joints:
+        j = pending_joints.pop()
+        if j in included_joints:
             continue
-        included.add(j)
+        included_joints.add(j)
         joint = rig.joints[j]
         if joint.parent >= 0:
-            pending.append(joint.parent)
+            pending_joints.append(joint.parent)
         if joint.mimic is not None:
-            pending.append(rig.index(joint.mimic.joint))
-        pending += links.get(j, ())
-        pending += [
+            pending_joints.append(rig.index(joint.mimic.joint))
+        pending_joints += links.get(j, ())
+        pending_joints += [
             i
             for i, joint_index in enumerate(rig.joints)
             if joint_index.mimic is not None and joint_index.mimic.joint == joint.name
         ]
-    indices = sorted(included)
+    indices = sorted(included_joints)
     index_in_part = {j: i for i, j in enumerate(indices)} | {-1: -1}
     joints = tuple(
         replace(rig.joints[j], parent=index_in_part[rig.joints[j].parent])
@@ -116,15 +118,15 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     return smaller_rig, np.array(indices, np.int64)
 
 
-def _linked(rig: Rig) -> dict[int, list[int]]:
+def _driver_links(rig: Rig) -> dict[int, list[int]]:
     """Return for each joint the joints that its driver reads or that it drives."""
-    linked: dict[int, list[int]] = {}
+    linked_joints: dict[int, list[int]] = {}
     for name, sources in plan_of(rig).reads.items():
         for source_name in sources:
             pair = rig.index(name), rig.index(source_name)
             for joint, linked_joint in (pair, pair[::-1]):
-                linked.setdefault(joint, []).append(linked_joint)
-    return linked
+                linked_joints.setdefault(joint, []).append(linked_joint)
+    return linked_joints
 
 
 def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
@@ -143,9 +145,9 @@ def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
     )
 
 
-def _joint_known(name: str, available: Collection[str]) -> bool:
+def _joint_known(name: str, available_names: Collection[str]) -> bool:
     joint = split_coordinate(name)[0]
-    return not joint or joint in available
+    return not joint or joint in available_names
 
 
 def with_types(rig: Rig) -> Rig:
@@ -193,15 +195,15 @@ def dressed(rig: Rig, other: Rig) -> Rig:
                 axis=typed.axis,
                 limits=typed.limits,
                 mimic=typed.mimic if has_leader else None,
-                driven=typed.driven if _readable(typed, names, rig) else None,
+                driven=typed.driven if _has_driver_inputs(typed, names, rig) else None,
             )
         )
     chains = tuple(chain for chain in other.chains if {chain.root, chain.tip} <= names)
     return replace(rig, joints=tuple(joints), chains=chains)
 
 
-def _readable(joint: Joint, names: Collection[str], rig: Rig) -> bool:
+def _has_driver_inputs(joint: Joint, names: Collection[str], rig: Rig) -> bool:
     """Return whether a rig has all inputs of a joint's driver."""
-    available = {*names, *(control.name for control in rig.controls)}
+    available_names = {*names, *(control.name for control in rig.controls)}
     read = () if joint.driven is None else joint.driven.names
-    return all((split_coordinate(name)[0] or name) in available for name in read)
+    return all((split_coordinate(name)[0] or name) in available_names for name in read)

@@ -301,17 +301,17 @@ class TakeSolver:
         packed = chain_targets(problem, targets)
         if not self.static:
             start = part.coordinates
-            first_solution = self._timed(problem, start, targets, warm=False)
+            first_solution = self._timed_solve(problem, start, targets, warm=False)
             return SolvedPart(
                 part,
                 packed,
                 *first_solution,
                 self._steadier(first_solution[0], targets, start),
             )
-        bent_start, seconds = self._bent(part, problem, targets)
-        start, restart_solution = self._begun(part, problem, bent_start, targets)
+        bent_start, seconds = self._bent_start(part, problem, targets)
+        start, restart_solution = self._start_pose(part, problem, bent_start, targets)
         first_pose = part.coordinates[0]
-        first_solution = self._timed(
+        first_solution = self._timed_solve(
             problem, start, targets, warm=True, prefer=first_pose
         )
         seconds += restart_solution + first_solution[1]
@@ -327,7 +327,7 @@ class TakeSolver:
             return None
         best_smoothing = Smoothing(0.0, MIN_REDUCTION * max(angles))
         for seconds in TRIED_SMOOTHING:
-            options = self._chosen(result.problem, warm=start is None)
+            options = self._solver_options(result.problem, warm=start is None)
             trial = smooth(
                 result, targets, seconds, fps=self.rate, start=start, options=options
             )
@@ -346,7 +346,7 @@ class TakeSolver:
             rest_weight=self.options.rest_weight,
         )
 
-    def _begun(
+    def _start_pose(
         self, part: SolveSpan, problem: Problem, start: FloatArray, targets: Targets
     ) -> tuple[FloatArray, float]:
         """Return the start of the first frame ``(Q,)``, and the time it took [s].
@@ -356,13 +356,13 @@ class TakeSolver:
         """
         first = rows_of(targets, slice(0, 1))
         source_pose = part.coordinates[0]
-        poses, seconds = self._timed(
+        poses, seconds = self._timed_solve(
             problem, start, first, warm=False, prefer=source_pose
         )
         moved_start = poses.descents[0] > 1 and bool(poses.converged[0])
         return poses.coordinates[0] if moved_start else start, seconds
 
-    def _bent(
+    def _bent_start(
         self, part: SolveSpan, problem: Problem, targets: Targets
     ) -> tuple[FloatArray, float]:
         """Return a start ``(Q,)`` with bent chains, and the time it took [s].
@@ -391,12 +391,12 @@ class TakeSolver:
         first = rows_of(targets, slice(0, 1))
         leaning_targets = replace(first, poles=poles, weights=weights)
         start = part.coordinates[0]
-        poses, seconds = self._timed(
+        poses, seconds = self._timed_solve(
             leaning_problem, start, leaning_targets, warm=True, restarts=0
         )
         return poses.coordinates[0], seconds
 
-    def _timed(
+    def _timed_solve(
         self,
         problem: Problem,
         starts: FloatArray,
@@ -408,7 +408,7 @@ class TakeSolver:
     ) -> tuple[IkResult, float]:
         """Return a solution, and its time [s]."""
         options = self.options
-        frame_options = self._chosen(problem, warm=warm, restarts=restarts)
+        frame_options = self._solver_options(problem, warm=warm, restarts=restarts)
         start_time = time.perf_counter()
         if options.method in PATH_METHODS and len(np.asarray(targets.positions)) > 1:
             from animtool.ik.clip_path import FollowOptions
@@ -432,7 +432,7 @@ class TakeSolver:
                 )
         return result, time.perf_counter() - start_time
 
-    def _chosen(
+    def _solver_options(
         self, problem: Problem, *, warm: bool, restarts: int | None = None
     ) -> IkOptions:
         """Return the solver options of a problem's frames."""

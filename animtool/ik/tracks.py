@@ -75,23 +75,27 @@ class FreeEffector:
         ``values``: the targets, points ``(F, 3)`` or rotations ``(F, 4)``; ``weights``
         ``(F,)``.
         """
-        blended = values.copy()
+        blended_values = values.copy()
         rows = (weights > 0) & (weights < 1)
         fraction = weights[rows]
         if not len(fraction):
-            return blended
+            return blended_values
         if kind.value is TargetValue.ROTATION:
-            blended[rows] = so3.slerp(self.orientation()[rows], values[rows], fraction)
-            return so3.align_signs(blended)
+            blended_values[rows] = so3.slerp(
+                self.orientation()[rows], values[rows], fraction
+            )
+            return so3.align_signs(blended_values)
         if not kind.directed:
-            blended[rows] = self._reaching(values, rows, fraction)
-            return blended
+            blended_values[rows] = self._blend_positions(values, rows, fraction)
+            return blended_values
         origins, directions = self._axis() if kind.turning else self._bend(values)
         offsets = values[rows] - origins[rows]
-        blended[rows] = origins[rows] + swung(directions[rows], offsets, fraction)
-        return blended
+        blended_values[rows] = origins[rows] + swung(
+            directions[rows], offsets, fraction
+        )
+        return blended_values
 
-    def _reaching(
+    def _blend_positions(
         self, values: FloatArray, rows: BoolArray, fraction: FloatArray
     ) -> FloatArray:
         """Return blended positions of some rows ``(N, 3)``."""
@@ -341,7 +345,7 @@ class TargetTracks:
             for i, kind in enumerate(KINDS):
                 if not track.goal.weights[i]:
                     continue
-                value, weight = _part(track, kind, frames, source)
+                value, weight = _part_targets(track, kind, frames, source)
                 values_by_field[kind.targets][:, e] = away.towards(
                     kind, value, is_active
                 )
@@ -352,7 +356,7 @@ class TargetTracks:
 rename_attributes(TargetTracks, rate_place="rate_location")
 
 
-def _part(
+def _part_targets(
     track: GoalTrack, kind: GoalKind, frames: SampleFrames, pose: FreeEffector
 ) -> tuple[FloatArray, FloatArray]:
     """Return targets ``(F, W)`` and weights ``(F,)`` of a part of a goal."""

@@ -42,16 +42,16 @@ def fits(problem: Problem) -> bool:
 
 def _stiffness(chain: Chain) -> str | None:
     """Return why the joints cannot bend and rotate the limb fully; None if they can."""
-    if not _unlimited(chain.numbers[0]):
+    if not _is_unlimited(chain.numbers[0]):
         return "its first joint has limits"
     upper = chain.numbers[1, 9:12]
     lower = chain.goal_numbers[0, :3] + chain.goal_numbers[0, 3:6]
     if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
         return "a bone has no length"
     if chain.nodes[1, 0] == BALL:
-        is_limited = not _unlimited(chain.numbers[1])
+        is_limited = not _is_unlimited(chain.numbers[1])
         return "its second joint is a ball with limits" if is_limited else None
-    axis = _rest(chain, 1)[:, 2]
+    axis = _rest_matrix(chain, 1)[:, 2]
     bone, tool = chain.goal_numbers[0, 2], chain.goal_numbers[0, 5]
     largest_cosine = max(abs(axis @ upper), abs(bone), abs(tool))
     is_plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
@@ -60,12 +60,12 @@ def _stiffness(chain: Chain) -> str | None:
     return "its second joint does not rotate about an axis across both bones"
 
 
-def _unlimited(numbers: FloatArray) -> bool:
+def _is_unlimited(numbers: FloatArray) -> bool:
     low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
     return bool((numbers[14:18] == low_side).all())
 
 
-def _rest(chain: Chain, node: int) -> FloatArray:
+def _rest_matrix(chain: Chain, node: int) -> FloatArray:
     return chain.numbers[node, :9].reshape(3, 3)
 
 
@@ -80,10 +80,10 @@ def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
     >>> bend(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
     [0.0, 3.141593]
     """
-    clamped = np.clip(distance, np.abs(a - b), a + b)
+    clamped_distance = np.clip(distance, np.abs(a - b), a + b)
     # The half-angle form stays accurate at both ends.
-    closing = (a + b - clamped) * (a + b + clamped)
-    opening = (clamped - (a - b)) * (clamped + (a - b))
+    closing = (a + b - clamped_distance) * (a + b + clamped_distance)
+    opening = (clamped_distance - (a - b)) * (clamped_distance + (a - b))
     tangent = np.sqrt(np.maximum(closing, 0)), np.sqrt(np.maximum(opening, 0))
     return np.asarray(2 * np.arctan2(*tangent))
 

@@ -88,16 +88,18 @@ def with_holds(
     >>> with_holds(np.zeros((2, 3)), weights, np.ones((1, 3)))[:, 0].tolist()
     [0.5, 1.0]
     """
-    held = values.copy()
+    held_values = values.copy()
     for weight, hold_value in zip(weights, hold_values, strict=True):
         part = (weight > 0) & (weight < 1)
         if values.shape[1] == 4:
-            hold_values_of_part = np.broadcast_to(hold_value, held[part].shape)
-            held[part] = so3.slerp(held[part], hold_values_of_part, weight[part])
+            hold_values_of_part = np.broadcast_to(hold_value, held_values[part].shape)
+            held_values[part] = so3.slerp(
+                held_values[part], hold_values_of_part, weight[part]
+            )
         else:
-            held[part] += weight[part, None] * (hold_value - held[part])
-        held[weight >= 1] = hold_value
-    return so3.align_signs(held) if values.shape[1] == 4 else held
+            held_values[part] += weight[part, None] * (hold_value - held_values[part])
+        held_values[weight >= 1] = hold_value
+    return so3.align_signs(held_values) if values.shape[1] == 4 else held_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,12 +292,12 @@ class ValueReader:
             self.document.add("TGT009", at, f"has {contents}", "write one of them")
             return None
         names = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
-        unused = [name for name in names if name in model.model_fields_set]
+        unused_keys = [name for name in names if name in model.model_fields_set]
         if model.prim is not None and key != "orientation" and model.rotate:
-            unused.append("rotate")
+            unused_keys.append("rotate")
         if key == "orientation" and model.offset:
-            unused.append("offset")
-        for name in dict.fromkeys(unused):
+            unused_keys.append("offset")
+        for name in dict.fromkeys(unused_keys):
             owner = "keys have" if model.keys is not None else "only a prim has here"
             self.document.add("TGT009", (*at, name), f"{owner} no {name}")
         if model.keys is not None:

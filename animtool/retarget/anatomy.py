@@ -108,12 +108,12 @@ def anatomy(
         named_joints = zip(rig.joints, names, strict=True)
         names = [joint.humanoid or name for joint, name in named_joints]
     read_names_ = read_names(names, rig.parents)
-    chosen: Preset | None = None
+    chosen_preset: Preset | None = None
     if preset is not None:
-        chosen = find_preset(preset)
+        chosen_preset = find_preset(preset)
     elif by_names:
-        chosen = best_preset(names, read_names_)
-    votes = role_votes(read_names_, chosen) if by_names else [{} for _ in names]
+        chosen_preset = best_preset(names, read_names_)
+    votes = role_votes(read_names_, chosen_preset) if by_names else [{} for _ in names]
     kinds = [name.kind if by_names else "" for name in read_names_]
     body = SkeletonTree.of(rig, votes, kinds)
     search = _Search(body, [""] * len(names))
@@ -128,17 +128,17 @@ def anatomy(
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
-    _rest(search)
+    _assign_remaining(search)
     notices += _doubts(search)
-    evidence = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
+    evidence = [_role_source(role, votes[j]) for j, role in enumerate(search.roles)]
     confidence = tuple(_CONFIDENCE[source] for source in evidence)
-    name = chosen.name if chosen else ""
+    name = chosen_preset.name if chosen_preset else ""
     return Anatomy(
         tuple(search.roles), tuple(evidence), confidence, name, tuple(notices)
     )
 
 
-def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
+def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
     if not role or role in {TWIST, END, CONTROL}:
         return RoleSource.NONE
     weight = votes.get(role, 0.0)
@@ -190,10 +190,12 @@ def _find_limbs(search: _Search) -> None:
             if tip >= 0:
                 search.tips[f"{limb}_{side}"] = tip
     for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
-        assigned = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
-        assigned |= {j for j, role in enumerate(search.roles) if role}
+        assigned_joints = {
+            j for tip in search.tips.values() for j in body.rig.upwards(tip)
+        }
+        assigned_joints |= {j for j, role in enumerate(search.roles) if role}
         has_name = any(f"{limb}_{side}" in search.tips for side in SIDES)
-        if pair and not has_name and assigned.isdisjoint(pair):
+        if pair and not has_name and assigned_joints.isdisjoint(pair):
             search.unsided.append(limb)
             for side, top in zip(SIDES, pair, strict=True):
                 search.tips[f"{limb}_{side}"] = body.heaviest(top)[-1]
@@ -416,7 +418,7 @@ def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
     return np.asarray(body.positions[last_joint] + body.last_bones[last_joint])
 
 
-def _rest(search: _Search) -> None:
+def _assign_remaining(search: _Search) -> None:
     """Assign face roles, and mark why the remaining joints have no role."""
     body = search.body
     for j, votes in enumerate(body.votes):

@@ -100,7 +100,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
     )
     up, (a, b) = _axes(take)
     root = root_positions[:, a] + 1j * root_positions[:, b]
-    angle, shift = _corrected(take, options, stance, root, rotations)
+    angle, shift = _root_correction(take, options, stance, root, rotations)
     positions = root_positions.copy()
     corrected = np.exp(1j * angle) * root + shift
     positions[:, a], positions[:, b] = corrected.real, corrected.imag
@@ -128,7 +128,7 @@ def _axes(take: Take) -> tuple[int, tuple[int, int]]:
     return (1, (2, 0)) if take.rig.up is UpAxis.Y else (2, (0, 1))
 
 
-def _corrected(
+def _root_correction(
     take: Take,
     options: DriftOptions,
     stance: _StanceTracks,

@@ -99,7 +99,7 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         fps: Frames a second.
         up: Index of the up axis.
     """
-    rotations = [_settled(foot, fps, up) for foot in feet]
+    rotations = [_planted_rotations(foot, fps, up) for foot in feet]
     bones = [
         _bone(foot, rotation) for foot, rotation in zip(feet, rotations, strict=True)
     ]
@@ -110,30 +110,30 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     ]
     hips = hips.copy()
     heel_heights = [
-        _raised(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)
+        _ankle_rise(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)
     ]
     hips[:, up] += _lift(hips, feet, pinned_points, heel_heights, fps, up)
-    planted = [foot.contacts.any for foot in feet]
+    is_planted = [foot.contacts.any for foot in feet]
     ankles = [
-        _locked(hips + ankle, bone, foot, fps, up)
+        _locked_path(hips + ankle, bone, foot, fps, up)
         for foot, ankle, bone in zip(feet, pinned_points, bones, strict=True)
     ]
-    lowering, rise = _reaching(hips, feet, ankles, fps, up)
-    hips[:, up] += rise - lowering
+    hip_drop, rise = _hip_shifts(hips, feet, ankles, fps, up)
+    hips[:, up] += rise - hip_drop
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
     return Placed(
         hips,
         ankles,
         rotations,
-        planted,
+        is_planted,
         rolls,
         soles,
-        max(float(lowering.max(initial=0.0)), 0.0),
+        max(float(hip_drop.max(initial=0.0)), 0.0),
     )
 
 
-def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
+def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
     """Return a foot's rotations, constant and level while planted flat ``(F, 4)``."""
     is_flat = without_short_runs(foot.contacts.ankle & foot.contacts.toe, fps)
     correction = np.zeros((len(is_flat), 3))
@@ -143,7 +143,7 @@ def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
         target = mean
         if foot.level is not None:
             lean_angle = so3.multiply(mean, so3.conjugate(foot.level))
-            level = so3.multiply(_heading(lean_angle, up), foot.level)
+            level = so3.multiply(_heading_rotation(lean_angle, up), foot.level)
             target = mean if so3.angle_between(level, mean) > MAX_LEAN else level
         inverse_rotations = so3.conjugate(foot.rotation[start:end])
         correction[start:end] = so3.log(so3.multiply(target, inverse_rotations))
@@ -158,8 +158,8 @@ def _rolls(toe: BoolArray, fps: float) -> FloatArray:
     return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
 
 
-def _heading(rotation: FloatArray, up: int) -> FloatArray:
-    """Return the part of a rotation about the vertical ``(4,)``."""
+def _heading_rotation(rotation: FloatArray, up: int) -> FloatArray:
+    """Return the vertical twist of a rotation ``(4,)``."""
     heading = np.zeros(4)
     heading[up], heading[3] = rotation[up], rotation[3]
     norm = float(np.linalg.norm(heading))
@@ -174,7 +174,7 @@ def _bone(foot: Foot, rotation: FloatArray) -> FloatArray:
     return so3.rotate(change, foot.toe - foot.ankle)
 
 
-def _raised(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
+def _ankle_rise(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
     """Return how far the ankle rises where only the toe is planted ``(F,)`` [m]."""
     toe_only = foot.contacts.toe & ~foot.contacts.ankle
     return np.where(toe_only, _level_bone(foot, up) - bone[:, up], 0.0)
@@ -184,7 +184,7 @@ def _lift(
     hips: FloatArray,
     feet: Sequence[Foot],
     relative: Sequence[FloatArray],
-    raised: Sequence[FloatArray],
+    ankle_rises: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> FloatArray:
@@ -192,7 +192,7 @@ def _lift(
     weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
     for weight, foot, ankle, raised_ankle in zip(
-        weights, feet, relative, raised, strict=True
+        weights, feet, relative, ankle_rises, strict=True
     ):
         lift[:, 0] += weight * (foot.height + raised_ankle - ankle[:, up] - hips[:, up])
     return _smoothest(weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4)[:, 0]
@@ -233,11 +233,11 @@ def _weight(stands: BoolArray, fps: float) -> FloatArray:
         # Contacts cut off by the ends of the take continue.
         frames_since = np.inf if start == 0 else frames - start
         frames_left = np.inf if end == len(stands) else end - 1 - frames
-        weight[start:end] = _smooth(np.minimum(frames_since, frames_left) / ramp)
+        weight[start:end] = _smooth_step(np.minimum(frames_since, frames_left) / ramp)
     return weight
 
 
-def _smooth(fraction: FloatArray) -> FloatArray:
+def _smooth_step(fraction: FloatArray) -> FloatArray:
     """Return a smooth step from 0 to 1 of class C2."""
     t = np.clip(fraction, 0.0, 1.0)
     return np.asarray(t**3 * (10 - 15 * t + 6 * t * t))
@@ -257,7 +257,7 @@ def _level_bone(foot: Foot, up: int) -> float:
     return float(so3.rotate(rotation, (foot.toe - foot.ankle)[:1])[0, up])
 
 
-def _locked(
+def _locked_path(
     ankle: FloatArray, bone: FloatArray, foot: Foot, fps: float, up: int
 ) -> FloatArray:
     """Return the path of an ankle whose foot is pinned while planted ``(F, 3)``.
@@ -346,15 +346,15 @@ def between(
     values[~is_fixed] = filled[~is_fixed]
 
 
-def _reaching(
+def _hip_shifts(
     hips: FloatArray,
     feet: Sequence[Foot],
     ankles: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far hips sink and rise so that legs reach, each ``(F,)`` [m]."""
-    sinking, rise = np.full((2, len(hips)), -np.inf)
+    """Return how far hips drop and rise so that feet reach, each ``(F,)`` [m]."""
+    hip_drop, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
         largest_reach = upper(
@@ -371,12 +371,12 @@ def _reaching(
         highest = np.sqrt(
             np.maximum((fraction * foot.length) ** 2 - horizontal_squared, 0.0)
         )
-        sinking = np.maximum(sinking, offset[:, up] - highest)
+        hip_drop = np.maximum(hip_drop, offset[:, up] - highest)
         lowest = np.sqrt(np.maximum(foot.shortest**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
         upright = (offset[:, up] > 0) & (lowest > 0)
         rise = np.maximum(rise, np.where(upright, lowest - offset[:, up], 0.0))
-    return covering(sinking, LOWERING_SECONDS * fps), covering(
+    return covering(hip_drop, LOWERING_SECONDS * fps), covering(
         rise, LOWERING_SECONDS * fps
     )
 

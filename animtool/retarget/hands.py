@@ -193,7 +193,7 @@ def hand_contacts(
             )
             is_low = ~is_contact & (height_above_ground < soft_height)
             goals[k][is_low, up] = (
-                level + _softened(height_above_ground, soft_height)
+                level + _soften_heights(height_above_ground, soft_height)
             )[is_low]
             is_contact |= is_low
         bends = _bends(
@@ -233,20 +233,20 @@ def _bends(
         bends[frames, k] = so3.log(
             so3.multiply(bent_rotations[k], so3.conjugate(bone_rotations[k]))
         )
-    flat = bends.reshape(len(bends), 6)
-    between(flat, is_contact, fps, FADE_SECONDS)
-    return flat.reshape(bends.shape)
+    flat_bends = bends.reshape(len(bends), 6)
+    between(flat_bends, is_contact, fps, FADE_SECONDS)
+    return flat_bends.reshape(bends.shape)
 
 
-def _bent(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
+def _bent_wrist(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
     """Return the wrist relative to the shoulder for bent arms ``(F, 3)`` [m]."""
     bones = np.diff(tracks.joints, axis=1)
     return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
 
 
-def _softened(above: FloatArray, soft: float) -> FloatArray:
-    """Return heights above ground, softened to 0 at ``-soft`` and below."""
-    return np.asarray(np.clip(above + soft, 0.0, None) ** 2 / (4 * soft))
+def _soften_heights(heights: FloatArray, depth: float) -> FloatArray:
+    """Return heights above ground, smoothed to 0 at ``-depth`` and below."""
+    return np.asarray(np.clip(heights + depth, 0.0, None) ** 2 / (4 * depth))
 
 
 def _within_reach(

@@ -93,7 +93,7 @@ class LegTracks:
             self.toe if side in transfer.target.balls else None,
             self.rotations[:, 3],
             None if transfer.similar_legs else _level(transfer, leg[2]),
-            _standing(transfer, side, contacts.ground, up),
+            _standing_height(transfer, side, contacts.ground, up),
             longest_reach,
             shortest_reach,
             transfer.scale * (ankle[:, up] - contacts.ground),
@@ -173,7 +173,7 @@ def _level(transfer: Transfer, foot: int) -> FloatArray:
     return np.asarray(target.rotations[foot])
 
 
-def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
+def _standing_height(transfer: Transfer, side: str, ground: float, up: int) -> float:
     """Return the height of a planted ankle above the ground [m]."""
     target, source = transfer.target, transfer.source
     leg = leg_of(target, side)

@@ -68,23 +68,23 @@ class _Leg:
         swivel = np.zeros(len(hips))
         rotations, axis = self.rotations(hips), self.goal - hips - self.tracks.hip
         all_frames = np.arange(len(hips))
-        violating = np.flatnonzero(
+        violating_frames = np.flatnonzero(
             self._excess(rotations, axis, all_frames, swivel) > 0
         )
-        if not len(violating):
+        if not len(violating_frames):
             return swivel
-        best_swivel = np.zeros(len(violating))
+        best_swivel = np.zeros(len(violating_frames))
         for grid in (SWIVELS, FINE_SWIVELS):
             candidates = best_swivel + grid[:, None]
             costs = [
-                self._excess(rotations, axis, violating, angles)
+                self._excess(rotations, axis, violating_frames, angles)
                 + (SWIVEL_COST * angles) ** 2
                 for angles in candidates
             ]
             best_swivel = candidates[
-                np.argmin(costs, axis=0), np.arange(len(violating))
+                np.argmin(costs, axis=0), np.arange(len(violating_frames))
             ]
-        swivel[violating] = best_swivel
+        swivel[violating_frames] = best_swivel
         return gaussian_smoothed(swivel, SWIVEL_TIME * fps)
 
     def _excess(

@@ -106,18 +106,18 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         joint, bone = text(target_names[twist.target]), text(target_names[twist.bone])
         fraction = number(round(twist.fraction, 6))
         yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
-    unmapped = {
+    unmapped_names = {
         "source": [source_names[j] for j in joint_map.unmapped_source],
         "target": [target_names[j] for j in joint_map.unmapped_target],
     }
-    if any(unmapped.values()):
+    if any(unmapped_names.values()):
         yield "ignored:"
-    for side, names in unmapped.items():
+    for side, names in unmapped_names.items():
         if names:
-            yield from _wrapped(f"  {side}: [", list(map(text, names)))
+            yield from _wrapped_lines(f"  {side}: [", list(map(text, names)))
 
 
-def _wrapped(prefix: str, names: Sequence[str]) -> Iterator[str]:
+def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
     """Yield the wrapped lines of a list of names."""
     line = prefix
     for i, name in enumerate(names):

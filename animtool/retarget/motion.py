@@ -62,7 +62,7 @@ ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
-class _Posed:
+class _PosedFrames:
     """Frames of the target before its feet are planted."""
 
     source: FloatArray  # source joints in the target's axes (F, J, 3) [m]
@@ -170,7 +170,7 @@ class Retargeting:
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
             self._note_moving(motion)
-            block = self._posed(motion, legs)
+            block = self._pose_frames(motion, legs)
             rotations = block.rotations
             arm_arguments = block.source, rotations.world, block.about
             tracks.append(
@@ -239,7 +239,7 @@ class Retargeting:
         )
         return placed
 
-    def _posed(self, motion: Motion, legs: str) -> _Posed:
+    def _pose_frames(self, motion: Motion, legs: str) -> _PosedFrames:
         """Return target frames whose joints follow the source's."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
@@ -255,7 +255,7 @@ class Retargeting:
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
         source_points = transfer.turned(positions), transfer.turned(balls)
-        return _Posed(*source_points, posed, bones, relative, hips)
+        return _PosedFrames(*source_points, posed, bones, relative, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:
@@ -375,7 +375,7 @@ class Retargeting:
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
-        """Return rotations with ankles at their goals and feet as placed."""
+        """Return rotations with ankles at their goals and planted feet."""
         target, placed = self.transfer.target, self.standing.placed
         assert placed is not None
         world = rotations.world.copy()
@@ -393,7 +393,7 @@ class Retargeting:
 
     def _with_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
         """Return rotations with arms that bring the hands to their contacts."""
-        changed: set[int] = set()
+        changed_joints: set[int] = set()
         part, world = slice(begin, begin + len(rotations.world)), rotations.world.copy()
         for hand in self.standing.hands:
             arm = arm_of(self.transfer.target, hand.side)
@@ -401,10 +401,10 @@ class Retargeting:
             if arm is None or not bends.any():
                 continue
             world[:, arm[:2]] = so3.multiply(so3.exp(bends), world[:, arm[:2]])
-            changed.update(arm[:2])
-        if not changed:
+            changed_joints.update(arm[:2])
+        if not changed_joints:
             return rotations
-        return local_rotations(self.transfer, world, rotations, changed)
+        return local_rotations(self.transfer, world, rotations, changed_joints)
 
 
 def _floor(transfer: Transfer, feet: Sequence[Foot], *, placed: bool) -> Floor | None:
@@ -428,20 +428,20 @@ def joined(parts: list[Tracks]) -> Tracks:
 
 def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
     """Yield a motion in blocks of a size [frames]; the last has the remainder."""
-    buffered: list[Motion] = []
+    buffered_blocks: list[Motion] = []
     count = 0
     for motion in motions:
         start = 0
         while start < motion.frames:
             end = min(start + size - count, motion.frames)
-            buffered.append(motion.select(slice(start, end)))
+            buffered_blocks.append(motion.select(slice(start, end)))
             count += end - start
             start = end
             if count == size:
-                yield Motion.concatenate(buffered)
-                buffered, count = [], 0
-    if buffered:
-        yield Motion.concatenate(buffered)
+                yield Motion.concatenate(buffered_blocks)
+                buffered_blocks, count = [], 0
+    if buffered_blocks:
+        yield Motion.concatenate(buffered_blocks)
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,7 +143,7 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
         without_side_letter = _strip_side_letter(name, names_without_prefix[partner[j]])
         if without_side_letter:
             side, words = "l" if j in left_joints else "r", _split(without_side_letter)
-        parsed.append(ReadName(side, _key(words), _kind(name, words)))
+        parsed.append(ReadName(side, _key(words), _name_kind(name, words)))
     return parsed
 
 
@@ -155,7 +155,7 @@ def _strip_side_letter(name: str, other: str) -> str:
     return name[: differ[0]] + " " + name[differ[0] + 1 :]
 
 
-def _kind(name: str, words: Sequence[str]) -> str:
+def _name_kind(name: str, words: Sequence[str]) -> str:
     lower = [word.lower() for word in words if not word.isdigit()]
     if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lower):
         return CONTROL

@@ -99,7 +99,7 @@ def map_joints(
             by_names=by_names,
         ),
     )
-    pairing = _Pairing((source, target), anatomies)
+    pairing = _PairCollector((source, target), anatomies)
     if entries is not None:
         pairing.add_file(entries)
     if entries is None or not entries.is_exclusive:
@@ -178,7 +178,7 @@ def _left(rig: Rig, side: Anatomy, used_joints: set[int]) -> tuple[int, ...]:
 
 
 @dataclass(slots=True)
-class _Pairing:
+class _PairCollector:
     """Collects pairs and chains; earlier pairs take precedence."""
 
     rigs: tuple[Rig, Rig]
@@ -384,7 +384,7 @@ def _bone(rig: Rig, parsed: Anatomy, joint: int) -> float:
 
 
 def _twists(
-    target: Rig, parsed: Anatomy, pairing: _Pairing
+    target: Rig, parsed: Anatomy, pairing: _PairCollector
 ) -> tuple[TwistFraction, ...]:
     """Return the twist fractions of joints that lie along a bone."""
     fractions = []

@@ -51,7 +51,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
     The joint above twists about its bone, so that the bone below the pin keeps its
     direction; a straight limb keeps its twist.
     """
-    target, adjusted = transfer.target, rotations
+    target, adjusted_rotations = transfer.target, rotations
     rig = target.rig
     for j, joint in enumerate(rig.joints):
         parent = int(rig.parents[j])
@@ -63,11 +63,13 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         bone = target.bone(j)
         if bone is None:
             continue
-        upper = so3.rotate(adjusted[:, parent], _unit(rig.rest_translations[j]))
+        upper = so3.rotate(
+            adjusted_rotations[:, parent], _unit(rig.rest_translations[j])
+        )
         bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
-        direction = so3.rotate(adjusted[:, j], bone_local)
+        direction = so3.rotate(adjusted_rotations[:, j], bone_local)
         rest_axis = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
-        axis = so3.rotate(adjusted[:, parent], rest_axis)
+        axis = so3.rotate(adjusted_rotations[:, parent], rest_axis)
         normal = np.cross(upper, direction)
         sine = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(sine, 1e-12)[:, None]
@@ -85,8 +87,10 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         )
         angle = angle * bend_weight * bend_weight * (3 - 2 * bend_weight)
         twist = so3.from_axis_angle(upper, angle)
-        adjusted[:, parent] = so3.multiply(twist, adjusted[:, parent])
-    return adjusted
+        adjusted_rotations[:, parent] = so3.multiply(
+            twist, adjusted_rotations[:, parent]
+        )
+    return adjusted_rotations
 
 
 def _bends(limits: RangeLimit) -> float:
@@ -142,15 +146,15 @@ def local_rotations(
     if previous is None:
         local, world = np.zeros_like(rotations), np.zeros_like(rotations)
         clamped: dict[int, BoolArray] = {}
-        outdated = set(range(len(rig.joints)))
+        outdated_joints = set(range(len(rig.joints)))
     else:
         local, world = previous.local.copy(), previous.world.copy()
-        clamped, outdated = dict(previous.clamped), set(changed)
+        clamped, outdated_joints = dict(previous.clamped), set(changed)
     for j, joint in enumerate(rig.joints):
         parent, rest_rotation = int(rig.parents[j]), rig.rest_rotations[j]
-        if parent in outdated:
-            outdated.add(j)
-        if j not in outdated:
+        if parent in outdated_joints:
+            outdated_joints.add(j)
+        if j not in outdated_joints:
             continue
         parent_rotation = world[:, parent] if parent >= 0 else None
         inverse_parent = (
@@ -159,14 +163,14 @@ def local_rotations(
         joint_local = rest_rotation[None]
         if transfer.follows[j] >= 0:
             joint_local = so3.multiply(inverse_parent, rotations[:, j])
-            twisted_joint = _twisted(target, j)
+            twisted_joint = _twist_joint(target, j)
             if twisted_joint >= 0:
                 twisted_rest = so3.conjugate(rig.rest_rotations[twisted_joint])
                 joint_local = so3.multiply(
                     inverse_parent,
                     so3.multiply(rotations[:, twisted_joint], twisted_rest),
                 )
-        joint_local, is_clamped = _within(joint, rest_rotation, joint_local)
+        joint_local, is_clamped = _within_limits(joint, rest_rotation, joint_local)
         clamped.pop(j, None)
         if is_clamped.any():
             clamped[j] = np.broadcast_to(is_clamped, len(local)).copy()
@@ -179,7 +183,7 @@ def local_rotations(
     return LocalRotations(local, world, clamped)
 
 
-def _twisted(target: RoledSkeleton, j: int) -> int:
+def _twist_joint(target: RoledSkeleton, j: int) -> int:
     """Return the joint whose twist a pin along its bone carries; -1 for other pins."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
@@ -201,32 +205,32 @@ def _twisted(target: RoledSkeleton, j: int) -> int:
     )
 
 
-def _within(
+def _within_limits(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""
-    unclamped = np.zeros(len(local), np.bool_)
+    is_clamped = np.zeros(len(local), np.bool_)
     limits = joint.limits
     if joint.type is JointType.FREE or (
         joint.type is JointType.BALL and limits is None
     ):
-        return local, unclamped
+        return local, is_clamped
     relative = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
         angle = swing_twist(relative, joint.axis)[1]
         if isinstance(limits, RangeLimit):
-            unclamped = np.abs(limits.excess(angle)) > LIMIT_ROUNDING
+            is_clamped = np.abs(limits.excess(angle)) > LIMIT_ROUNDING
             angle = limits.clamped(angle)
         relative = so3.from_axis_angle(np.array(joint.axis, np.float64), angle)
     elif isinstance(limits, BallLimit):
         clamped_rotations = limits.clamped(relative)
-        unclamped, relative = (
+        is_clamped, relative = (
             so3.angle_between(clamped_rotations, relative) > LIMIT_ROUNDING,
             clamped_rotations,
         )
     else:
         relative = np.broadcast_to(so3.IDENTITY, relative.shape)
-    return so3.multiply(rest, relative), unclamped
+    return so3.multiply(rest, relative), is_clamped
 
 
 def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:

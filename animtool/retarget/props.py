@@ -103,14 +103,14 @@ class Props:
             lift: Offset of the target's ground ``(3,)`` [m].
         """
         return tuple(
-            _scaled(rotated_track(track, transfer.upright), transfer.scale, lift)
+            _scale_track(rotated_track(track, transfer.upright), transfer.scale, lift)
             if i in gripped
             else track
             for i, track in enumerate(self.tracks)
         )
 
 
-def _scaled(track: Track, scale: float, lift: FloatArray) -> Track:
+def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
     """Return a track with its path scaled and its size unchanged."""
 
     def sample(times: FloatArray) -> Transforms:

@@ -148,13 +148,13 @@ class FitMeter:
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
             tip_positions, foot_rows = (ball, balls[:, k]), []
             for (skeleton, points, scale_factor), tip_position in zip(
-                self._both(target, source), tip_positions, strict=True
+                self._both_skeletons(target, source), tip_positions, strict=True
             ):
                 ankle = points[:, leg_of(skeleton, side)[2]]
                 foot_rows.append(scale_factor * np.stack([ankle, tip_position], axis=1))
             self._feet[k].append(np.stack(foot_rows, axis=1))
         self._add_angles(part, target, source)
-        reach_errors = _reach_errors(self._both(target, source))
+        reach_errors = _reach_errors(self._both_skeletons(target, source))
         self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach_errors)))
         self._note("hands", reach_errors)
         for hand in self._standing.hands:
@@ -189,7 +189,7 @@ class FitMeter:
     def _note(self, score: str, values: FloatArray) -> None:
         self._values.setdefault(score, []).append(values)
 
-    def _both(
+    def _both_skeletons(
         self, target: FloatArray, source: FloatArray
     ) -> list[tuple[RoledSkeleton, FloatArray, float]]:
         """Return both skeletons with their positions and scale factors."""
@@ -207,7 +207,7 @@ class FitMeter:
         for side in "lr":
             for role, end_role in BONES.items():
                 directions = []
-                for skeleton, points, _ in self._both(target, source):
+                for skeleton, points, _ in self._both_skeletons(target, source):
                     start_joint = skeleton.first(f"{role}_{side}")
                     end_joint = skeleton.first(f"{end_role}_{side}")
                     if min(start_joint, end_joint) >= 0 and skeleton.separate(
@@ -236,7 +236,7 @@ class FitMeter:
         self._angles = angle_sum, count, largest_angle
         self._note("limbs", bends / np.maximum(counts, 1))
 
-    def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
+    def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return where limits lift a heel whose toe is planted ``(F,)``."""
         planted, contacts = self._standing.placed, self._standing.contacts[k]
         if planted is None or not contacts.toe.any():
@@ -290,7 +290,7 @@ class FitMeter:
             stands += float(contacts.any.mean()) / len(standing.sides)
             has_toe = side in transfer.target.balls
             both_balls = has_toe and side in transfer.source.balls
-            heel = contacts.ankle & ~self._raised(k, feet[:, 0, 0])
+            heel = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
             for joint, mask in enumerate((heel, contacts.toe)):
                 if joint == 0 or both_balls:
                     drifts.append(_drift(feet[:, 0, joint], mask, self._up))

@@ -146,7 +146,7 @@ def stance(
         up: The assumed up axis.
         rest: Joint positions at rest ``(J, 3)`` [m]; None if unknown.
     """
-    axes, other_axis = body_axes(roles, positions), _other(up)
+    axes, other_axis = body_axes(roles, positions), _other_axis(up)
     is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     upright = axes @ np.array(up.vector)
     fraction, upright_fraction = (
@@ -264,7 +264,7 @@ def stands_along(
     world = forward(rig, frames.translations.dense(), frames.rotations.dense())
     positions, rest = world.positions, rest_world(rig).positions[0]
     if downwards:
-        mirror = 1.0 - 2.0 * np.array(_other(rig.up).vector)
+        mirror = 1.0 - 2.0 * np.array(_other_axis(rig.up).vector)
         positions, rest = positions * mirror, rest * mirror
     return stance(roles, positions, rig.up, rest).axis
 
@@ -274,7 +274,10 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
-    up_vector, other_vector = np.array(rig.up.vector), np.array(_other(rig.up).vector)
+    up_vector, other_vector = (
+        np.array(rig.up.vector),
+        np.array(_other_axis(rig.up).vector),
+    )
     for frame in sorted(set(sampled_frames.tolist())):
         single_frame = motion.select(slice(frame, frame + 1))
         pose = forward(
@@ -306,7 +309,7 @@ def lying_notice(
     read_as = axis
     if axis is None and up is not None:
         axis = stands_along(rig, motion, roles, downwards=True)
-        read_as, sign = _other(up), "-"
+        read_as, sign = _other_axis(up), "-"
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
@@ -341,12 +344,14 @@ def with_source_warnings(
         stream.notices.extend(
             replace(notice, path=str(path)) for notice in rate_warnings
         )
-    form = stream.details.get("format")
-    if unit is not None and "RIG217" not in known_codes and form != "markers":
+    file_format = stream.details.get("format")
+    if unit is not None and "RIG217" not in known_codes and file_format != "markers":
         stream.notices.extend(_size_warning(path, stream.rig, unit))
-    if up is None and form not in {"BVH", "markers"}:
+    if up is None and file_format not in {"BVH", "markers"}:
         return stream
-    severity = Severity.NOTE if up is None and form == "BVH" else Severity.WARNING
+    severity = (
+        Severity.NOTE if up is None and file_format == "BVH" else Severity.WARNING
+    )
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
@@ -365,16 +370,18 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     if not size or low <= size <= MAX_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
-    fitting = [
-        str(other)
-        for other in LengthUnit
-        if PERSON_METERS[0] <= size / unit.meters * other.meters <= PERSON_METERS[1]
+    fitting_units = [
+        str(unit_option)
+        for unit_option in LengthUnit
+        if PERSON_METERS[0]
+        <= size / unit.meters * unit_option.meters
+        <= PERSON_METERS[1]
     ]
     hint = f"remove {argument('source.unit')} if the file states its unit"
-    if fitting:
-        hint = f"use {argument('source.unit', fitting[0])}, or {hint}"
+    if fitting_units:
+        hint = f"use {argument('source.unit', fitting_units[0])}, or {hint}"
     return [Fault("RIG217", message, str(path), (), hint, Severity.WARNING)]
 
 
-def _other(up: UpAxis) -> UpAxis:
+def _other_axis(up: UpAxis) -> UpAxis:
     return UpAxis.Z if up is UpAxis.Y else UpAxis.Y

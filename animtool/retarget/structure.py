@@ -134,7 +134,9 @@ class SkeletonTree:
         if len(children) < 2:
             return children
         longest = max(children, key=self.extent)
-        return [c for c in children if c == longest or not self._along(c, longest)]
+        return [
+            c for c in children if c == longest or not self._lies_on_bone(c, longest)
+        ]
 
     def _is_end(self, joint: int) -> bool:
         if self.children[joint] or self.votes[joint]:
@@ -144,12 +146,12 @@ class SkeletonTree:
     def is_tip(self, joint: int) -> bool:
         """Return whether a leaf only marks the end of the bone above it."""
         tips = self.rig.joints[joint].tips
-        if not tips or not self._marked or self.children[joint]:
+        if not tips or not self._has_bone_ends or self.children[joint]:
             return False
         return float(self.tips[joint]) <= _MIN_BONE * self.size
 
     @cached_property
-    def _marked(self) -> bool:
+    def _has_bone_ends(self) -> bool:
         """Whether leaves with a zero-length bone are bone ends, not joints.
 
         Some files give no last bone a length; there, fingers of four joints show that
@@ -166,7 +168,7 @@ class SkeletonTree:
         forks = [i for i, j in enumerate(ancestors) if len(self.children[j]) > 1]
         return min(forks, default=len(ancestors))
 
-    def _along(self, leaf: int, other: int) -> bool:
+    def _lies_on_bone(self, leaf: int, other: int) -> bool:
         """Return whether a joint lies on its sibling's bone, or at the joint itself."""
         if self.votes[leaf] or self.kinds[leaf] == TWIST:
             return not self.votes[leaf]
@@ -339,7 +341,7 @@ def split_limb(
         limb: Shape of the limb.
         branch: The joint where the end begins, if the tree shows it.
     """
-    beyond, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
+    remaining_joints, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
     n = len(path)
     distances = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
     best_labels, best_score = [""] * n, -np.inf
@@ -351,7 +353,9 @@ def split_limb(
                 for role, (a, b) in zip(limb.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
-            score = _named(body, path, labels) + _shaped(distances, boundaries, limb)
+            score = _name_score(body, path, labels) + _shape_score(
+                distances, boundaries, limb
+            )
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
             elif not limb.led and end_index < n - 1:
@@ -360,10 +364,12 @@ def split_limb(
                 )
             if score > best_score:
                 best_labels, best_score = labels, score
-    return best_labels + [""] * len(beyond)
+    return best_labels + [""] * len(remaining_joints)
 
 
-def _named(body: SkeletonTree, path: Sequence[int], labels: Sequence[str]) -> float:
+def _name_score(
+    body: SkeletonTree, path: Sequence[int], labels: Sequence[str]
+) -> float:
     """Return how well names agree with roles; a role's first joint counts most."""
     score, previous = 0.0, ""
     for j, label in zip(path, labels, strict=True):
@@ -376,7 +382,9 @@ def _named(body: SkeletonTree, path: Sequence[int], labels: Sequence[str]) -> fl
     return score
 
 
-def _shaped(distances: FloatArray, boundaries: Sequence[int], limb: LimbShape) -> float:
+def _shape_score(
+    distances: FloatArray, boundaries: Sequence[int], limb: LimbShape
+) -> float:
     """Return how well a limb's lengths and joint counts fit a human one."""
     _, upper, lower, end_index, _, n = boundaries
     counts = [b - a for a, b in pairwise(boundaries)]

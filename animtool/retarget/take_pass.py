@@ -214,9 +214,9 @@ def onto_rig(
     _check_bound(options)
     as_rig = options.rest == "rig"
     frame = None if isinstance(options.rest, str) else options.rest
-    rest_rotations, blocks = _rest(stream.blocks, frame)
+    rest_rotations, blocks = _rest_frame(stream.blocks, frame)
     first_block = next(blocks)
-    joint_map = _paired(
+    joint_map = _pair_joints(
         stream.rig, rig, options, _positions(stream.rig, first_block, rest_rotations)
     )
     notices = list(joint_map.notices)
@@ -274,7 +274,7 @@ def onto_rig(
     return retargeting, joint_map, notices
 
 
-def _paired(
+def _pair_joints(
     source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
 ) -> JointMap:
     """Return the joint map; ``positions``: of the source's joints ``(J, 3)``."""
@@ -297,7 +297,7 @@ def _paired(
         raise
 
 
-def _rest(
+def _rest_frame(
     blocks: Iterator[Motion], frame: int | None
 ) -> tuple[FloatArray | None, Iterator[Motion]]:
     """Return local rotations of the rest frame ``(J, 4)``, and all blocks.
@@ -371,7 +371,9 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     retargeting, _, notices = onto_rig(source, rig, settings, props=props)
     context.notices.extend(notices)
     blocks = checked_blocks(retargeting, settings, stream.notices)
-    retargeted = replace(source, rig=rig, blocks=_scored(retargeting, blocks, context))
+    retargeted = replace(
+        source, rig=rig, blocks=_with_fit_report(retargeting, blocks, context)
+    )
     if passthrough is None:
         return retargeted
     retargeted = passthrough.restore(retargeted)
@@ -388,7 +390,7 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     )
 
 
-def _scored(
+def _with_fit_report(
     retargeting: Retargeting, blocks: Iterator[Motion], context: PassContext
 ) -> Iterator[Motion]:
     """Yield the target's motion; report the fit at the end."""

@@ -19,7 +19,7 @@ from animtool.retarget.standing import MIN_STANDING_COSINE
 from animtool.rig.skeleton import Rig
 
 # Roles whose bones point along the source's bones, whatever their rest pose.
-_POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
+_AIMED_ROLES = {"upper_arm", "forearm", "hand", "thigh", "shin"}
 # Deviations from rest below this fraction of the skeleton are rounding [1].
 MIN_DEVIATION = 1e-9
 # Bones whose lengths differ by less than this fraction of the leg are equal [1].
@@ -89,10 +89,10 @@ class Transfer:
                 )
         for joint, source_joint in namesakes(source.rig, target.rig, follows):
             follows[joint] = after[joint] = source_joint
-        aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
+        aligned = _rest_alignment(source, target, follows, upright, as_rig=as_rig)
         twists = []
         for twist in joint_map.twists:
-            twisting_joint = _below(target, twist.bone)
+            twisting_joint = _twist_source(target, twist.bone)
             if twisting_joint >= 0:
                 twists.append(
                     (twist.target, twist.bone, twisting_joint, twist.fraction)
@@ -236,14 +236,14 @@ def _middles(at: Sequence[float]) -> FloatArray:
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
-def _below(skeleton: RoledSkeleton, bone: int) -> int:
+def _twist_source(skeleton: RoledSkeleton, bone: int) -> int:
     """Return the joint whose rotation twists a bone: the next below it with a role."""
     children = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
     with_role = [k for k in children if skeleton.roles[k] not in {"", "twist", "end"}]
     return with_role[0] if with_role else -1
 
 
-def _aligned(
+def _rest_alignment(
     source: RoledSkeleton,
     target: RoledSkeleton,
     follows: IntArray,
@@ -257,7 +257,7 @@ def _aligned(
     the rest poses are equal.
     """
     up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
-    heading = _heading(source, target, upright, up)
+    heading = _heading_alignment(source, target, upright, up)
     rotations = so3.multiply(heading, target.rotations)
     for j, source_joint in enumerate(follows.tolist() if not as_rig else []):
         role = base_role(target.roles[j])
@@ -276,13 +276,13 @@ def _aligned(
             if min(sizes) < MIN_BONE:
                 continue
             bone, source_bone = bone / sizes[0], source_bone / sizes[1]
-        elif role not in _POINTING and role[:-2] not in _FINGERS:
+        elif role not in _AIMED_ROLES and role[:-2] not in _FINGERS:
             continue
         rotations[j] = so3.multiply(so3.between(bone, source_bone), rotations[j])
     return rotations
 
 
-def _heading(
+def _heading_alignment(
     source: RoledSkeleton, target: RoledSkeleton, upright: FloatArray, up: FloatArray
 ) -> FloatArray:
     """Return the rotation from the target's rest heading to the source's ``(4,)``.

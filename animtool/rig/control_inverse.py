@@ -52,13 +52,17 @@ def keyed_values(
     >>> keyed_values(rig, values)["blink_l"].tolist()
     [0.25]
     """
-    keyed = {control.name: np.array(reached[control.name]) for control in controls}
+    keys_by_control = {
+        control.name: np.array(reached[control.name]) for control in controls
+    }
     for control in controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
-            if kind == "control" and name in keyed:
-                keyed[name] = keyed[name] - drive.evaluate(control.name, reached)
-    return keyed
+            if kind == "control" and name in keys_by_control:
+                keys_by_control[name] = keys_by_control[name] - drive.evaluate(
+                    control.name, reached
+                )
+    return keys_by_control
 
 
 def solve_controls(
@@ -87,24 +91,24 @@ def solve_controls(
     """
     values = {name: np.array(value, np.float64) for name, value in start.items()}
     solved_names: set[str] = set()
-    released: set[str] = set()
+    released_names: set[str] = set()
     for group in _groups(controls):
         group_controls = [control for control in controls if control.name in group]
         problem = _Problem(group_controls, targets, tolerances, keyed)
         start_values = {
             control.name: values[control.name] for control in group_controls
         }
-        solved, unsolved = _solved_group(problem, start_values)
+        solved, unsolved_names = _solved_group(problem, start_values)
         values |= solved
-        released |= unsolved
+        released_names |= unsolved_names
         solved_names |= {
             control.name for control in group_controls if control.drives
-        } - unsolved
+        } - unsolved_names
     order = [control.name for control in controls]
     return SolvedControls(
         values,
         tuple(name for name in order if name in solved_names),
-        tuple(name for name in order if name in released),
+        tuple(name for name in order if name in released_names),
     )
 
 
@@ -172,27 +176,30 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return the names of controls that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
-        affected = {control.name}
+        affected_names = {control.name}
         for drive in control.drives:
-            affected.add(drive.target)
-            affected.update([] if drive.expression is None else drive.expression.names)
-        for name in affected:
+            affected_names.add(drive.target)
+            affected_names.update(
+                [] if drive.expression is None else drive.expression.names
+            )
+        for name in affected_names:
             links.setdefault(name.removeprefix("control/"), set()).update(
-                affected_name.removeprefix("control/") for affected_name in affected
+                affected_name.removeprefix("control/")
+                for affected_name in affected_names
             )
     names = [control.name for control in controls]
     groups: list[set[str]] = []
-    visited: set[str] = set()
+    visited_names: set[str] = set()
     for name in names:
-        if name in visited:
+        if name in visited_names:
             continue
-        group, pending = set(), [name]
-        while pending:
-            name_in_group = pending.pop()
+        group, pending_names = set(), [name]
+        while pending_names:
+            name_in_group = pending_names.pop()
             if name_in_group not in group:
                 group.add(name_in_group)
-                pending.extend(links.get(name_in_group, ()))
-        visited |= group
+                pending_names.extend(links.get(name_in_group, ()))
+        visited_names |= group
         groups.append(group & set(names))
     return groups
 
@@ -277,10 +284,10 @@ class _Problem:
             return set()
         residuals = self.residuals(values, modulo=True)
         largest = np.abs(residuals).max(axis=0, initial=0.0)
-        missed = {
+        missed_targets = {
             t for t, residual in zip(self.order, largest, strict=True) if residual > 1.0
         }
-        return missed | (self.keyed & {*self.order})
+        return missed_targets | (self.keyed & {*self.order})
 
     def solve(
         self, start: Mapping[str, FloatArray], free: Sequence[str]
@@ -397,10 +404,10 @@ class _Problem:
             # Away from the nearer end, so that the difference quotient stays on one
             # segment.
             direction = np.where(current[:, i] > (grid[0] + grid[-1]) / 2, -1.0, 1.0)
-            displaced = current.copy()
-            displaced[:, i] += direction * increment
-            change = residual_at(displaced) - residual
-            slopes[:, :, i] = change / (displaced[:, i] - current[:, i])[:, None]
+            displaced_values = current.copy()
+            displaced_values[:, i] += direction * increment
+            change = residual_at(displaced_values) - residual
+            slopes[:, :, i] = change / (displaced_values[:, i] - current[:, i])[:, None]
         step = np.zeros_like(current)
         for _ in range(1 + len(free)):
             inverse = np.linalg.pinv(slopes, rcond=1e-9)
@@ -428,14 +435,14 @@ def _reached_targets(
     while has_grown:
         has_grown = False
         for name, targets in moves.items():
-            reached = {
+            reached_values = {
                 indirect
                 for target in targets
                 if target.startswith("control/")
                 for indirect in moves.get(target.removeprefix("control/"), ())
             }
-            has_grown = has_grown or not reached <= targets
-            moves[name] = targets | reached
+            has_grown = has_grown or not reached_values <= targets
+            moves[name] = targets | reached_values
     return {
         control.name: {t for t in moves[control.name] if not t.startswith("control/")}
         for control in controls

@@ -130,11 +130,11 @@ def evaluate_controls(
     for control in controls:
         for drive in control.drives:
             drives_of.setdefault(drive.target, []).append((control.name, drive))
-    unclamped: dict[str, FloatArray] = {}
+    unclamped_values: dict[str, FloatArray] = {}
     for name in evaluation_order(controls):
         for driver, drive in drives_of.pop(f"control/{name}", ()):
             values[name] = values[name] + drive.evaluate(driver, values)
-        unclamped[name] = values[name]
+        unclamped_values[name] = values[name]
         range_low, range_high = by_name[name].low, by_name[name].high
         if clamp and range_low is not None and range_high is not None:
             values[name] = np.clip(values[name], range_low, range_high)
@@ -144,4 +144,6 @@ def evaluate_controls(
         for driver, drive in drives:
             contribution = contribution + drive.evaluate(driver, values)
         targets[target] = contribution
-    return DrivenValues({name: values[name] for name in by_name}, targets, unclamped)
+    return DrivenValues(
+        {name: values[name] for name in by_name}, targets, unclamped_values
+    )

@@ -78,7 +78,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         control_names = [control.name for control in rig.controls]
         if name in control_names:
             return None
-        message, hint = f"unknown control {name!r}", _near(name, control_names)
+        message, hint = f"unknown control {name!r}", _similar_hint(name, control_names)
         if name in rig.names:
             parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: write which coordinate"
@@ -88,7 +88,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
             hint = "read the input of the shape's driver instead"
         return Fault("RIG012", message, hint=hint)
     if joint not in rig.names:
-        hint = _near(joint, rig.names)
+        hint = _similar_hint(joint, rig.names)
         return Fault("RIG008", f"unknown joint {joint!r}", hint=hint)
     rig_joint = rig.joints[rig.index(joint)]
     parts = readable_parts(rig_joint)
@@ -109,7 +109,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
     return Fault("RIG033", message, hint=hint)
 
 
-def _near(name: str, names: Sequence[str]) -> str | None:
+def _similar_hint(name: str, names: Sequence[str]) -> str | None:
     suggestions = similar(name, names)
     return f"did you mean {suggestions}?" if suggestions else None
 
@@ -260,10 +260,10 @@ class DriverPlan:
         A joint that mimics another is moved by that joint.
         """
         sources: dict[int, None] = {}
-        pending = [joint]
-        visited = {joint}
-        while pending:
-            j = pending.pop()
+        pending_joints = [joint]
+        visited_joints = {joint}
+        while pending_joints:
+            j = pending_joints.pop()
             if j in self.joints:
                 read_joints = list(map(self.rig.index, self.reads[self.rig.names[j]]))
             elif (mimic := self.rig.joints[j].mimic) is not None:
@@ -271,8 +271,10 @@ class DriverPlan:
             else:
                 sources[j] = None
                 continue
-            pending += [source for source in read_joints if source not in visited]
-            visited.update(read_joints)
+            pending_joints += [
+                source for source in read_joints if source not in visited_joints
+            ]
+            visited_joints.update(read_joints)
         return sorted(sources)
 
     def controls_read(self) -> set[str]:

@@ -74,14 +74,14 @@ def evaluate_drivers(
         if kind == "control":
             spec = by_control[name]
             if spec.driven is not None:
-                value = spec.driven.evaluate(_Named(plan, read, values, result))
+                value = spec.driven.evaluate(_NamedValues(plan, read, values, result))
             else:
                 value = np.array([spec.default]) + _driven_by(rig, target, values)
             values[name] = result.controls[name] = value
             continue
         j = rig.index(name)
         driven = plan.driver(j)
-        inputs = _Named(plan, read, values, result)
+        inputs = _NamedValues(plan, read, values, result)
         if isinstance(driven, Mimic):
             leader_value = rig.joints[rig.index(driven.joint)]
             part = SLIDE if leader_value.type is JointType.PRISMATIC else ANGLE
@@ -100,13 +100,15 @@ def evaluate_drivers(
             continue
         driver = by_shape[name].driven
         if driver is not None:
-            result.shapes[name] = driver.evaluate(_Named(plan, read, values, result))
+            result.shapes[name] = driver.evaluate(
+                _NamedValues(plan, read, values, result)
+            )
         else:
             result.shapes[name] = _driven_by(rig, f"shape/{name}", values)
     return result
 
 
-class _Named(dict[str, FloatArray]):
+class _NamedValues(dict[str, FloatArray]):
     """Values by name; coordinates are read on demand."""
 
     def __init__(

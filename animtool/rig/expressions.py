@@ -118,7 +118,7 @@ class Expression:
         >>> parse_expression("sin(x) + 1").scaled({"x": 2.0}, 0.5)
         '(sin(x * 2.0) + 1) * 0.5'
         """
-        tree = _Scaling(factors).visit(copy.deepcopy(self._tree))
+        tree = _NameScaler(factors).visit(copy.deepcopy(self._tree))
         if factor != 1.0:
             tree = ast.BinOp(tree, ast.Mult(), ast.Constant(factor))
         return ast.unparse(ast.fix_missing_locations(tree))
@@ -131,7 +131,7 @@ class Expression:
         """
         if not any(names.get(name, name) != name for name in self.names):
             return self
-        tree = _Renaming(names).visit(copy.deepcopy(self._tree))
+        tree = _NameReplacer(names).visit(copy.deepcopy(self._tree))
         return parse_expression(ast.unparse(tree), coordinates=True)
 
 
@@ -192,7 +192,7 @@ def _name_node(name: str) -> ast.expr:
     return node
 
 
-class _Renaming(ast.NodeTransformer):
+class _NameReplacer(ast.NodeTransformer):
     """Renames names in an expression."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
@@ -211,7 +211,7 @@ class _Renaming(ast.NodeTransformer):
         return node
 
 
-class _Scaling(_Renaming):
+class _NameScaler(_NameReplacer):
     """Multiplies names by factors in an expression."""
 
     def __init__(self, factors: Mapping[str, float]) -> None:

@@ -55,11 +55,12 @@ def bind_of(
                 document.add("RIG008", ("bind", name), message, hint)
             continue
         bind[name] = _pose(document, name, model, joints[name], units)
-    bind |= _mirrored(read, bind, set(models))
+    bind |= _mirrored_poses(read, bind, set(models))
     return {
         name: pose
         for name, pose in bind.items()
-        if (name in inherited and name not in models) or pose != _rest(joints[name])
+        if (name in inherited and name not in models)
+        or pose != _rest_pose(joints[name])
     }
 
 
@@ -76,11 +77,11 @@ def _pose(
     return Pose(translation, rotation, stretch)
 
 
-def _rest(joint: Joint) -> Pose:
+def _rest_pose(joint: Joint) -> Pose:
     return Pose(joint.translation, joint.rotation)
 
 
-def _mirrored(
+def _mirrored_poses(
     joints: FileJoints, bind: Mapping[str, Pose], stated_names: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of mirrored joints, parents before children."""
@@ -100,7 +101,7 @@ def _mirrored(
             poses[joint.name] = mirrored_pose(
                 source, world[indices[joint.mirror]], parent
             )
-        pose = poses.get(joint.name) or bind.get(joint.name) or _rest(joint)
+        pose = poses.get(joint.name) or bind.get(joint.name) or _rest_pose(joint)
         world.append(placed(parent, pose))
     return poses
 
@@ -129,7 +130,7 @@ def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     else:
         base = _base(document, model.source, roots, parents)
         joints = (
-            _alone(document, model, units)
+            _joints_without_base(document, model, units)
             if base is None
             else _overlaid(document, model, base, units)
         )
@@ -229,17 +230,19 @@ def _base(
         return None
 
 
-def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
+def _sidecar_roots(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return a sidecar's joints as roots, since it has no hierarchy."""
     cleared_keys = {"mirror": None, "parent": None}
     root_entries = [entry.model_copy(update=cleared_keys) for entry in model.joints]
     return joints_of(document, root_entries, units)
 
 
-def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
+def _joints_without_base(
+    document: Document, model: RigModel, units: FileUnits
+) -> FileJoints:
     """Return a sidecar's joints without its base, marked incomplete."""
     document.partial |= {"joints", "meshes", "shapes", "controls"}
-    joints = _added(document, model, units)
+    joints = _sidecar_roots(document, model, units)
     return replace(joints, orphaned=frozenset(joint.name for joint in joints.joints))
 
 
@@ -260,7 +263,7 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} is defined by {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "remove it")
-    sidecar = _added(document, model, units)
+    sidecar = _sidecar_roots(document, model, units)
     sidecar_joints = {
         names.get(joint.name, joint.name): joint for joint in sidecar.joints
     }
@@ -273,7 +276,7 @@ def _overlaid(
             type=sidecar_joints[joint.name].type,
             axis=sidecar_joints[joint.name].axis,
             limits=sidecar_joints[joint.name].limits,
-            mimic=_renamed(sidecar_joints[joint.name].mimic, names),
+            mimic=_rename_mimic(sidecar_joints[joint.name].mimic, names),
             mirror=mirrors[joint.name],
             driven=_renamed_driver(sidecar_joints[joint.name].driven, names)
             or joint.driven,
@@ -290,7 +293,7 @@ def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | No
     return None if driver is None else driver.renamed(names)
 
 
-def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
+def _rename_mimic(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
     return (
         None
         if mimic is None

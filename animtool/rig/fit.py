@@ -125,13 +125,15 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
     longer = relative.max(axis=0)
     lengths = np.zeros(len(inner))
     np.divide(np.abs(relative[0] - relative[1]), longer, lengths, where=longer > 0)
-    pointing = (relative > MIN_BONE / len(inner)).all(axis=0)
-    angles = np.where(pointing, _between(translations_of_both, rig_bones), 0.0)
+    is_pointing = (relative > MIN_BONE / len(inner)).all(axis=0)
+    angles = np.where(
+        is_pointing, _angles_between(translations_of_both, rig_bones), 0.0
+    )
     bones = relative.mean(axis=0)
     tilt = 0.0
     if posed:
         posture = _Posture(take, rig, source[inner], inner)
-        pose_angles = np.where(pointing, _between(*posture.bones), 0.0)
+        pose_angles = np.where(is_pointing, _angles_between(*posture.bones), 0.0)
         if np.sqrt(bones @ pose_angles**2) < SAME_POSE_ANGLE:
             angles = np.maximum(angles, posture.turned)
             tilt = posture.tilt
@@ -192,7 +194,7 @@ def _take_fraction(take: Rig, used: IntArray) -> float:
     return float(is_used.sum() / max(1, (~is_ignored).sum()))
 
 
-def _between(a: FloatArray, b: FloatArray) -> FloatArray:
+def _angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the angles between vectors ``(B, 3)`` [rad]; 0 where one is zero."""
     cross_length = np.linalg.norm(np.cross(a, b), axis=1)
     return np.asarray(np.arctan2(cross_length, (a * b).sum(axis=1)))

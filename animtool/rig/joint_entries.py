@@ -170,15 +170,15 @@ def _entries(
 
 def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
     """Warn once of joint names that contain white space (RIG109)."""
-    spaced = [name for name in entries if any(map(str.isspace, name))]
-    if not spaced:
+    names = [name for name in entries if any(map(str.isspace, name))]
+    if not names:
         return
     message = (
-        f"{len(spaced)} of {counted(len(entries), 'joint name')} "
-        f"{'contains' if len(spaced) == 1 else 'contain'} a space: {spaced[0]!r}"
+        f"{len(names)} of {counted(len(entries), 'joint name')} "
+        f"{'contains' if len(names) == 1 else 'contain'} a space: {names[0]!r}"
     )
-    hint = f"write {'_'.join(spaced[0].split())!r}: USD and expressions allow no spaces"
-    location = ("joints", entries[spaced[0]].index, "name")
+    hint = f"write {'_'.join(names[0].split())!r}: USD and expressions allow no spaces"
+    location = ("joints", entries[names[0]].index, "name")
     document.warn("RIG109", location, message, hint)
 
 
@@ -186,43 +186,46 @@ def _parents_first(
     document: Document, entries: dict[str, _JointEntry]
 ) -> Iterator[str]:
     """Yield names in file order, but each after its parent and mirror source."""
-    yielded: set[str] = set()
+    yielded_names: set[str] = set()
     for start in entries:
         trail: list[str] = []
         name: str | None = start
         # An ordered set.
-        pending = {start: None}
-        while pending:
-            name = next(reversed(pending))
+        pending_names = {start: None}
+        while pending_names:
+            name = next(reversed(pending_names))
             entry = entries[name]
-            required = [entry.parent] if entry.parent is not None else []
-            required += [entry.source] if entry.mirrored else []
-            missing = next(
+            required_parents = [entry.parent] if entry.parent is not None else []
+            required_parents += [entry.source] if entry.mirrored else []
+            missing_parent = next(
                 (
                     required_name
-                    for required_name in required
-                    if required_name not in yielded
+                    for required_name in required_parents
+                    if required_name not in yielded_names
                 ),
                 None,
             )
-            if name in yielded or missing is None:
-                del pending[name]
-                if name not in yielded:
-                    yielded.add(name)
+            if name in yielded_names or missing_parent is None:
+                del pending_names[name]
+                if name not in yielded_names:
+                    yielded_names.add(name)
                     yield name
                 continue
-            if missing in pending:
-                unfinished = list(pending)
-                trail = [*unfinished[unfinished.index(missing) :], missing]
+            if missing_parent in pending_names:
+                unfinished_names = list(pending_names)
+                trail = [
+                    *unfinished_names[unfinished_names.index(missing_parent) :],
+                    missing_parent,
+                ]
                 cycle_text = circle(trail[::-1])
                 message = f"the joints are their own ancestors: {cycle_text}"
                 document.add("RIG003", ("joints", entry.index), message)
                 entry.parent, entry.orphaned = None, True
-                if entry.mirrored and missing == entry.source:
-                    del pending[name]
-                    yielded.add(name)
+                if entry.mirrored and missing_parent == entry.source:
+                    del pending_names[name]
+                    yielded_names.add(name)
                 continue
-            pending[missing] = None
+            pending_names[missing_parent] = None
 
 
 def _note_off_middle(
@@ -251,7 +254,7 @@ def _joint(
     location: Location = ("joints", i)
     rotation = quaternion(document, (*location, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
-    tips = tuple(_scaled(tip, units.length) for tip in model.tips)
+    tips = tuple(_scale_vector(tip, units.length) for tip in model.tips)
     _refuse_repeats(document, (*location, "channels"), model.channels or [])
     joint = Joint(
         model.name,
@@ -282,7 +285,7 @@ def _refuse_repeats(document: Document, at: Location, channels: Sequence[str]) -
             document.add("RIG028", (*at, k), message, "write each once")
 
 
-def _scaled(values: list[float], unit: float) -> Vector:
+def _scale_vector(values: list[float], unit: float) -> Vector:
     x, y, z = (value * unit for value in values)
     return (x, y, z)
 

@@ -106,7 +106,7 @@ _Mimic = Annotated[
     MimicModel | None,
     shared_key("The joint to follow.", {"joint": "crank", "gain": -1.0}),
 ]
-_Driven = Annotated[
+_DriverEntry = Annotated[
     DrivenModel | None,
     shared_key(
         "Sets the coordinate, in the file's units, in place of keys. Limits apply.",
@@ -181,7 +181,7 @@ class PinJointModel(_JointBase):
     axis: _Axis
     limits: _Limits = None
     mimic: _Mimic = None
-    driven: _Driven = None
+    driven: _DriverEntry = None
 
 
 class PrismaticJointModel(_JointBase):
@@ -191,7 +191,7 @@ class PrismaticJointModel(_JointBase):
     axis: _Axis
     limits: _Limits = None
     mimic: _Mimic = None
-    driven: _Driven = None
+    driven: _DriverEntry = None
 
 
 JointModel = Annotated[

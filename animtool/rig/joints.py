@@ -107,21 +107,21 @@ def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
     return q
 
 
-_ROTATING = (JointType.FREE, JointType.BALL)
+_ROTATING_TYPES = (JointType.FREE, JointType.BALL)
 _ALL_TYPES = tuple(JointType)
 
 # Parts that a control may add to, and joint types that have them.
 DRIVEN_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    **{f"rotation.{axis}": _ROTATING for axis in "xyz"},
+    **{f"rotation.{axis}": _ROTATING_TYPES for axis in "xyz"},
     **{f"translation.{axis}": (JointType.FREE,) for axis in "xyz"},
 }
 # Parts that a clip's channel may key.
 KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    "rotation": _ROTATING,
+    "rotation": _ROTATING_TYPES,
     "translation": (JointType.FREE,),
     "local_translation": _ALL_TYPES,
     "local_rotation": _ALL_TYPES,
@@ -166,24 +166,28 @@ def part_hint(
     >>> part_hint("knee.rotateX", DRIVEN_PARTS, JointType.PIN)
     'the part is .angle'
     """
-    fitting = [part for part, kinds in parts.items() if kind is None or kind in kinds]
+    fitting_parts = [
+        part for part, kinds in parts.items() if kind is None or kind in kinds
+    ]
     words = text[-MAX_LENGTH:].split(".")
     tails = [".".join(words[i:]) for i in range(1, len(words))]
     for tail in tails:
-        plain = re.sub("[._]", "", tail.lower())
-        bare = plain[:-1] if plain[-1:] in ("x", "y", "z") else plain
-        meant = _OTHER_PARTS.get(bare, bare)
-        axis = plain[-1] if bare != plain else "x"
+        plain_name = re.sub("[._]", "", tail.lower())
+        bare_name = (
+            plain_name[:-1] if plain_name[-1:] in ("x", "y", "z") else plain_name
+        )
+        meant = _OTHER_PARTS.get(bare_name, bare_name)
+        axis = plain_name[-1] if bare_name != plain_name else "x"
         single = _SINGLE.get((kind, meant)) if kind is not None else None
         for part in (single, meant, f"{meant}.{axis}"):
-            if part in fitting:
+            if part in fitting_parts:
                 return f"the part is .{part}"
-    near = next(filter(None, (similar(tail, fitting) for tail in tails)), None)
+    near = next(filter(None, (similar(tail, fitting_parts) for tail in tails)), None)
     if near is not None:
         return f"did you mean '.{near}'?"
     if kind is None:
-        return f"write a joint's name and one of .{', .'.join(fitting)}"
-    has = f".{', .'.join(fitting)}" if fitting else "nothing that moves"
+        return f"write a joint's name and one of .{', .'.join(fitting_parts)}"
+    has = f".{', .'.join(fitting_parts)}" if fitting_parts else "nothing that moves"
     return f"a {kind} joint has {has}"
 
 

@@ -92,7 +92,7 @@ class PartReader:
         for i, shape in enumerate(self.model.shapes):
             location = ("shapes", i)
             if shape.mesh is not None:
-                self._known((*location, "mesh"), shape.mesh, meshes, "mesh")
+                self._is_known((*location, "mesh"), shape.mesh, meshes, "mesh")
             count = self.vertices.get(shape.mesh or "")
             vertices = None
             if shape.vertices is not None:
@@ -102,15 +102,15 @@ class PartReader:
                 count = self.arrays.rows(vertices)
             row_count = (count, 3)
             for k, name in enumerate(shape.combine):
-                self._known((*location, "combine", k), name, names, "shape")
+                self._is_known((*location, "combine", k), name, names, "shape")
             inbetweens: list[Inbetween] = []
             weights = [step.at for step in shape.inbetweens]
-            unordered = dict(
+            unordered_shapes = dict(
                 self.document.descents((*location, "inbetweens"), weights, "at")
             )
             for k, step in enumerate(shape.inbetweens):
                 inbetween_location = (*location, "inbetweens", k)
-                if step.at in {0, 1} or k in unordered:
+                if step.at in {0, 1} or k in unordered_shapes:
                     message = f"inbetween weight {step.at:g} is out of order"
                     hint = (
                         "weights ascend strictly between 0 (no deltas) and 1 (the "
@@ -207,13 +207,15 @@ class PartReader:
         for i, chain in enumerate(self.model.ik):
             location = ("ik", i)
             are_known = [
-                self._known((*location, key), getattr(chain, key), self.joints, "joint")
+                self._is_known(
+                    (*location, key), getattr(chain, key), self.joints, "joint"
+                )
                 for key in ("root", "tip")
             ]
-            if all(are_known) and not self._below(chain.root, chain.tip):
+            if all(are_known) and not self._is_descendant(chain.root, chain.tip):
                 message = f"{chain.tip!r} is not below {chain.root!r}"
                 hint = "name a joint below the root"
-                if self._below(chain.tip, chain.root):
+                if self._is_descendant(chain.tip, chain.root):
                     hint = f"root and tip are swapped: write root: {chain.tip}, "
                     hint += f"tip: {chain.root}"
                 elif chain.tip == chain.root:
@@ -241,8 +243,8 @@ class PartReader:
             self.document,
             self.arrays,
             counts,
-            lambda at, name: self._known(at, name, self.joints, "joint"),
-            lambda at, name: self._known(at, name, counts, "mesh"),
+            lambda at, name: self._is_known(at, name, self.joints, "joint"),
+            lambda at, name: self._is_known(at, name, counts, "mesh"),
         )
         listed_names = {entry.name for entry in self.model.attach}
         return (
@@ -272,7 +274,7 @@ class PartReader:
         ]
         for i, entry in enumerate(self.model.colliders):
             location = ("colliders", i)
-            self._known((*location, "joint"), entry.joint, self.joints, "joint")
+            self._is_known((*location, "joint"), entry.joint, self.joints, "joint")
             axis = unit_vector(
                 self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
@@ -291,7 +293,7 @@ class PartReader:
         """Return the masses."""
 
         def known(at: Location, name: str) -> bool:
-            return self._known(at, name, self.joints, "joint")
+            return self._is_known(at, name, self.joints, "joint")
 
         entries, length = self.model.masses, self.units.length
         return read_masses(self.document, entries, inherited, length, known)
@@ -321,7 +323,7 @@ class PartReader:
 
     def _skin(self, at: Location, skin: SkinModel, vertices: int | None) -> Skin:
         for k, name in enumerate(skin.joints):
-            self._known((*at, "joints", k), name, self.joints, "joint")
+            self._is_known((*at, "joints", k), name, self.joints, "joint")
         joints = None
         if not self.document.is_placeholder((*at, "joints")):
             joints = len(skin.joints)
@@ -415,7 +417,7 @@ class PartReader:
             return None
         if self.names.keys() >= set(expression.names) or not self._reads_misnamed(text):
             for name in expression.names:
-                self._known(at, name, self.names, "control")
+                self._is_known(at, name, self.names, "control")
         return expression
 
     def _reads_misnamed(self, text: str) -> bool:
@@ -432,13 +434,13 @@ class PartReader:
         name = str(getattr(model, kind))
         if kind != "joint":
             names = shapes if kind == "shape" else self.names
-            self._known(at, name, names, kind)
+            self._is_known(at, name, names, kind)
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:
             message, hint = self._part_fault(name)
             self.document.add("RIG015", at, message, hint)
-        elif self._known(at, joint, self.joints, "joint"):
+        elif self._is_known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
             has_known_type = joint not in self.file_joints.untyped
             if has_known_type and self.joints[joint].type not in types:
@@ -475,7 +477,7 @@ class PartReader:
                 self.document.add("RIG011", (key, i, "name"), message, hint)
             first_entry.setdefault(entry.name, i)
 
-    def _known(
+    def _is_known(
         self, at: Location, name: str, names: Collection[str], kind: str
     ) -> bool:
         if name in names:
@@ -488,7 +490,7 @@ class PartReader:
             )
         return False
 
-    def _below(self, root: str, tip: str) -> bool:
+    def _is_descendant(self, root: str, tip: str) -> bool:
         """Return whether a joint is, or could be, another joint or its descendant."""
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)

@@ -47,7 +47,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     return replace(
         rig,
         joints=tuple(
-            _scaled(_joint(joint, placement), rig, scale) for joint in rig.joints
+            _scale_joint(_joint(joint, placement), rig, scale) for joint in rig.joints
         ),
         shapes=tuple(
             replace(shape, driven=_driver(shape.driven, scale)) for shape in rig.shapes
@@ -89,7 +89,7 @@ def _joint(joint: Joint, placement: Placement) -> Joint:
     return replace(joint, translation=(x, y, z), tips=tips, limits=limits)
 
 
-def _scaled(joint: Joint, rig: Rig, size: float) -> Joint:
+def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
     """Return a joint with the lengths of its mimic and driver scaled."""
     if size == 1.0 or (joint.mimic is None and joint.driven is None):
         return joint

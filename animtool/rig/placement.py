@@ -66,7 +66,7 @@ class Placement:
 
     def points(self, points: FloatArray) -> FloatArray:
         """Return transformed points; ``(F, N, 3)`` if animated."""
-        sizes, rotations, translations = self._parts()
+        sizes, rotations, translations = self._placement_parts()
         # Skipping identities keeps values bit-exact, including the signs of zeros.
         scaled_points = points if (self.sizes == 1.0).all() else sizes * points
         rotated_points = so3.rotate(rotations, scaled_points)
@@ -76,9 +76,9 @@ class Placement:
 
     def rotated(self, rotations: FloatArray) -> FloatArray:
         """Return transformed rotations; ``(F, N, 4)`` if animated."""
-        return so3.multiply(self._parts()[1], rotations)
+        return so3.multiply(self._placement_parts()[1], rotations)
 
-    def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _placement_parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         if not self.moves:
             return self.sizes[0], self.rotations[0], self.translations[0]
         return (

@@ -14,31 +14,34 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import circle
 from animtool.rig.parts import Shape
 
-_SIDED = """
+_SIDED_NAMES = """
 browDown browOuterUp cheekSquint eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp
 eyeSquint eyeWide jaw mouth mouthDimple mouthFrown mouthLowerDown mouthPress mouthSmile
 mouthStretch mouthUpperUp noseSneer
 """
-_UNSIDED = """
+_UNSIDED_NAMES = """
 browInnerUp cheekPuff jawForward jawOpen mouthClose mouthFunnel mouthPucker
 mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper tongueOut
 """
 
 ARKIT_SHAPES: tuple[str, ...] = tuple(
     sorted(
-        [*_UNSIDED.split(), *(n + s for n in _SIDED.split() for s in ("Left", "Right"))]
+        [
+            *_UNSIDED_NAMES.split(),
+            *(n + s for n in _SIDED_NAMES.split() for s in ("Left", "Right")),
+        ]
     )
 )
 
 
-def _normalised(name: str) -> str:
+def _normalize_name(name: str) -> str:
     """Normalize a name: no case, underscores or namespace."""
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
-_NAMES = {_normalised(name): name for name in ARKIT_SHAPES} | {
-    _normalised(stem + side[0]): stem + side
-    for stem in _SIDED.split()
+_NAMES = {_normalize_name(name): name for name in ARKIT_SHAPES} | {
+    _normalize_name(stem + side[0]): stem + side
+    for stem in _SIDED_NAMES.split()
     for side in ("Left", "Right")
 }
 
@@ -49,7 +52,7 @@ def arkit_name(name: str) -> str | None:
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
     """
-    return _NAMES.get(_normalised(name))
+    return _NAMES.get(_normalize_name(name))
 
 
 class ShapeCycleError(ValueError):

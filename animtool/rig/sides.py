@@ -81,24 +81,24 @@ def pair_sides(
     index = {name: i for i, name in enumerate(names)}
     parents_of = [-1] * len(names) if parents is None else [int(p) for p in parents]
     partners = np.arange(len(names))
-    unpaired = set(range(len(names)))
+    unpaired_indices = set(range(len(names)))
     for a, b in ((index[a], index[b]) for a, b in stated):
-        if a in unpaired and b in unpaired:
+        if a in unpaired_indices and b in unpaired_indices:
             partners[a], partners[b] = b, a
-            unpaired -= {a, b}
+            unpaired_indices -= {a, b}
     partner_of: list[int] = []
     for _, _, left, right in sorted(_candidates(names, index, _depths(parents_of))):
         parent = parents_of[left]
         partner_of_parent = int(partners[parent]) if parent >= 0 else -1
         if (
-            left in unpaired
-            and right in unpaired
+            left in unpaired_indices
+            and right in unpaired_indices
             and partner_of_parent == parents_of[right]
         ):
             partners[left], partners[right] = right, left
-            unpaired -= {left, right}
+            unpaired_indices -= {left, right}
             partner_of.append(left)
-    strays = [i for i in sorted(unpaired) if _looks(names[i])]
+    strays = [i for i in sorted(unpaired_indices) if _looks(names[i])]
     return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 
@@ -145,7 +145,7 @@ def _candidates(
     for i, name in enumerate(names):
         names_by_fold.setdefault(name.casefold(), []).append(i)
     for left, name in enumerate(names):
-        for rank, right_name in _others(name):
+        for rank, right_name in _partner_names(name):
             if right_name in index:
                 yield depths[left], rank, left, index[right_name]
             elif (
@@ -155,7 +155,7 @@ def _candidates(
                 yield depths[left], rank + len(_SIDE_PATTERNS), left, matches[0]
 
 
-def _others(name: str) -> Iterator[tuple[int, str]]:
+def _partner_names(name: str) -> Iterator[tuple[int, str]]:
     """Yield rank and name of possible right partners of a left name."""
     for rank, pattern in enumerate(_SIDE_PATTERNS):
         side_marks = list(pattern.finditer(name))
@@ -244,7 +244,7 @@ def mirrored_joint(
     pose = mirrored_pose(Pose(joint.translation, joint.rotation), world, parent_world)
     limits = joint.limits
     if isinstance(limits, BallLimit):
-        limits = replace(limits, twist_axis=_turned(limits.twist_axis))
+        limits = replace(limits, twist_axis=_reflected_axis(limits.twist_axis))
     slides = joint.type == "prismatic"
     return replace(
         joint,
@@ -255,14 +255,14 @@ def mirrored_joint(
         rotation=pose.rotation,
         axis=_vector(reflect_vector(np.array(joint.axis)))
         if slides
-        else _turned(joint.axis),
+        else _reflected_axis(joint.axis),
         tips=tuple(_vector(reflect_vector(np.array(tip))) for tip in joint.tips),
         limits=limits,
         source_name="",
     )
 
 
-def _turned(axis: Vector) -> Vector:
+def _reflected_axis(axis: Vector) -> Vector:
     """Return the reflected axis about which equal angles are mirror images."""
     return _vector(-reflect_vector(np.array(axis)))
 

@@ -277,5 +277,5 @@ def _smallest(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
     """Return the values in 32 bits if that is lossless."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
-        narrowed = values.astype(kind)
-    return narrowed if (narrowed == values).all() else values
+        narrowed_values = values.astype(kind)
+    return narrowed_values if (narrowed_values == values).all() else values

@@ -63,14 +63,14 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     if not size or low <= size <= MAX_SIZE:
         return
     number = size / unit
-    fitting = [
+    fitting_units = [
         str(other)
         for other in LengthUnit
         if MIN_BODY <= number * other.meters <= MAX_SIZE and other.meters != unit
     ]
     at = ("units", "length") if "units" in document.value else ("joints",)
     message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
-    hint = f"try length: {' or '.join(fitting)}" if fitting else None
+    hint = f"try length: {' or '.join(fitting_units)}" if fitting_units else None
     document.warn("RIG217", at, message, hint)
 
 

@@ -48,18 +48,18 @@ def rig_text(rig: Rig) -> str:
         f"up: {rig.up}",
         "joints:" if rig.joints else "joints: []",
     ]
-    written: set[str] = set()
+    written_names: set[str] = set()
     joints = rig.joints if _mirrors_drivers(rig) else _without_mirrors(rig.joints)
     for joint in joints:
-        if joint.mirror not in written:
+        if joint.mirror not in written_names:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             text_lines.append(f"- {units.joint(joint, parent, rig)}")
-            written.add(joint.name)
+            written_names.add(joint.name)
     bind = {**_unbound(rig), **_explicit_bind(rig)}
     if bind:
         text_lines.append("bind:")
         for name, pose in bind.items():
-            entry = _mapping(
+            entry = _flow_mapping(
                 [
                     ("translate", units.lengths(pose.translation)),
                     ("rotate", _quaternion(pose.rotation)),
@@ -108,7 +108,7 @@ class _WrittenUnits:
         is_rotated = joint.rotation != (0.0, 0.0, 0.0, 1.0)
         channels = joint.channels
         tips = [self.lengths(tip) for tip in joint.tips]
-        return _mapping(
+        return _flow_mapping(
             [
                 ("name", text(joint.name)),
                 ("parent", None if parent is None else text(parent)),
@@ -137,13 +137,13 @@ class _WrittenUnits:
                 else None,
             ),
         ]
-        return _mapping(
-            [("joint", text(collider.joint)), ("capsule", _mapping(capsule))]
+        return _flow_mapping(
+            [("joint", text(collider.joint)), ("capsule", _flow_mapping(capsule))]
         )
 
     def mass(self, mass: Mass) -> str:
         has_axes = mass.axes != (0.0, 0.0, 0.0, 1.0)
-        return _mapping(
+        return _flow_mapping(
             [
                 ("joint", text(mass.joint)),
                 ("mass", number(mass.mass)),
@@ -167,7 +167,7 @@ class _WrittenUnits:
         twist = self.range(limits.twist, self.radians)
         twist = "locked" if limits.twist == (0.0, 0.0) else twist
         axis = _numbers(limits.twist_axis)
-        return _mapping([("swing", swing), ("twist", twist), ("twist_axis", axis)])
+        return _flow_mapping([("swing", swing), ("twist", twist), ("twist_axis", axis)])
 
     def mimic(self, joint: Joint, rig: Rig) -> str | None:
         if joint.mimic is None:
@@ -178,7 +178,7 @@ class _WrittenUnits:
             for joint_of_pair in (joint, leader)
         ]
         gain = joint.mimic.gain * units[1] / units[0]
-        return _mapping(
+        return _flow_mapping(
             [
                 ("joint", text(leader.name)),
                 ("gain", number(gain)),
@@ -188,7 +188,7 @@ class _WrittenUnits:
 
     def shape(self, shape: Shape) -> str:
         inbetweens = [
-            _mapping(
+            _flow_mapping(
                 [
                     ("at", number(inbetween.at)),
                     ("deltas", _file(inbetween.deltas)),
@@ -197,7 +197,7 @@ class _WrittenUnits:
             )
             for inbetween in shape.inbetweens
         ]
-        return _mapping(
+        return _flow_mapping(
             [
                 ("name", text(shape.name)),
                 ("mesh", text(shape.mesh) if shape.mesh else None),
@@ -215,7 +215,7 @@ class _WrittenUnits:
         if control.low is not None and control.high is not None:
             limits = _numbers((control.low, control.high))
         drives = [self.drive(drive) for drive in control.drives]
-        return _mapping(
+        return _flow_mapping(
             [
                 ("name", text(control.name)),
                 ("range", limits),
@@ -240,10 +240,10 @@ class _WrittenUnits:
             expression_text = (
                 expression.text if factor == 1.0 else expression.scaled({}, factor)
             )
-        return _mapping(
+        return _flow_mapping(
             [
                 (kind, text(name)),
-                ("expr", None if expression_text is None else _quoted(expression_text)),
+                ("expr", None if expression_text is None else _quote(expression_text)),
                 ("curve", curve if drive.curve else None),
                 ("interp", "smooth" if drive.smooth else None),
             ]
@@ -266,10 +266,10 @@ class _WrittenUnits:
             )
             expr = driver.expression
             expression_text = expr.text if is_unscaled else expr.scaled(ratios, factor)
-            return _mapping([("expr", _quoted(expression_text))])
+            return _flow_mapping([("expr", _quote(expression_text))])
         ratio = ratios[driver.by]
         scaled_points = [(x / ratio, y * factor) for x, y in driver.curve]
-        return _mapping(
+        return _flow_mapping(
             [
                 ("by", text(driver.by)),
                 ("curve", flow([str(_numbers(point)) for point in scaled_points])),
@@ -290,12 +290,12 @@ def _mirrors_drivers(rig: Rig) -> bool:
         return True
     joints = {joint.name: joint for joint in rig.joints}
     partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
-    written: set[str] = set()
+    written_names: set[str] = set()
     for joint in rig.joints:
         partner = joints.get(joint.mirror)
-        if partner is None or joint.mirror in written:
+        if partner is None or joint.mirror in written_names:
             continue
-        written.add(joint.name)
+        written_names.add(joint.name)
         if (joint.driven is None) != (partner.driven is None):
             return False
         if (
@@ -344,7 +344,7 @@ def _unbound(rig: Rig) -> dict[str, Pose]:
 
 
 def _chain(chain: IkChain) -> str:
-    return _mapping(
+    return _flow_mapping(
         [
             ("name", text(chain.name)),
             ("root", text(chain.root)),
@@ -360,7 +360,7 @@ def _attachment(entry: Attachment) -> str:
     joints = ("joints", _names(entry.joints) if entry.joints else None)
     if entry.kind == AttachKind.STRANDS:
         joints = ("joint", text(entry.joints[0]))
-    return _mapping(
+    return _flow_mapping(
         [
             ("name", text(entry.name)),
             ("kind", text(entry.kind)),
@@ -375,7 +375,7 @@ def _attachment(entry: Attachment) -> str:
 def _mesh(mesh: Mesh) -> str:
     skin = None
     if mesh.skin is not None:
-        skin = _mapping(
+        skin = _flow_mapping(
             [
                 ("method", mesh.skin.method),
                 ("joints", _names(mesh.skin.joints)),
@@ -383,7 +383,7 @@ def _mesh(mesh: Mesh) -> str:
                 ("weights", _file(mesh.skin.weights)),
             ]
         )
-    return _mapping(
+    return _flow_mapping(
         [
             ("name", text(mesh.name)),
             ("points", _file(mesh.points)),
@@ -404,12 +404,12 @@ def _file(source: ArraySource | None) -> str | None:
     return None if source is None else text(source.text)
 
 
-def _quoted(value: str) -> str:
+def _quote(value: str) -> str:
     escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
-def _mapping(pairs: Pairs) -> str:
+def _flow_mapping(pairs: Pairs) -> str:
     entries = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
     return f"{{{entries}}}"
 

@@ -384,10 +384,10 @@ def swapped() -> np.ndarray:
 def test_what_says_that_names_are_swapped() -> None:
     positions, rate = swapped(), 120.0
     apart = distances(positions)
-    expected = swaps._expected(positions, rate)
+    expected = swaps._expected_positions(positions, rate)
     found: list[Any] = [*expected, swaps._pairs(positions, rate)]
     for a, b in ((2, 6), (0, 9), (3, 4), (5, 8)):
-        crossed = swaps._crossed(positions, a, b, rate, apart)
+        crossed = swaps._crossed_frames(positions, a, b, rate, apart)
         both = positions[:, [a, b]]
         found += [crossed, swaps._acceleration(both, rate)]
         found += [swaps._spans(crossed[1], both)]

@@ -21,27 +21,27 @@ from animtool.capture.cameras.camera import (
 )
 from animtool.capture.cameras.noise import (
     _camera_noise,
-    _pooled,
+    _pooled_noise,
     first_noise,
     measured_noise,
 )
 from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.openpose import (
-    _continued,
-    _gathered,
-    _missed,
+    _continue_tracks,
     _PersonTrack,
+    _ray_distance,
     _rays,
     _size,
-    _solved,
+    _solve_person,
+    _stack_tracks,
     follow_people,
 )
 from animtool.capture.cameras.stale import (
     PoseChange,
     PoseShift,
-    _around,
+    _find_shifts,
     _runs,
-    _shifted,
+    _window_sums,
     disagreements,
     pose_change,
     shifted_ranges,
@@ -61,11 +61,11 @@ from animtool.capture.markers.geometry import (
 from animtool.capture.markers.predict import (
     Prediction,
     _kernel,
-    _near,
-    _regressed,
+    _nearest_markers,
+    _regress,
     _spans,
     _towards,
-    _training,
+    _training_frames,
 )
 from animtool.capture.markers.runs import RunLabels, _learnt
 from animtool.capture.markers.spikes import (
@@ -76,7 +76,7 @@ from animtool.capture.markers.spikes import (
 )
 from animtool.capture.markers.tracklets import (
     Tracklets,
-    _expected,
+    _expected_positions,
     _mutual,
     _second,
     follow,
@@ -151,9 +151,9 @@ def test_matrices_that_are_nearly_rotations(matrix: Any, is_one: bool) -> None:
 
 def test_sums_around_frames_are_cut_at_the_ends() -> None:
     values = np.array([1.0, 2, 4, 8, 16, 32])
-    assert _around(values, 3).tolist() == [7, 7, 14, 28, 56, 56]
-    assert _around(values, 1).tolist() == values.tolist()
-    assert _around(values, 6).tolist() == [63] * 6
+    assert _window_sums(values, 3).tolist() == [7, 7, 14, 28, 56, 56]
+    assert _window_sums(values, 1).tolist() == values.tolist()
+    assert _window_sums(values, 6).tolist() == [63] * 6
 
 
 def test_runs_of_frames_are_closed_and_last() -> None:
@@ -213,18 +213,18 @@ def test_the_worst_camera_goes_first() -> None:
     result = shifted_ranges(judged, rejected, np.ones((60, 3), bool), 30.0)
     assert result is not None
     assert (result[0], result[1][0].first, result[1][0].end) == (2, 10, 45)
-    (one,) = _shifted(judged, rejected, 2, np.arange(60) > 20, 8)
+    (one,) = _find_shifts(judged, rejected, 2, np.arange(60) > 20, 8)
     assert (one.first, one.end) == (10, 60) or (one.first, one.end) == (10, 45)
 
 
 def test_a_run_begins_where_a_camera_was_off_from_the_first_frame_on() -> None:
     judged, rejected = tallies(60, slice(0, 40))
-    (one,) = _shifted(
+    (one,) = _find_shifts(
         judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8
     )
     assert (one.first, one.end) == (0, 40)
     rejected[3, 1] = 0
-    (one,) = _shifted(
+    (one,) = _find_shifts(
         judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8
     )
     assert (one.first, one.end) == (4, 40)
@@ -292,8 +292,8 @@ def test_noise_is_told_by_the_sums_of_squares_of_points() -> None:
     lengths = np.array([[[2.0], [1.0], [2.0]], [[9.0], [9], [9]]])
     used = np.array([[[True]] * 3, [[True], [False], [False]]])
     middle = 3 * (1 - 2 / 27) ** 3
-    assert _pooled(lengths, used) == pytest.approx(np.sqrt(9 / middle))
-    assert _pooled(lengths, used & False) is None
+    assert _pooled_noise(lengths, used) == pytest.approx(np.sqrt(9 / middle))
+    assert _pooled_noise(lengths, used & False) is None
 
 
 def test_each_camera_has_the_noise_of_its_own_median() -> None:
@@ -377,25 +377,27 @@ def test_people_are_told_by_their_rays() -> None:
     ways = BODY - cameras[0].position
     assert_allclose(np.cross(lines[0], ways), 0, atol=1e-9)
     args = cameras[0], lines[0], cameras[1], lines[1]
-    assert _missed(*args, 100.0, 100.0) < 1e-9
+    assert _ray_distance(*args, 100.0, 100.0) < 1e-9
     few = lines[1].copy()
     few[2:] = np.nan
-    assert _missed(cameras[0], lines[0], cameras[1], few, 1.0, 1.0) == np.inf
+    assert _ray_distance(cameras[0], lines[0], cameras[1], few, 1.0, 1.0) == np.inf
     # Raised by an angle of 0.01 in one image: of 800 px and 100 px of size 0.08.
     up = person[1].copy()
     up[:, 1] += 7.0
-    off = _missed(cameras[0], lines[0], cameras[1], _rays(cameras[1], up), 100.0, 100.0)
+    off = _ray_distance(
+        cameras[0], lines[0], cameras[1], _rays(cameras[1], up), 100.0, 100.0
+    )
     assert off == pytest.approx(0.08, rel=0.25)
-    points = _solved({0: 0, 1: 0}, [[one] for one in person], cameras, 6)
+    points = _solve_person({0: 0, 1: 0}, [[one] for one in person], cameras, 6)
     assert_allclose(points, BODY, atol=1e-6)
-    assert _solved({1: 0}, [[one] for one in person], cameras, 6) is None
+    assert _solve_person({1: 0}, [[one] for one in person], cameras, 6) is None
     shown = [[one] for one in person]
     track = _PersonTrack(BODY, 0)
     free = {(c, 0) for c in range(3)}
-    ((again, group),) = _continued([track], shown, cameras, free)
+    ((again, group),) = _continue_tracks([track], shown, cameras, free)
     assert (again, group, free) == (track, {0: 0, 1: 0, 2: 0}, set())
     away = _PersonTrack(BODY + np.array([0.5, 0, 0]), 0)
-    ((_, group),) = _continued([away], shown, cameras, {(c, 0) for c in range(3)})
+    ((_, group),) = _continue_tracks([away], shown, cameras, {(c, 0) for c in range(3)})
     assert 0 not in group
 
 
@@ -420,11 +422,11 @@ def test_people_are_followed_out_of_sight_and_mistakes_left_out() -> None:
     assert_allclose(one[:, 0, :, :2], np.stack([frames[0][0][0][:, :2]] * 10))
     track = _PersonTrack(BODY, 0)
     track.detections = {(1, 2): 0}
-    made = _gathered([track], frames, 3, 6)
+    made = _stack_tracks([track], frames, 3, 6)
     assert np.isnan(made[0, 0, :, :2]).all()
     assert not made[0, 0, :, 2].any()
     assert_array_equal(made[1, 2], frames[1][2][0])
-    assert _gathered([], frames, 3, 6).shape == (10, 3, 6, 3)
+    assert _stack_tracks([], frames, 3, 6).shape == (10, 3, 6, 3)
 
 
 def test_quantiles_and_distances_of_what_is_seen() -> None:
@@ -460,7 +462,7 @@ def test_quantiles_and_distances_of_what_is_seen() -> None:
 def test_where_runs_go_next_and_who_is_whose_nearest() -> None:
     past = np.zeros((3, 3, 3))
     past[:, :, 0] = [[9.0, 4, 1]] * 3
-    expected, radius = _expected(past, np.array([1, 2, 3]), 0.5, 2.0)
+    expected, radius = _expected_positions(past, np.array([1, 2, 3]), 0.5, 2.0)
     assert_allclose(expected[:, 0], [9, 14, 15])
     assert radius.tolist() == [2, 0.5, 0.5]
     near = np.array([[0.4, 0.9, 3.0], [0.9, 0.3, 3.0], [9.0, 9, 1.01]])
@@ -551,7 +553,7 @@ def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     seen = np.ones((400, 3), bool)
     seen[50:60, 1] = False
     gap = slice(200, 210)
-    found = _training(seen, 0, gap, np.array([1, 2]), 20.0)
+    found = _training_frames(seen, 0, gap, np.array([1, 2]), 20.0)
     assert not np.isin(found, np.arange(200, 210)).any()
     assert not np.isin(found, np.arange(50, 60)).any()
     assert (found[0], found[-1]) == (80, 329)
@@ -560,9 +562,9 @@ def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     assert len(found) == 180
     assert_array_equal(found, np.sort(found))
     spread = np.array([np.nan, 0.3, 0.1])
-    assert _near(seen, 0, gap, spread).tolist() == [2, 1]
-    assert _near(seen, 2, gap, spread).tolist() == [1]
-    assert _near(seen, 0, slice(55, 57), spread).tolist() == [2]
+    assert _nearest_markers(seen, 0, gap, spread).tolist() == [2, 1]
+    assert _nearest_markers(seen, 2, gap, spread).tolist() == [1]
+    assert _nearest_markers(seen, 0, slice(55, 57), spread).tolist() == [2]
     begins = _spans(np.arange(100, 300), slice(200, 205))
     assert begins == [193, 207, 186, 214, 179, 221]
     assert _spans(np.arange(199, 209), slice(200, 205)) == [207]
@@ -586,7 +588,7 @@ def test_a_process_over_time_joins_what_it_knows() -> None:
     frames = np.array([*range(20), *range(24, 44), 20, 21, 22, 23])
     path = np.stack([frames[:40] * 0.001] * 3, axis=1)
     kernel = _kernel(np.zeros((44, 0)), frames / 100.0, 0.0, 0.03, 1.0, path)
-    off, made = _regressed(path, kernel, frames, slice(20, 24))
+    off, made = _regress(path, kernel, frames, slice(20, 24))
     assert_allclose(made, np.stack([frames[40:] * 0.001] * 3, axis=1), atol=5e-4)
     assert 0 < off < 1e-3
     noise = 0.0005**2 * np.eye(40)

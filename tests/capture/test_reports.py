@@ -29,11 +29,11 @@ from animtool.capture.cameras.stale import Disagreement, PoseChange, PoseShift
 from animtool.capture.clean import (
     CleanedSignal,
     CleanOptions,
+    _align_signs,
     _check_cutoff,
     _check_spikes,
     _roughness,
     _runs,
-    _signed,
     _spikes,
     bridged,
     notices,
@@ -41,7 +41,12 @@ from animtool.capture.clean import (
 )
 from animtool.capture.face.capture import FaceCapture, in_order, read_capture
 from animtool.capture.face.model import FaceModel
-from animtool.capture.face.solve import _bridged, _check, _notices, _shared
+from animtool.capture.face.solve import (
+    _check,
+    _interpolate_poses,
+    _notices,
+    _share_shapes,
+)
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
 from animtool.capture.solve.run import check_units, in_world_of
@@ -215,7 +220,7 @@ def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:
     assert np.abs(across[10:12, 1]).max() < 0.05
     assert_array_equal(across[~bad[:15]], signal[:15][~bad[:15]])
     turns = np.array([[0.0, 0, 0, 1], [0, 0, 0, -1]])
-    assert _signed(turns, turns[::-1]).tolist() == [[0, 0, 0, -1], [0, 0, 0, 1]]
+    assert _align_signs(turns, turns[::-1]).tolist() == [[0, 0, 0, -1], [0, 0, 0, 1]]
 
 
 def test_what_was_cleaned_is_counted() -> None:
@@ -313,7 +318,7 @@ def test_faces_of_other_sizes_and_numbers_are_refused() -> None:
         with pytest.raises(OptionError) as error:
             _check(own, observed, camera)
         assert error.value.code == code
-    kept, share = _shared(own, own.moving())
+    kept, share = _share_shapes(own, own.moving())
     assert (kept.tolist(), share.tolist()) == ([True, False, True], [0, 0, 2])
     three = FaceModel(tuple("abc"), ("X",), POINTS[:3], np.ones((1, 3, 3)))
     with pytest.raises(OptionError):
@@ -327,12 +332,12 @@ def test_heads_between_frames_with_landmarks_are_between_their_poses() -> None:
     poses[4, :4] = so3.exp(np.array([0.0, 0, 0.9]))
     poses[1, 4:], poses[4, 4:] = [1, 0, 0], [4, 3, 0]
     good = np.array([0, 1, 0, 0, 1, 0], bool)
-    turns, shifts = _bridged(poses, good)
+    turns, shifts = _interpolate_poses(poses, good)
     assert_allclose(shifts[:, 0], [1, 1, 2, 3, 4, 4])
     assert_allclose(shifts[:, 1], [0, 0, 1, 2, 3, 3])
     angles = 2 * np.arctan2(np.abs(turns[:, 2]), np.abs(turns[:, 3]))
     assert_allclose(angles, [0, 0, 0.3, 0.6, 0.9, 0.9], atol=1e-9)
-    whole, ways = _bridged(poses, np.ones(6, bool))
+    whole, ways = _interpolate_poses(poses, np.ones(6, bool))
     assert_array_equal(ways, poses[:, 4:])
     assert (whole[1:] * whole[:-1]).sum(axis=1).min() > 0
 

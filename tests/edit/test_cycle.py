@@ -145,6 +145,6 @@ def test_a_heading_is_seen_from_the_rest_pose() -> None:
     over = np.array([1.0, 0.0, 0.0, 0.0])
     yaws = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.5, 1.2]))
     take = chain_of_two(3, over, so3.multiply(yaws, over))
-    ground, heading = _PoseView.of(take)._standing(np.arange(3))
+    ground, heading = _PoseView.of(take)._ground_pose(np.arange(3))
     assert so3.angle_between(heading, yaws).max() < 1e-9
     np.testing.assert_allclose(ground, np.tile([1.0, 0.0, 3.0], (3, 1)))

@@ -16,7 +16,7 @@ from animtool.core.errors import OptionError
 from animtool.edit.combine import other_frames
 from animtool.edit.retiming import (
     TrimOptions,
-    _trimmed,
+    _run_trim,
     time_scale,
     time_warp,
     trim,
@@ -58,7 +58,7 @@ def test_ends_between_two_frames_are_within_and_of_a_shot_without(
     assert shown(found) == alone
     assert found.clock.start == alone[0] + 1
     context = PassContext(lambda _: take, Path(), in_shot=True)
-    found = _trimmed(TakeStream.of(take), options, context).collect()
+    found = _run_trim(TakeStream.of(take), options, context).collect()
     assert shown(found) == in_shot
     assert found.clock.start == in_shot[0] + 1
 

@@ -31,7 +31,12 @@ from animtool.ik.jumps import Jump
 from animtool.ik.limbs import limb_joints
 from animtool.ik.match_take import _leaving, chains_of, left_out
 from animtool.ik.matching import _BendingLimb, _directions, _poles
-from animtool.ik.nearest import _corners, _picked, _placed, frames_out_of_reach
+from animtool.ik.nearest import (
+    _corners,
+    _replace_rows,
+    _select_rows,
+    frames_out_of_reach,
+)
 from animtool.ik.report import (
     GoalReport,
     MissedSpan,
@@ -535,13 +540,13 @@ def outcome(count: int) -> IkResult:
 
 def test_rows_of_a_result_are_picked_and_placed() -> None:
     whole, other = outcome(5), replace(outcome(2), statuses=(IkStatus.BUDGET,) * 2)
-    some = _picked(whole, np.array([4, 2]))
+    some = _select_rows(whole, np.array([4, 2]))
     assert some.seconds.tolist() == [4, 2]
-    made = _placed(whole, other, np.array([3]), np.array([1]))
+    made = _replace_rows(whole, other, np.array([3]), np.array([1]))
     assert made.seconds.tolist() == [0, 1, 2, 1, 4]
     assert made.statuses[3] is IkStatus.BUDGET
     assert [s is IkStatus.NEAREST for s in made.statuses].count(True) == 4
-    assert _placed(whole, other, np.zeros(0, int), np.zeros(0, int)) is whole
+    assert _replace_rows(whole, other, np.zeros(0, int), np.zeros(0, int)) is whole
     free: Any = SimpleNamespace(seconds=0.0, restarts=4)
     assert frames_out_of_reach(made, free).tolist() == [0, 1, 2, 4]
     for keys in ({"seconds": 1.0, "restarts": 4}, {"seconds": 0.0, "restarts": 0}):

@@ -9,8 +9,8 @@ from support.feet import foot
 from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.feet import (
-    _locked,
-    _settled,
+    _locked_path,
+    _planted_rotations,
     _weight,
     bend_at_pin,
     covering,
@@ -78,7 +78,7 @@ def test_soles_are_level_but_where_they_lean_far(lean: float, kept: float) -> No
     heading = so3.from_axis_angle([0.0, 1.0, 0.0], np.radians(40.0))
     leans = so3.from_axis_angle([1.0, 0.0, 0.0], np.radians([lean] * 6))
     turns = so3.multiply(heading, leans)
-    found = _settled(foot(6, rotation=turns), 30.0, 1)
+    found = _planted_rotations(foot(6, rotation=turns), 30.0, 1)
     expected = so3.from_axis_angle([1.0, 0.0, 0.0], np.radians(kept))
     expected = so3.multiply(heading, expected)
     assert so3.angle_between(found, expected).max() < 1e-9
@@ -91,7 +91,7 @@ def test_who_kneels_stands_on_toes_that_have_no_joint(
     """Above a twentieth of its leg an ankle stays as far above where it stands."""
     one = foot(8, lift_above=np.full(8, above))
     ankle = np.tile([0.3, 0.4, 0.1], (8, 1)) + np.linspace(-0.01, 0.01, 8)[:, None]
-    found = _locked(ankle, np.zeros((8, 3)), one, 30.0, 1)
+    found = _locked_path(ankle, np.zeros((8, 3)), one, 30.0, 1)
     np.testing.assert_allclose(found, np.tile([0.3, 0.08 + high, 0.1], (8, 1)))
 
 
@@ -104,7 +104,7 @@ def test_a_heel_that_stands_alone_goes_with_the_nearest_frame_of_the_whole_foot(
     bone = np.zeros((9, 3))
     bone[:, 2] = [0.5, 0.5, 0.10, 0.12, 0.12, 0.14, 0.5, 0.5, 0.5]
     one = foot(9, FootContacts(heel, toe, 0.08))
-    found = _locked(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
+    found = _locked_path(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
     # The toe stays at 1.12: the ankle is behind it by the bone.
     behind = [0.10, 0.10, 0.10, 0.12, 0.12, 0.14, 0.14, 0.14, 0.14]
     np.testing.assert_allclose(found[:, 2], 1.12 - np.array(behind))
@@ -112,7 +112,7 @@ def test_a_heel_that_stands_alone_goes_with_the_nearest_frame_of_the_whole_foot(
     toe = np.array([1, 1, 0, 0, 0, 1, 1, 1, 1], np.bool_)
     bone[:, 2] = [0.1, 0.1, 0.5, 0.5, 0.5, 0.13, 0.13, 0.13, 0.13]
     one = foot(9, FootContacts(heel, toe, 0.08))
-    found = _locked(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
+    found = _locked_path(np.tile([0.0, 0.5, 1.0], (9, 1)), bone, one, 30.0, 1)
     behind = [0.1, 0.1, 0.1, 0.1, 0.13, 0.13, 0.13, 0.13, 0.13]
     np.testing.assert_allclose(found[:, 2], 1.12 - np.array(behind))
 

@@ -21,9 +21,9 @@ from animtool.retarget import Retargeted, map_joints, retarget_take
 from animtool.retarget.hands import (
     ArmTracks,
     Floor,
-    _bent,
+    _bent_wrist,
     _length,
-    _softened,
+    _soften_heights,
     _together,
     _within_reach,
     arm_of,
@@ -193,7 +193,7 @@ def test_hands_that_carry_a_prop(person: Take, tmp_path: Path) -> None:
 
 def test_the_ground_is_reached_softly() -> None:
     """A parabola from 20 cm below to 20 cm above, where it has the slope of 1."""
-    found = _softened(np.array([-0.5, -0.2, 0.0, 0.1, 0.2]), 0.2)
+    found = _soften_heights(np.array([-0.5, -0.2, 0.0, 0.1, 0.2]), 0.2)
     assert_allclose(found, [0, 0, 0.05, 0.1125, 0.2])
 
 
@@ -249,7 +249,7 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
     assert_allclose(axis, [0, 0, -1], atol=1e-12)
     tracks = ArmTracks(places[None], np.tile(so3.IDENTITY, (1, 2, 1)), places[None, 2])
     bends = np.array([[[0.0, 0, np.pi / 2], [0, 0, np.pi]]])
-    assert_allclose(_bent(tracks, bends), [[0, 0.7, 0]], atol=1e-12)
+    assert_allclose(_bent_wrist(tracks, bends), [[0, 0.7, 0]], atol=1e-12)
 
 
 def test_what_is_scaled_is_lifted_to_the_ground_along_the_up_axis() -> None:

@@ -15,15 +15,15 @@ from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.feet import (
     _above_ground,
+    _ankle_rise,
     _bone,
-    _heading,
+    _heading_rotation,
+    _hip_shifts,
     _level_bone,
     _lift,
     _peaks,
-    _raised,
-    _reaching,
     _rolls,
-    _smooth,
+    _smooth_step,
     _smoothest,
     bend_limb,
     between,
@@ -34,7 +34,7 @@ from animtool.retarget.feet import (
 from animtool.retarget.hands import (
     Floor,
     _length,
-    _softened,
+    _soften_heights,
     _together,
     _within_reach,
     arm_of,
@@ -42,7 +42,7 @@ from animtool.retarget.hands import (
 )
 from animtool.retarget.legs import (
     _reach,
-    _standing,
+    _standing_height,
     ball_of_foot,
     leg_of,
     limb_rotations,
@@ -95,8 +95,8 @@ def test_what_is_not_known_fades_to_nothing_from_what_is() -> None:
 
 
 def test_steps_and_peaks_and_what_is_above_a_window() -> None:
-    assert_allclose(_smooth(np.array([-1, 0, 0.5, 1, 2])), [0, 0, 0.5, 1, 1])
-    assert _smooth(np.array([0.25])) == pytest.approx(0.103515625)
+    assert_allclose(_smooth_step(np.array([-1, 0, 0.5, 1, 2])), [0, 0, 0.5, 1, 1])
+    assert _smooth_step(np.array([0.25])) == pytest.approx(0.103515625)
     rows = np.array([3.0, 1, 2, 2, 1, -1, -0.5, -2, 0, 4])
     expected = [True, False, True, True, False, False, False, False, False, True]
     assert _peaks(rows).tolist() == expected
@@ -112,12 +112,12 @@ def test_steps_and_peaks_and_what_is_above_a_window() -> None:
 
 def test_a_heading_is_about_the_vertical_alone() -> None:
     lean = so3.multiply(turn(Y, 50), turn(X, 20))
-    assert_allclose(_heading(turn(Y, 50), 1), turn(Y, 50), atol=1e-12)
-    made = _heading(lean, 1)
+    assert_allclose(_heading_rotation(turn(Y, 50), 1), turn(Y, 50), atol=1e-12)
+    made = _heading_rotation(lean, 1)
     assert_allclose(made[[0, 2]], 0)
     assert np.linalg.norm(made) == pytest.approx(1)
-    assert_allclose(_heading(turn(Z, 70), 2), turn(Z, 70), atol=1e-12)
-    assert_array_equal(_heading(np.array([1.0, 0, 0, 0]), 1), so3.IDENTITY)
+    assert_allclose(_heading_rotation(turn(Z, 70), 2), turn(Z, 70), atol=1e-12)
+    assert_array_equal(_heading_rotation(np.array([1.0, 0, 0, 0]), 1), so3.IDENTITY)
 
 
 def test_a_toe_goes_with_its_foot_and_raises_the_ankle_where_it_stands_alone() -> None:
@@ -130,7 +130,7 @@ def test_a_toe_goes_with_its_foot_and_raises_the_ankle_where_it_stands_alone() -
     # From 8 cm below and 15 cm ahead, pitched down by a quarter.
     assert_allclose(bone, np.tile([0, -0.15, -0.08], (4, 1)), atol=1e-12)
     assert _level_bone(own, 1) == pytest.approx(-0.08)
-    assert_allclose(_raised(own, bone, 1), [0, 0, -0.08 + 0.15, 0], atol=1e-12)
+    assert_allclose(_ankle_rise(own, bone, 1), [0, 0, -0.08 + 0.15, 0], atol=1e-12)
     tilted = foot(4, toe=tips, level=turn(X, 90))
     assert _level_bone(tilted, 1) == pytest.approx(-0.15)
     tips = tips.copy()
@@ -191,7 +191,7 @@ def test_hips_come_down_until_legs_are_as_straight_as_they_may(
     hips = np.tile([0.0, 1.2, 0.0], (50, 1))
     one = foot(50, straightness=np.full(50, straight), level=level, length=1.0)
     ankle = np.tile([0.3, 0.1, 0.0], (50, 1))
-    down, rise = _reaching(hips, [one], [ankle], 30.0, 1)
+    down, rise = _hip_shifts(hips, [one], [ankle], 30.0, 1)
     assert_allclose(down, 1.1 - np.sqrt(share**2 - 0.09), atol=1e-4)
     assert_allclose(rise, 0, atol=1e-6)
 
@@ -202,7 +202,7 @@ def test_hips_rise_for_legs_that_fold_no_further(high: float, rise: float) -> No
     hips = np.tile([0.0, 1.0, 0.0], (50, 1))
     one = foot(50, shortest=0.5, length=1.0)
     ankle = np.tile([0.3, 1.0 - high, 0.0], (50, 1))
-    found = _reaching(hips, [one], [ankle], 30.0, 1)[1]
+    found = _hip_shifts(hips, [one], [ankle], 30.0, 1)[1]
     assert_allclose(found, rise, atol=1e-4)
 
 
@@ -352,7 +352,7 @@ def test_how_high_an_ankle_stands_without_a_ground_at_rest() -> None:
         transfer: Any = SimpleNamespace(
             target=own, source=other, scale=2.0, similar_legs=alike
         )
-        return _standing(transfer, "l", 0.3, 1)
+        return _standing_height(transfer, "l", 0.3, 1)
 
     none: Any = ({}, {})
     both: Any = tuple({"l": Ball(-1, np.array(v))} for v in ([0, 0, 0.3], [0, 0.1, 0]))
@@ -416,7 +416,7 @@ def test_both_hands_come_nearer_as_one() -> None:
 
 
 def test_heights_are_softened_from_a_share_of_the_arm_on() -> None:
-    found = _softened(np.array([-0.3, -0.2, 0.0, 0.1, 0.2]), 0.2)
+    found = _soften_heights(np.array([-0.3, -0.2, 0.0, 0.1, 0.2]), 0.2)
     assert_allclose(found, [0, 0, 0.05, 0.09 / 0.8, 0.2])
     assert_array_equal(Floor.lift(None, 2.0, 1), [0, 0, 0])
     assert_allclose(Floor.lift(Floor(0.1, 0.5), 2.0, 2), [0, 0, 0.3])

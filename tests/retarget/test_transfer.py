@@ -17,18 +17,18 @@ from animtool.maths import so3
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.drift import (
     _angle,
-    _corrected,
     _integral,
     _medians,
+    _root_correction,
     _slope,
     _StanceTracks,
 )
 from animtool.retarget.map import JointMap, JointPair
 from animtool.retarget.poses import (
     LocalRotations,
-    _twisted,
+    _twist_joint,
     _unit,
-    _within,
+    _within_limits,
     about_hips,
     hinged,
     root_translations,
@@ -46,10 +46,10 @@ from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import RoleSource
 from animtool.retarget.transfer import (
     Transfer,
-    _below,
-    _heading,
+    _heading_alignment,
     _middles,
     _scale,
+    _twist_source,
     middle_of_hips,
     namesakes,
 )
@@ -147,7 +147,12 @@ def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
 def test_middles_and_what_hangs_below() -> None:
     assert_allclose(_middles([0.0, 0.2, 0.6]), [0.1, 0.4, 0.8])
     own = body()
-    assert (_below(own, 9), _below(own, 4), _below(own, 2), _below(own, 0)) == (
+    assert (
+        _twist_source(own, 9),
+        _twist_source(own, 4),
+        _twist_source(own, 2),
+        _twist_source(own, 0),
+    ) == (
         10,
         5,
         -1,
@@ -173,17 +178,19 @@ def test_who_faces_another_way_is_turned_about_the_vertical() -> None:
         [turn(Y, 70)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     for one, two, degrees in ((other, own, 70), (own, other, -70)):
-        found = _heading(one, two, so3.IDENTITY, Y)
+        found = _heading_alignment(one, two, so3.IDENTITY, Y)
         assert so3.angle_between(found, turn(Y, degrees)) < 1e-9
     lying = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(X, 90)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
-    found = _heading(lying, own, so3.IDENTITY, Y)
+    found = _heading_alignment(lying, own, so3.IDENTITY, Y)
     assert so3.angle_between(found, turn(X, 90)) == pytest.approx(0, abs=1e-9)
     leaning = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(X, 30)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
-    assert_allclose(_heading(leaning, own, so3.IDENTITY, Y), so3.IDENTITY, atol=1e-9)
+    assert_allclose(
+        _heading_alignment(leaning, own, so3.IDENTITY, Y), so3.IDENTITY, atol=1e-9
+    )
 
 
 def test_turns_follow_by_the_change_from_rest() -> None:
@@ -339,14 +346,14 @@ def test_what_bends_at_a_pin_is_twisted_so_that_it_can(
 def test_pins_along_a_bone_twist_as_what_is_below_them() -> None:
     def told(axis: Any, **keys: Any) -> int:
         made = pinned(axis).target
-        return _twisted(replace(made, **keys), 1)
+        return _twist_joint(replace(made, **keys), 1)
 
     assert told((1.0, 0.0, 0.0)) == 2
     assert told((-0.95, 0.31, 0.0)) == 2
     assert told((0.8, 0.6, 0.0)) == -1
     assert told((1.0, 0.0, 0.0), roles=("upper_arm_l", "forearm_l", "twist")) == -1
     assert told((1.0, 0.0, 0.0), roles=("upper_arm_l", "hand_l", "hand_l")) == -1
-    assert _twisted(pinned((1.0, 0.0, 0.0)).target, 0) == -1
+    assert _twist_joint(pinned((1.0, 0.0, 0.0)).target, 0) == -1
     assert_array_equal(_unit(np.zeros(3)), Y)
     assert_allclose(_unit(np.array([0, 0, 4.0])), Z)
 
@@ -359,7 +366,7 @@ def test_what_joints_of_each_type_can_have() -> None:
         (JointType.PIN, local),
     ):  # fmt: skip
         joint = Joint("j", -1, kind, axis=(1.0, 0.0, 0.0))
-        found, held = _within(joint, rest, local)
+        found, held = _within_limits(joint, rest, local)
         assert so3.angle_between(found, np.array(expected)).max() < 1e-9
         assert held.tolist() == [False] * 2
 
@@ -508,17 +515,17 @@ def test_a_root_goes_back_as_fast_as_feet_drift(place: bool) -> None:
     options: Any = SimpleNamespace(place=place, closed=False)
     stance = _StanceTracks(still + 0j, still + (2 + 1j), still, still)
     root = still + (3 + 4j)
-    angle, shift = _corrected(take, options, stance, root, turns)
+    angle, shift = _root_correction(take, options, stance, root, turns)
     assert_allclose(angle, 0)
     assert_allclose(shift, -(2 + 1j) * np.arange(count) / rate * place, atol=1e-12)
     spun = _StanceTracks(still + (1 + 1j), still + 0j, still + 0.4, still)
-    angle, shift = _corrected(take, options, spun, root, turns)
+    angle, shift = _root_correction(take, options, spun, root, turns)
     assert_allclose(angle, -0.04 * np.arange(count))
     assert_allclose(shift, 0, atol=1e-12)
     closed: Any = SimpleNamespace(place=place, closed=True)
     way = still + (0.5 - 0.3j) * np.arange(count)
     turns = np.array([turn(Y, 3 * k) for k in range(count)])
-    angle, shift = _corrected(take, closed, stance, way, turns)
+    angle, shift = _root_correction(take, closed, stance, way, turns)
     ends = np.exp(1j * angle) * way + shift
     assert ends[-1] == pytest.approx(ends[0])
     assert_allclose(np.degrees(angle), -3 * np.arange(count), atol=1e-9)

@@ -150,13 +150,13 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
     """
     # Overflows are invalid, and become NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        undistorted = _undistorted(camera, pixels)
-    undistorted[~np.isfinite(undistorted).all(axis=-1)] = np.nan
-    return undistorted
+        undistorted_points = _undistort(camera, pixels)
+    undistorted_points[~np.isfinite(undistorted_points).all(axis=-1)] = np.nan
+    return undistorted_points
 
 
-def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return undistorted points at depth 1 of pixels, by Newton's method."""
+def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Undistort pixels to points at depth 1 with Newton's method."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
     target = np.stack([x, y], axis=-1)

@@ -80,7 +80,7 @@ def measured_noise(
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         if trust is not None:
             lengths = lengths * np.sqrt(np.maximum(trust, 0))
-        pooled = _pooled(lengths, states == USED)
+        pooled = _pooled_noise(lengths, states == USED)
         if pooled is None:
             break
         noises = _camera_noise(lengths, states)
@@ -113,7 +113,7 @@ def measured_noise(
             pixels, trust, numbers, active, noise, _OPEN_GATE, condition, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
-        overall = _pooled(lengths, states == USED)
+        overall = _pooled_noise(lengths, states == USED)
         noise[:] = noise if overall is None else max(overall, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
@@ -178,8 +178,8 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     )
 
 
-def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
-    """Return the noise estimated from the points' sums of squares [px]."""
+def _pooled_noise(lengths: FloatArray, used: BoolArray) -> float | None:
+    """Estimate the noise from the points' sums of squares [px]."""
     counts = used.sum(axis=1)
     sums = np.where(used, lengths, 0.0)
     sums = (sums * sums).sum(axis=1)[counts > 1]
@@ -192,14 +192,14 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera, from its median residual [px] ``(C,)``."""
-    used = states == USED
-    other_counts = used.sum(axis=1)[:, None] - used
-    is_judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (
+    is_used = states == USED
+    other_counts = is_used.sum(axis=1)[:, None] - is_used
+    is_judged = (is_used | (states == _REJECTED) | (states == _INACTIVE)) & (
         other_counts > 1
     )
     # A point seen by n cameras takes 3 of their 2n residuals.
     residual_fraction = np.where(
-        used, 1 - 1.5 / np.maximum(other_counts + used, 2), 1.0
+        is_used, 1 - 1.5 / np.maximum(other_counts + is_used, 2), 1.0
     )
     scaled_lengths = np.where(
         is_judged & np.isfinite(lengths), lengths / np.sqrt(residual_fraction), np.nan

@@ -110,7 +110,7 @@ def read_observations(
 
 
 def _other_kind(path: Path, message: str) -> tuple[str, str]:
-    """Return message and hint for a file of another type than npz."""
+    """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
         first_bytes = file.read(HEAD)
     if first_bytes[:2] == b"PK":
@@ -169,9 +169,11 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
         ("marker_names", len(names), count),
         ("camera_names", len(cameras), views),
     )
-    for label, length, expected in lengths:
-        if length not in {expected, 0}:
-            raise ValueError(f"{label!r} has {length}, but {key!r} has {expected}")
+    for label, length, expected_length in lengths:
+        if length not in {expected_length, 0}:
+            raise ValueError(
+                f"{label!r} has {length}, but {key!r} has {expected_length}"
+            )
     rate = _rate(archives, path, array_names, fps)
     confidences = None
     if "confidence" in array_names:
@@ -215,10 +217,10 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
     views = observations.stored.shape[1]
     if observations.cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
-        missing = [name for name in observations.cameras if name not in by_name]
-        if missing:
-            suggestions = similar(missing[0], list(by_name))
-            message = f"camera {missing[0]!r} has no calibration"
+        missing_names = [name for name in observations.cameras if name not in by_name]
+        if missing_names:
+            suggestions = similar(missing_names[0], list(by_name))
+            message = f"camera {missing_names[0]!r} has no calibration"
             hint = (
                 f"did you mean {suggestions!r}?"
                 if suggestions

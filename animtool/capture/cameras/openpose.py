@@ -85,15 +85,15 @@ def follow_people(
     lost_after = max(1, round(LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
         live = [t for t in tracks if frame - t.last_frame <= lost_after]
-        unassigned = {
+        unassigned_detections = {
             (camera, i)
             for camera, detected in enumerate(people)
             for i in range(len(detected))
         }
-        groups = _continued(live, people, cameras, unassigned)
-        first_new = _grouped(people, cameras, sorted(unassigned))
+        groups = _continue_tracks(live, people, cameras, unassigned_detections)
+        first_new = _group_detections(people, cameras, sorted(unassigned_detections))
         for known_as, group in [*groups, *((None, group) for group in first_new)]:
-            points = _solved(group, people, cameras, keypoints)
+            points = _solve_person(group, people, cameras, keypoints)
             if points is None:
                 continue
             track = known_as or _PersonTrack(points, frame)
@@ -111,12 +111,12 @@ def follow_people(
         range(len(long_tracks)), key=lambda k: (-len(long_tracks[k].detections), k)
     )
     order = sorted(order[: max_people or len(order)])
-    return _gathered(
+    return _stack_tracks(
         [long_tracks[k] for k in order], detections, len(cameras), keypoints
     )
 
 
-def _gathered(
+def _stack_tracks(
     tracks: list[_PersonTrack],
     detections: Sequence[Sequence[Sequence[FloatArray]]],
     cameras: int,
@@ -137,7 +137,7 @@ def _size(keypoints: FloatArray) -> float:
     return max(float(np.linalg.norm(spread)), 1.0)
 
 
-def _continued(
+def _continue_tracks(
     live: list[_PersonTrack],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
@@ -166,7 +166,7 @@ def _continued(
     return list(zip(live, groups, strict=True))
 
 
-def _grouped(
+def _group_detections(
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
     free: Sequence[tuple[int, int]],
@@ -180,7 +180,7 @@ def _grouped(
     for a, det_a in enumerate(free):
         for det_b in free[a + 1 :]:
             if det_a[0] != det_b[0]:
-                cost = _missed(
+                cost = _ray_distance(
                     cameras[det_a[0]], ray_directions[det_a],
                     cameras[det_b[0]], ray_directions[det_b],
                     _size(people[det_a[0]][det_a[1]]),
@@ -215,7 +215,7 @@ def _rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
     return np.asarray(directions @ camera.rotation)
 
 
-def _missed(
+def _ray_distance(
     camera_a: Camera,
     rays_a: FloatArray,
     camera_b: Camera,
@@ -248,7 +248,7 @@ def _missed(
     return largest
 
 
-def _solved(
+def _solve_person(
     group: dict[int, int],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
@@ -360,12 +360,14 @@ def read_keypoints(
 
 def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     """Return the camera of each folder: by name, else in order."""
-    calibrated = set(cameras.names)
+    calibrated_names = set(cameras.names)
     suffixes = ("", "_json", "-json")
     names = []
     for folder in folders:
-        stripped = [folder.name.removesuffix(end) for end in suffixes]
-        names.append(next((name for name in stripped if name in calibrated), ""))
+        stripped_names = [folder.name.removesuffix(end) for end in suffixes]
+        names.append(
+            next((name for name in stripped_names if name in calibrated_names), "")
+        )
     if all(names):
         return tuple(names)
     if any(names):

@@ -112,13 +112,13 @@ def shifted_ranges(
     most_rejections = 0
     for camera in range(judged.shape[1]):
         live = active[:, camera] & (active.sum(axis=1) > 2)
-        count = _around(np.where(live, judged[:, camera], 0), window)
-        rejected_count = _around(np.where(live, rejected[:, camera], 0), window)
+        count = _window_sums(np.where(live, judged[:, camera], 0), window)
+        rejected_count = _window_sums(np.where(live, rejected[:, camera], 0), window)
         is_off = (
             live & (rejected_count > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
         )
         rejections = np.where(live[:, None], rejected, 0.0)
-        ranges = _shifted(judged, rejections, camera, is_off, window)
+        ranges = _find_shifts(judged, rejections, camera, is_off, window)
         rejection_total = sum(
             int(rejected[shift.first : shift.end, camera].sum()) for shift in ranges
         )
@@ -135,12 +135,12 @@ def stale_ranges(
     Arguments are those of `shifted_ranges`.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
-    count = _around(judged[:, camera], window)
-    rejected_count = _around(rejected[:, camera], window)
+    count = _window_sums(judged[:, camera], window)
+    rejected_count = _window_sums(rejected[:, camera], window)
     is_off = (rejected_count > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
     if not (is_off & (count >= MIN_OBSERVATIONS)).any():
         is_off[:] = True
-    return _shifted(judged, rejected, camera, is_off, window)
+    return _find_shifts(judged, rejected, camera, is_off, window)
 
 
 def disagreements(
@@ -198,14 +198,14 @@ def truncated_error(
     return float(squares[visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12))
 
 
-def _shifted(
+def _find_shifts(
     judged: FloatArray,
     rejected: FloatArray,
     camera: int,
     is_off: BoolArray,
     window: int,
 ) -> list[PoseShift]:
-    """Return runs of frames in which a camera does not fit, to the frame."""
+    """Return the exact frame ranges in which a camera does not fit."""
     is_rejected = np.concatenate(
         [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
     )
@@ -226,7 +226,7 @@ def _rejected_fraction(
     return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
 
 
-def _around(values: FloatArray, window: int) -> FloatArray:
+def _window_sums(values: FloatArray, window: int) -> FloatArray:
     """Return sums over a window around each frame ``(F,)``, clipped at the ends."""
     cumulative = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))
@@ -260,20 +260,20 @@ def pose_change(
     if len(points) < MIN_OBSERVATIONS:
         return None
     rotation, translation = camera.rotation, camera.translation
-    refined = camera
+    refined_camera = camera
     for _ in range(_GAUSS_NEWTON_STEPS):
-        refined = Camera(
+        refined_camera = Camera(
             camera.name, camera.focal, camera.centre, rotation, translation,
             camera.size, camera.skew, camera.distortion,
         )  # fmt: skip
-        residual_vectors = project(refined, points) - pixels
+        residual_vectors = project(refined_camera, points) - pixels
         lengths = np.linalg.norm(residual_vectors, axis=-1)
         usable = np.isfinite(lengths)
         if usable.sum() < MIN_OBSERVATIONS:
             return None
         middle = max(float(np.median(lengths[usable])), 1e-6)
         weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
-        slopes = _slopes(refined, points)
+        slopes = _slopes(refined_camera, points)
         usable &= np.isfinite(slopes).all(axis=(1, 2))
         root = np.sqrt(weights[usable])[:, None]
         matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
@@ -282,30 +282,30 @@ def pose_change(
         )[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    residuals = np.linalg.norm(project(refined, points) - pixels, axis=-1)
+    residuals = np.linalg.norm(project(refined_camera, points) - pixels, axis=-1)
     initial_residuals = np.linalg.norm(project(camera, points) - pixels, axis=-1)
     if not np.nanmedian(residuals) < 0.5 * np.nanmedian(initial_residuals):
         return None
-    angle_vector = log(from_matrix(refined.rotation @ camera.rotation.T))
+    angle_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
     return PoseChange(
         float(np.linalg.norm(angle_vector)),
-        float(np.linalg.norm(refined.position - camera.position)),
+        float(np.linalg.norm(refined_camera.position - camera.position)),
         float(np.nanmedian(residuals)),
     )
 
 
 def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
     """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
-    projected = project(camera, points)
+    projected_points = project(camera, points)
     increment = 1e-6
     columns = []
     for axis in range(6):
         rotation = to_matrix(exp(increment * np.eye(6)[axis][:3]))
         shift = increment * np.eye(6)[axis][3:]
-        nudged = Camera(
+        shifted_camera = Camera(
             camera.name, camera.focal, camera.centre, rotation @ camera.rotation,
             rotation @ camera.translation + shift, camera.size, camera.skew,
             camera.distortion,
         )  # fmt: skip
-        columns.append((project(nudged, points) - projected) / increment)
+        columns.append((project(shifted_camera, points) - projected_points) / increment)
     return np.stack(columns, axis=-1)

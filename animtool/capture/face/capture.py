@@ -102,10 +102,10 @@ def read_capture(
     if path.suffix.lower() != ".npz":
         reader = find_reader(path).markers_opener(path)
         markers = reader(path, unit=unit, up=up, fps=fps)
-        labelled = [name for name in markers.names if not name.startswith("*")]
+        labelled_names = [name for name in markers.names if not name.startswith("*")]
         return FaceCapture(
             path,
-            tuple(markers.names) if len(labelled) == len(markers.names) else None,
+            tuple(markers.names) if len(labelled_names) == len(markers.names) else None,
             markers.clock,
             markers.positions,
             markers.up,
@@ -116,10 +116,12 @@ def read_capture(
         with Archives() as archives:
             return _read(archives, path, array, unit, up or UpAxis.Y, fps)
     except ValueError as error:
-        raise _wrong(path, str(error).removeprefix(path.name).lstrip("# ")) from error
+        raise _format_error(
+            path, str(error).removeprefix(path.name).lstrip("# ")
+        ) from error
 
 
-def _wrong(path: Path, message: str, hint: str | None = None) -> FormatError:
+def _format_error(path: Path, message: str, hint: str | None = None) -> FormatError:
     return FormatError(Fault("FAC003", message, str(path), (), hint))
 
 
@@ -137,16 +139,16 @@ def _read(
         names = [array]
     if not names:
         hint = f"it holds {listed(keys)}; landmarks_mm (F, N, 3) are positions in mm"
-        raise _wrong(path, "has no array landmarks_mm or landmarks_px", hint)
+        raise _format_error(path, "has no array landmarks_mm or landmarks_px", hint)
     key = names[0]
     header = archives.header(path, key)
     width = 2 if key.endswith("_px") else 3
     if len(header.shape) != 3 or header.shape[2] != width or header.kind not in "fiu":
         message = f"{key} has shape {header.shape}, not (frames, landmarks, {width})"
-        raise _wrong(path, message)
+        raise _format_error(path, message)
     frames, count, _ = header.shape
     if not frames or not count or frames * count > MAX_POSITIONS:
-        raise _wrong(path, f"{key} has {frames} frames of {count} landmarks")
+        raise _format_error(path, f"{key} has {frames} frames of {count} landmarks")
     scale = 1.0 if width == 2 else _meters(key, unit)
     points = np.array(archives.stored(path, key), np.float64) * scale
     notices = []
@@ -163,7 +165,7 @@ def _read(
             message = (
                 f"landmark_names has {len(set(texts))} names for {count} landmarks"
             )
-            raise _wrong(path, message)
+            raise _format_error(path, message)
     return FaceCapture(
         path,
         texts,
@@ -188,12 +190,12 @@ def _rate(
         return rate_option(fps)
     if "fs" not in array_names:
         hint = f"set it with {argument('source.fps')}"
-        raise _wrong(path, "states no rate (fs)", hint)
+        raise _format_error(path, "states no rate (fs)", hint)
     stored_rates = archives.stored(path, "fs").ravel()
     try:
         return parse_rate(rate_from_float(float(stored_rates[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
-        raise _wrong(
+        raise _format_error(
             path, f"fs is {stored_rates[:1].tolist()}, which is not a frame rate"
         ) from error
 

@@ -89,7 +89,7 @@ class FaceModel:
         return np.asarray(lengths.max(axis=1, initial=0) > MIN_MOTION * self.size)
 
     def select(self, shapes: BoolArray) -> FaceModel:
-        """Return the model with some of its shapes; the others have weight 0."""
+        """Return the model with a subset of its shapes; the rest have weight 0."""
         names = tuple(n for n, k in zip(self.shapes, shapes.tolist(), strict=True) if k)
         bent = None if self.bent is None else self.bent.select(shapes)
         return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)
@@ -97,9 +97,9 @@ class FaceModel:
     def similar_shapes(self) -> list[tuple[int, int]]:
         """Return pairs of shapes that displace landmarks in the same directions."""
         moving = np.flatnonzero(self.moving())
-        flat = self.deltas[moving].reshape(len(moving), -1)
-        flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
-        pairs = np.argwhere(np.triu(flat @ flat.T > SAME_SHAPE, 1))
+        flat_deltas = self.deltas[moving].reshape(len(moving), -1)
+        flat_deltas = flat_deltas / np.linalg.norm(flat_deltas, axis=1, keepdims=True)
+        pairs = np.argwhere(np.triu(flat_deltas @ flat_deltas.T > SAME_SHAPE, 1))
         return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:

@@ -29,8 +29,10 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     poses[:, 3] = 1.0
     for _ in range(ROUNDS):
         poses = _rigid(neutral, points, robust_weights)
-        placed = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
-        distances = np.where(visible, np.linalg.norm(points - placed, axis=-1), np.nan)
+        posed_points = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
+        distances = np.where(
+            visible, np.linalg.norm(points - posed_points, axis=-1), np.nan
+        )
         limits = np.full(len(distances), np.inf)
         has_landmarks: BoolArray = np.asarray(visible.any(axis=1))
         limits[has_landmarks] = np.maximum(
@@ -49,9 +51,9 @@ def _rigid(
     weight_sums = np.maximum(robust_weights.sum(axis=1), 1e-300)[:, None]
     middle = robust_weights @ neutral / weight_sums
     target = np.einsum("fn,fni->fi", robust_weights, points) / weight_sums
-    centred = neutral[None] - middle[:, None]
+    centred_points = neutral[None] - middle[:, None]
     covariance = np.einsum(
-        "fn,fni,fnj->fij", robust_weights, points - target[:, None], centred
+        "fn,fni,fnj->fij", robust_weights, points - target[:, None], centred_points
     )
     u, _, vt = np.linalg.svd(covariance)
     signs = np.ones((len(points), 3))

@@ -192,7 +192,7 @@ def fit_face(
         raise OptionError(Fault("FAC007", message, hint=hint))
     # Shapes with similar displacements are solved as one, and split evenly. Shapes with
     # in-betweens or correctives are solved separately.
-    solved_shapes, group = _shared(model, moving)
+    solved_shapes, group = _share_shapes(model, moving)
     face = model.select(solved_shapes)
     counts = np.bincount(group[moving], minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
@@ -203,7 +203,7 @@ def fit_face(
     all_weights = np.zeros((len(observed), len(model.shapes)))
     columns = np.cumsum(solved_shapes) - 1
     all_weights[:, moving] = weights[:, columns[group[moving]]]
-    rotations, translations = _bridged(poses, usable)
+    rotations, translations = _interpolate_poses(poses, usable)
     poor = usable & ((shares < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names))
     poor &= (shares >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(axis=1)
     status = np.where(
@@ -225,7 +225,7 @@ def fit_face(
     )
 
 
-def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
+def _share_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return which shapes are solved, and the representative of each moving shape."""
     solved_shapes, group = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.bent is None else ():
@@ -412,7 +412,9 @@ class _Fit:
         return result
 
 
-def _bridged(poses: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _interpolate_poses(
+    poses: FloatArray, usable: BoolArray
+) -> tuple[FloatArray, FloatArray]:
     """Return rotations and translations, interpolated over frames without landmarks."""
     rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
     if usable.all():

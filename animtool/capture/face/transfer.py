@@ -1,4 +1,4 @@
-"""Weights of one face as weights of a face with other shapes."""
+"""Transfer of weights between faces with different shapes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def transfer_weights(
     fps: float = 60.0,
     smooth: float = 0.0,
 ) -> TransferredWeights:
-    """Return a face's weights as weights of another face.
+    """Transfer a face's weights to a face with different shapes.
 
     By name, in any of ARKit's spellings, and a remap file; or by landmarks that both
     faces have: the target weights whose landmarks move as the source's do, scaled by
@@ -78,12 +78,12 @@ def transfer_weights(
         moving_shapes = {
             name for name, m in zip(source, moves.tolist(), strict=True) if m
         }
-        unlinked = [name for name in links.lost if name in moving_shapes]
+        unlinked_names = [name for name in links.lost if name in moving_shapes]
         notices = []
-        if unlinked:
-            message = f"{len(unlinked)} shapes that move are not in the target: "
+        if unlinked_names:
+            message = f"{len(unlinked_names)} shapes that move are not in the target: "
             notices.append(
-                naming("FAC108", message, unlinked, severity=Severity.WARNING)
+                naming("FAC108", message, unlinked_names, severity=Severity.WARNING)
             )
         linked_weights = links.apply(weights, len(target))
         return TransferredWeights(linked_weights, links, None, tuple(notices))

@@ -137,24 +137,24 @@ def _filled_markers(
     positions = markers.positions
     gaps: list[FilledGap] = []
     notices: list[Fault] = []
-    labelled = [not name.startswith("*") for name in markers.names]
+    is_labelled = [not name.startswith("*") for name in markers.names]
     if not options.keep_gaps:
         skeleton = None
-        if subject is not None and not markers.visible[:, labelled].all():
+        if subject is not None and not markers.visible[:, is_labelled].all():
             from animtool.capture.markers.skeleton import skeleton_markers
 
             skeleton = skeleton_markers(markers, subject)
             notices += skeleton.notices
-        positions, gaps = _filled(markers, options.longest, skeleton)
-    measured = markers.visible
+        positions, gaps = _fill_gaps(markers, options.longest, skeleton)
+    visible = markers.visible
     is_known = np.asarray(np.isfinite(positions).all(axis=-1))
-    filled = is_known & ~measured
+    is_filled = is_known & ~visible
     if markers.filled is not None:
-        filled |= markers.filled & is_known
+        is_filled |= markers.filled & is_known
     result = replace(
-        markers, positions=positions, filled=filled if filled.any() else None
+        markers, positions=positions, filled=is_filled if is_filled.any() else None
     )
-    left = int((~is_known[:, labelled]).sum())
+    left = int((~is_known[:, is_labelled]).sum())
     if left and not options.keep_gaps:
         open_gaps = sum(not gap.method for gap in gaps)
         message = f"{counted(open_gaps, 'gap')} could not be filled"
@@ -164,19 +164,19 @@ def _filled_markers(
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
     notices += implausible(markers)
     report = FillReport(
-        len(markers), len(markers.names), int((is_known & ~measured).sum()), left, gaps,
+        len(markers), len(markers.names), int((is_known & ~visible).sum()), left, gaps,
         spikes, swaps, notices,
     )  # fmt: skip
     return result, report
 
 
-def _filled(
+def _fill_gaps(
     markers: Markers, max_seconds: float | None, skeleton: SkeletonMarkers | None
 ) -> tuple[FloatArray, list[FilledGap]]:
     """Return positions with gaps filled, shorter ones first, and the gaps."""
     positions = markers.positions.copy()
-    measured = np.asarray(np.isfinite(positions).all(axis=-1))
-    visible = measured.copy()
+    is_measured = np.asarray(np.isfinite(positions).all(axis=-1))
+    visible = is_measured.copy()
     rate = float(markers.clock.rate)
     spread = distances(positions).spread
     fills = []
@@ -186,9 +186,9 @@ def _filled(
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
             if skeleton is not None and skeleton.tells(marker, gap):
-                prediction = follow(skeleton, positions, measured, marker, gap, rate)
+                prediction = follow(skeleton, positions, is_measured, marker, gap, rate)
                 method = "skeleton"
-                mostly_visible = measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
+                mostly_visible = is_measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
                 drift = skeleton.drift(marker, mostly_visible) * length / rate
                 if drift and max(drift, prediction.error) > CLOSE_ENOUGH:
                     prediction = replace(prediction, error=max(drift, prediction.error))

@@ -53,15 +53,15 @@ def distances(positions: FloatArray) -> MarkerDistances:
 
 
 def _quantiles(values: FloatArray) -> FloatArray:
-    """Return those of `PERCENTILES` of each column ``(3, N)``, NaN left out."""
-    ordered = np.sort(values, axis=0)
+    """Return the `PERCENTILES` of each column ``(3, N)``, ignoring NaN."""
+    sorted_values = np.sort(values, axis=0)
     last_row = np.isfinite(values).sum(axis=0) - 1
     position = np.array(PERCENTILES)[:, None] / 100.0 * last_row
     lower_row = position.astype(np.int64)
     part = position - lower_row
     columns = np.arange(values.shape[1])
-    low = ordered[lower_row, columns]
-    high = ordered[np.minimum(lower_row + 1, last_row), columns]
+    low = sorted_values[lower_row, columns]
+    high = sorted_values[np.minimum(lower_row + 1, last_row), columns]
     step = high - low
     return np.asarray(
         np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
@@ -95,8 +95,10 @@ def fitted(
     weights = weights / weights.sum(axis=1, keepdims=True)
     centre = np.einsum("fk,fki->fi", weights, points)
     middle = weights @ shape
-    centred = shape - middle[:, None]
-    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], centred)
+    centred_shape = shape - middle[:, None]
+    cross = np.einsum(
+        "fk,fki,fkj->fij", weights, points - centre[:, None], centred_shape
+    )
     left_vectors, _, right_vectors = np.linalg.svd(cross)
     sign = np.sign(np.linalg.det(left_vectors) * np.linalg.det(right_vectors))
     left_vectors[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]

@@ -55,7 +55,7 @@ def identify(
         seeds = _seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
     initial_naming = Naming(moving, visible.T @ visible, rest)
     best: Naming | None = None
-    for seed in [_agreeing(seeds, initial_naming.together), *seeds[:MAX_SEEDS]]:
+    for seed in [_merge_seeds(seeds, initial_naming.together), *seeds[:MAX_SEEDS]]:
         if not seed:
             continue
         naming = initial_naming.copy()
@@ -69,18 +69,21 @@ def identify(
     )
 
 
-def _agreeing(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
+def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
     """Return the markers of mutually consistent groups, best first."""
     names: dict[int, int] = {}
     for seed in seeds:
         if any(names.get(point, marker) != marker for point, marker in seed.items()):
             continue
-        combined = names | seed
-        points, markers = np.array(list(combined)), np.array(list(combined.values()))
+        combined_names = names | seed
+        points, markers = (
+            np.array(list(combined_names)),
+            np.array(list(combined_names.values())),
+        )
         clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
         np.fill_diagonal(clash, False)
         if not clash.any():
-            names = combined
+            names = combined_names
     return names
 
 
@@ -239,7 +242,7 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     for pair in pairs:
         _exchange_parts(run_labels, rest, pair)
     run_labels.name_runs()
-    return _labelled(cloud, names, tracklets, run_labels.names_of, exchanges)
+    return _apply_names(cloud, names, tracklets, run_labels.names_of, exchanges)
 
 
 def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
@@ -257,14 +260,14 @@ def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     return tuple(static.names[i] for i in visible_columns.tolist()), rest
 
 
-def _labelled(
+def _apply_names(
     cloud: Markers,
     names: tuple[str, ...],
     tracklets: Tracklets,
     first: IntArray,
     exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
-    """Return the cloud by name."""
+    """Return the cloud with labelled markers."""
     frames = len(cloud)
     slots = np.full((frames, len(names)), -1)
     ids = tracklets.ids
@@ -297,7 +300,7 @@ def _labelled(
         notices.append(Fault("MKR110", message, severity=Severity.WARNING))
     doubts = _doubts(labelled, exchanges)
     if doubts:
-        notices.append(_doubted(doubts, cloud))
+        notices.append(_doubt_warning(doubts, cloud))
     report = LabelReport(
         frames, len(names), points, named_count, points - named_count,
         len(tracklets.first), missing, coverage_values, doubts, notices,
@@ -318,7 +321,7 @@ def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
     return doubts
 
 
-def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
+def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
     """Return the warning that some markers cannot be distinguished."""
     doubt_texts = []
     for doubt in doubts:

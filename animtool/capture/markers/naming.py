@@ -176,7 +176,7 @@ class Naming:
 
     def _move(self) -> bool:
         """Give points a better free name; return whether any changed."""
-        changed = False
+        has_changed = False
         for point in range(len(self.names_of)):
             current = int(self.names_of[point])
             blocked = self.taken[point].copy()
@@ -193,29 +193,29 @@ class Naming:
             )
             if candidate != current and score[candidate] > min_score:
                 self.assign(point, candidate)
-                changed = True
+                has_changed = True
             elif current >= 0 and current_score < 0.0:
                 self.assign(point, -1)
-                changed = True
-        return changed
+                has_changed = True
+        return has_changed
 
     def _exchanges(self) -> IntArray | None:
         """Return a better permutation of the names ``(M,)``; None if there is none.
 
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
-        named = np.flatnonzero(self.names_of >= 0)
-        named_markers, first = np.unique(self.names_of[named], return_index=True)
+        named_points = np.flatnonzero(self.names_of >= 0)
+        named_markers, first = np.unique(self.names_of[named_points], return_index=True)
         count = self.scores.shape[1]
-        rows = self.pair_scores[named[first]]
-        later_points = np.setdiff1d(np.arange(len(named)), first)
-        for point in named[later_points].tolist():
+        rows = self.pair_scores[named_points[first]]
+        later_points = np.setdiff1d(np.arange(len(named_points)), first)
+        for point in named_points[later_points].tolist():
             rows[np.searchsorted(named_markers, self.names_of[point])] += (
                 self.pair_scores[point]
             )
         pair_scores: FloatArray = np.zeros((count,) * 4, self.pair_scores.dtype)
-        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, named[first]]
-        for point in named[later_points].tolist():
+        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, named_points[first]]
+        for point in named_points[later_points].tolist():
             pair_scores[named_markers, self.names_of[point]] += rows[:, point]
         pair_scores[np.arange(count), np.arange(count)] = 0.0
         names = np.arange(count)
@@ -241,10 +241,10 @@ class Naming:
     def doubt(self, tried_moves: set[tuple[int, int]]) -> tuple[int, int] | None:
         """Return the point, and another marker, with the most evidence for renaming."""
         rows = np.arange(len(self.names_of))
-        named = self.names_of >= 0
-        current_scores = np.where(named, self.scores[rows, self.names_of], 0.0)
+        is_named = self.names_of >= 0
+        current_scores = np.where(is_named, self.scores[rows, self.names_of], 0.0)
         regret = self.scores - current_scores[:, None]
-        regret[rows[named], self.names_of[named]] = -np.inf
+        regret[rows[is_named], self.names_of[is_named]] = -np.inf
         for point, marker in tried_moves:
             regret[point, marker] = -np.inf
         point, marker = divmod(int(regret.argmax()), regret.shape[1])
@@ -268,10 +268,10 @@ class Naming:
         All of them, if an unnamed point is visible for long.
         """
         lengths = np.zeros(self.scores.shape[1])
-        named = self.names_of >= 0
-        np.add.at(lengths, self.names_of[named], self.length[named])
+        is_named = self.names_of >= 0
+        np.add.at(lengths, self.names_of[is_named], self.length[is_named])
         lacking = np.flatnonzero(lengths < MIN_NAMED_FRACTION)
-        if not len(lacking) and (self.length[~named] > LONG_FRACTION).any():
+        if not len(lacking) and (self.length[~is_named] > LONG_FRACTION).any():
             return np.arange(len(lengths))
         return lacking
 
@@ -294,7 +294,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
     A conflicting name is removed first; if that is not enough, all names around the two
     markers.
     """
-    best = _redoubted(best, rest)
+    best = _retry_doubtful(best, rest)
     best_total = best.total()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
@@ -317,12 +317,12 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total()
         if candidate_total > best_total + MIN_GAIN:
-            best = _redoubted(candidate, rest)
+            best = _retry_doubtful(candidate, rest)
             best_total = best.total()
     return best
 
 
-def _redoubted(best: Naming, rest: FloatArray) -> Naming:
+def _retry_doubtful(best: Naming, rest: FloatArray) -> Naming:
     """Return names after trying the most doubtful ones again."""
     best.improve()
     best_total = best.total()

@@ -28,9 +28,11 @@ def implausible(markers: Markers) -> list[Fault]:
         return notices
     message = f"the markers of a frame span {length_text(size)}"
     factors = (*UNIT_FACTORS, *(1 / factor for factor in UNIT_FACTORS))
-    fitting = [f for f in factors if PERSON_SIZE[0] <= size * f <= PERSON_SIZE[1]]
-    if fitting:
-        factor = fitting[0]
+    plausible_factors = [
+        f for f in factors if PERSON_SIZE[0] <= size * f <= PERSON_SIZE[1]
+    ]
+    if plausible_factors:
+        factor = plausible_factors[0]
         factor_text = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
         message += f"; {factor_text} that would be {length_text(size * factor)}"
     hint = f"set the unit of the file with {argument('source.unit')}"

@@ -77,10 +77,10 @@ def predict(
     positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``. spread: How
     much the distance to each marker varies ``(M,)``. rate: [frame/s].
     """
-    neighbours = _near(visible, marker, gap, spread)
+    neighbours = _nearest_markers(visible, marker, gap, spread)
     if len(neighbours) < 3:
         return None
-    training = _training(visible, marker, gap, neighbours, rate)
+    training = _training_frames(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING:
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
@@ -88,12 +88,16 @@ def predict(
     for count in FRAME_MARKERS:
         if count <= len(neighbours):
             local, pose, to_world = _local(positions, frames, marker, neighbours, count)
-            best = _best(local, pose, frames, gap, rate, STRAY_KERNELS, count)
-            predictions.append(Prediction(to_world(best.positions), best.error))
-    return min(predictions, key=lambda each: each.error)
+            best_prediction = _best_prediction(
+                local, pose, frames, gap, rate, STRAY_KERNELS, count
+            )
+            predictions.append(
+                Prediction(to_world(best_prediction.positions), best_prediction.error)
+            )
+    return min(predictions, key=lambda prediction: prediction.error)
 
 
-def _best(
+def _best_prediction(
     local: FloatArray,
     pose: FloatArray,
     frames: IntArray,
@@ -121,7 +125,7 @@ def _best(
             kernel = _kernel(
                 part, frames / rate, length_scale, stray, time, local[:known_count]
             )
-            error, values = _regressed(local[:known_count], kernel, frames, gap)
+            error, values = _regress(local[:known_count], kernel, frames, gap)
             if best is None or error < best.error:
                 best = Prediction(values, error)
     assert best is not None
@@ -143,8 +147,8 @@ def predict_in_parent(
     marker on the same joint if there is any. Its motion there is learnt as in
     `predict`, with the same arguments.
     """
-    neighbours = _near(visible, marker, gap, spread)
-    training = _training(visible, marker, gap, neighbours, rate)
+    neighbours = _nearest_markers(visible, marker, gap, spread)
+    training = _training_frames(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING or not skeleton.above(marker):
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
@@ -165,7 +169,7 @@ def predict_in_parent(
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best(local, pose, frames, gap, rate, LOOSE_KERNELS)
+        best = _best_prediction(local, pose, frames, gap, rate, LOOSE_KERNELS)
         world_positions = np.einsum(
             "fij,fj->fi", rotation[known_count:], best.positions
         )
@@ -210,7 +214,7 @@ def follow(
 
     positions: ``(F, M, 3)`` [m]. visible: Measured ones ``(F, M)``. rate: [frame/s].
     """
-    training = _training(visible, marker, gap, np.zeros(0, np.int64), rate)
+    training = _training_frames(visible, marker, gap, np.zeros(0, np.int64), rate)
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
     path, known_count = points[:, marker], len(training)
@@ -224,7 +228,7 @@ def follow(
     no_pose = np.zeros((len(frames), 0))
     for stray, time in SKIN_KERNELS if known_count >= MIN_TRAINING else ():
         kernel = _kernel(no_pose, frames / rate, LENGTH_SCALES[0], stray, time, offsets)
-        error, values = _regressed(offsets, kernel, frames, gap)
+        error, values = _regress(offsets, kernel, frames, gap)
         if error < least_error:
             least_error, correction = error, values
     world_correction = np.einsum("fij,fj->fi", rotations[known_count:], correction)
@@ -233,7 +237,9 @@ def follow(
     )
 
 
-def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
+def _nearest_markers(
+    visible: BoolArray, marker: int, gap: slice, spread: FloatArray
+) -> IntArray:
     """Return the markers visible throughout a gap, the most rigid first."""
     is_usable = visible[gap].all(axis=0) & np.isfinite(spread)
     is_usable[marker] = False
@@ -241,10 +247,10 @@ def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> In
     return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
 
 
-def _training(
+def _training_frames(
     visible: BoolArray, marker: int, gap: slice, neighbours: IntArray, rate: float
 ) -> IntArray:
-    """Return the training frames: all next to the gap, and some farther off."""
+    """Return the training frames: all near the gap, and some farther away."""
     window = int(TRAINING_SECONDS * rate)
     first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
     usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(axis=1)
@@ -285,7 +291,7 @@ def _local(
     return local, pose, to_world
 
 
-def _regressed(
+def _regress(
     local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
     """Return predictions for the unknown frames, and their error.
@@ -305,10 +311,12 @@ def _regressed(
     weights = inverse @ (local - mean)
     values = kernel[known_count:] @ weights + mean
     length = gap.stop - gap.start
-    training = frames[:known_count]
+    training_frames = frames[:known_count]
     errors = []
-    for begin in _spans(training, gap):
-        left_out = np.flatnonzero((training >= begin) & (training < begin + length))
+    for begin in _spans(training_frames, gap):
+        left_out = np.flatnonzero(
+            (training_frames >= begin) & (training_frames < begin + length)
+        )
         if 0 < len(left_out) < known_count - MIN_TRAINING:
             block = inverse[np.ix_(left_out, left_out)]
             residuals = np.linalg.solve(block, weights[left_out])
@@ -339,9 +347,9 @@ def _kernel(
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), NOISE**2)
     lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known_count]) / stray_time
     over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
-    centred = pose - pose[:known_count].mean(axis=0)
-    features = centred / (
-        np.sqrt((centred[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
+    centred_pose = pose - pose[:known_count].mean(axis=0)
+    features = centred_pose / (
+        np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
     )
     products = features @ features[:known_count].T
     if length_scale:

@@ -73,12 +73,12 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     source = np.tile(np.arange(count), (len(markers), 1))
     lengths: MarkerDistances | None = None
     crossings: dict[tuple[int, int], tuple[float, BoolArray]] = {}
-    tested: set[tuple[int, int]] = set()
+    tested_pairs: set[tuple[int, int]] = set()
     while True:
         for a, b in _pairs(positions, rate):
-            if (a, b) not in crossings and (a, b) not in tested:
+            if (a, b) not in crossings and (a, b) not in tested_pairs:
                 lengths = lengths or distances(positions)
-                crossings[a, b] = _crossed(positions, a, b, rate, lengths)
+                crossings[a, b] = _crossed_frames(positions, a, b, rate, lengths)
         # The clearest pair first: among three markers it decides about the others.
         clearest = max(
             crossings, key=lambda pair: (crossings[pair][0], pair), default=None
@@ -93,17 +93,17 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
             span = slice(first, last + 1)
             positions[span, pair] = positions[span, pair[::-1]]
             source[span, pair] = source[span, pair[::-1]]
-        tested.add(clearest)
+        tested_pairs.add(clearest)
         crossings = {
             other_pair: candidate
             for other_pair, candidate in crossings.items()
             if not set(other_pair) & set(clearest)
         }
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
-    return (_taken(markers, source) if swaps else markers), swaps
+    return (_take_columns(markers, source) if swaps else markers), swaps
 
 
-def _expected(
+def _expected_positions(
     positions: FloatArray, rate: float, acceleration: float = DEFAULT_ACCELERATION
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return each marker's expected position, its tolerance [m], and validity.
@@ -144,7 +144,7 @@ def _expected(
 
 def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     """Return pairs where one marker jumps to the other's position, by frequency."""
-    expected, tolerance, is_known = _expected(positions, rate)
+    expected, tolerance, is_known = _expected_positions(positions, rate)
     visible = np.isfinite(positions[..., 0])
     deviation = np.linalg.norm(positions - expected, axis=-1)
     continues = visible & is_known & (deviation <= tolerance)
@@ -180,7 +180,7 @@ class _Path:
     past: tuple[list[Any], list[Any]]
 
 
-def _crossed(
+def _crossed_frames(
     positions: FloatArray, a: int, b: int, rate: float, lengths: MarkerDistances
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
@@ -194,7 +194,9 @@ def _crossed(
     pair_positions = positions[:, [a, b]]
     visible = np.isfinite(pair_positions[..., 0])
     acceleration = _acceleration(pair_positions, rate)
-    expected, tolerance, is_known = _expected(pair_positions, rate, acceleration)
+    expected, tolerance, is_known = _expected_positions(
+        pair_positions, rate, acceleration
+    )
     deviation = np.linalg.norm(pair_positions - expected, axis=-1)
     is_smooth = ~visible | (is_known & (deviation <= tolerance))
     # In frames without events, both keep their names.
@@ -249,11 +251,11 @@ def _crossed(
                 min((later(path, state) for path in paths), key=lambda path: path.cost)
                 for state in (0, 1)
             ]
-    best = min(paths, key=lambda path: path.cost)
+    best_path = min(paths, key=lambda path: path.cost)
     crossed = np.zeros(len(pair_positions), np.int64)
-    for change in best.changes:
+    for change in best_path.changes:
         crossed[change:] ^= 1
-    return initial_path.cost - best.cost, crossed.astype(bool)
+    return initial_path.cost - best_path.cost, crossed.astype(bool)
 
 
 def _acceleration(pair_positions: FloatArray, rate: float) -> float:
@@ -369,8 +371,8 @@ def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, in
     return spans
 
 
-def _taken(markers: Markers, source: IntArray) -> Markers:
-    """Return markers with values taken from other columns ``(F, M)``."""
+def _take_columns(markers: Markers, source: IntArray) -> Markers:
+    """Return markers with their columns permuted per frame ``(F, M)``."""
 
     def exchanged(values: Any) -> Any:
         return None if values is None else np.take_along_axis(values, source, 1)

@@ -64,7 +64,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     for frame in range(frames):
         slots = np.flatnonzero(visible[frame])
         points = positions[frame, slots]
-        expected, radius = _expected(past, age, reach, new_reach)
+        expected, radius = _expected_positions(past, age, reach, new_reach)
         relative_distance = cdist(expected, points) / radius[:, None]
         run, point = _mutual(relative_distance)
         run_of_slot = np.full(len(slots), -1)
@@ -88,7 +88,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
 
-def _expected(
+def _expected_positions(
     past: FloatArray, age: IntArray, reach: float, new_reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return each run's expected next position, and its tolerance [m]."""

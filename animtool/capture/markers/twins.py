@@ -122,7 +122,7 @@ def exchanged_in(
 def _near_only(
     moves: list[tuple[IntArray, IntArray]], rest: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
-    """Return exchanges without those of two unrelated pairs."""
+    """Return the exchanges, except those of two unrelated pairs."""
     nearby = []
     for old, new in moves:
         is_near = np.ones(len(old), bool)

@@ -134,12 +134,12 @@ def calibrate(
     with the others.
     """
     options = options or SolveOptions()
-    solver = _Calibrating(markers, rig, template, static, options)
+    solver = _CalibrationState(markers, rig, template, static, options)
     rounds, converged = solver.run()
     return solver.result(rounds, converged)
 
 
-class _Calibrating:
+class _CalibrationState:
     """State of a calibration: bones, offsets and poses."""
 
     def __init__(
@@ -363,8 +363,8 @@ class _Calibrating:
     def _pairs(self) -> list[tuple[int, int]]:
         """Return the indices of left and right bones."""
         rig = self.model.rig
-        stated = [(j.name, j.mirror) for j in rig.joints if j.mirror]
-        partners = pair_sides(rig.names, rig.parents, stated).partners
+        stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
+        partners = pair_sides(rig.names, rig.parents, stated_pairs).partners
         bone_of = {j: b for b, group in enumerate(self.bones) for j in group}
         return [
             (bone_of[j], bone_of[int(k)])
@@ -381,11 +381,11 @@ class _Calibrating:
         scales = np.ones(len(rig.joints))
         for b, group in enumerate(self.bones):
             scales[list(group)] = self.scales[b]
-        calibrated = {m.name: m for m in self.model.template.markers}
+        markers_by_name = {m.name: m for m in self.model.template.markers}
         shifts = np.full(len(self.template.markers), np.nan)
         markers = []
         for m, marker in enumerate(self.template.markers):
-            match = calibrated.get(marker.name)
+            match = markers_by_name.get(marker.name)
             if match is not None:
                 shifts[m] = np.linalg.norm(np.subtract(match.offset, marker.offset))
             markers.append(

@@ -122,14 +122,16 @@ class MarkerProblem:
         return np.asarray(world.positions[:, self.joints] + rotated_offsets)
 
     def changed(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
-        """Return the model with other bones and offsets ``(E, 3)``."""
+        """Return the model with new bones and offsets ``(E, 3)``."""
         markers = tuple(
             replace(marker, offset=tuple(offset))
             for marker, offset in zip(
                 self.template.markers, offsets.tolist(), strict=True
             )
         )
-        return _built(rig, replace(self.template, markers=markers), self.columns)
+        return _build_problem(
+            rig, replace(self.template, markers=markers), self.columns
+        )
 
 
 def marker_model(
@@ -161,10 +163,14 @@ def marker_model(
         raise OptionError(Fault("SOL003", message, hint=hint))
     used_markers.sort(key=lambda m: int(joints[m]))
     markers = tuple(template.markers[m] for m in used_markers)
-    return _built(rig, replace(template, markers=markers), columns[used_markers])
+    return _build_problem(
+        rig, replace(template, markers=markers), columns[used_markers]
+    )
 
 
-def _built(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerProblem:
+def _build_problem(
+    rig: Rig, template: MarkerTemplate, columns: IntArray
+) -> MarkerProblem:
     goals = [Goal(marker.joint, marker.offset) for marker in template.markers]
     problem = build(rig, goals)
     return MarkerProblem(problem, template, columns, template.joints(rig))

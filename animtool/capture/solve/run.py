@@ -116,12 +116,12 @@ class MarkerSolve:
 
     def _window(self, first: int, end: int, previous: FloatArray | None) -> FloatArray:
         """Return the poses of frames that continue those before them."""
-        behind = 0 if previous is None else len(previous)
+        past_frames = 0 if previous is None else len(previous)
         lookahead = min(end + LOOKAHEAD, len(self.positions))
-        positions = self.positions[first - behind : lookahead]
+        positions = self.positions[first - past_frames : lookahead]
         starts = self.model.starts(positions)
         if previous is not None:
-            starts[:behind] = previous
+            starts[:past_frames] = previous
         result = fit(
             self.model.problem,
             self.model.targets(positions, self.noise),
@@ -132,9 +132,9 @@ class MarkerSolve:
                 robust=ROBUST_DEVIATIONS,
             ),
             path=None if previous is None else starts,
-            first=behind,
+            first=past_frames,
         )
-        window_rows = slice(behind, behind + end - first)
+        window_rows = slice(past_frames, past_frames + end - first)
         self.score.add(
             first,
             result.misses[window_rows],

@@ -57,31 +57,33 @@ def match_markers(
     >>> match_markers(template, ["*0", "Ann:LFHD"]).columns.tolist()
     [1]
     """
-    labelled = [name for name in names if not name.startswith("*")]
-    matches = {match: _columns(template, names, match) for match in _subjects(labelled)}
+    labelled_names = [name for name in names if not name.startswith("*")]
+    matches = {
+        match: _columns(template, names, match) for match in _subjects(labelled_names)
+    }
     matching = {match: c for match, c in matches.items() if (c >= 0).any()}
     if subject is not None:
         if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
             raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
         matching = {subject: matches[subject]}
-        labelled = [name for name in labelled if _split(name)[0] == subject]
+        labelled_names = [name for name in labelled_names if _split(name)[0] == subject]
     if len(matching) > 1:
         count = counted(len(matching), "subject")
         message = f"holds markers of {count}: {listed(sorted(matching))}"
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
     if not matching or not (next(iter(matching.values())) >= 0).any():
-        raise OptionError(_unmatched(template, labelled, names))
+        raise OptionError(_unmatched_fault(template, labelled_names, names))
     ((subject, columns),) = matching.items()
     used_columns = set(columns[columns >= 0].tolist())
-    missing = [m for m, c in zip(template.names, columns, strict=True) if c < 0]
-    unused = [
+    missing_markers = [m for m, c in zip(template.names, columns, strict=True) if c < 0]
+    unused_names = [
         name
         for i, name in enumerate(names)
         if i not in used_columns and not name.startswith("*")
     ]
-    return MarkerMatch(columns, tuple(missing), tuple(unused), subject)
+    return MarkerMatch(columns, tuple(missing_markers), tuple(unused_names), subject)
 
 
 def _subjects(names: Iterable[str]) -> list[str]:
@@ -117,16 +119,16 @@ def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> In
     return columns
 
 
-def _unmatched(
-    template: MarkerTemplate, labelled: Sequence[str], names: Sequence[str]
+def _unmatched_fault(
+    template: MarkerTemplate, labelled_names: Sequence[str], names: Sequence[str]
 ) -> Fault:
     """Return the fault of a capture that has no marker of a template."""
     message = "no marker has a name of the template"
-    if not labelled:
+    if not labelled_names:
         message = f"none of its {counted(len(names), 'point')} has a label"
         hint = "animtool mocap label gives points their names"
         return Fault("SOL001", message, hint=hint)
-    bare_names = [_split(name)[1] for name in labelled]
+    bare_names = [_split(name)[1] for name in labelled_names]
     suggestions = [
         f"{name!r} is near {guess!r}"
         for name in template.names
@@ -134,5 +136,5 @@ def _unmatched(
     ]
     hint = "; ".join(suggestions[:MAX_LISTED_NAMES])
     if not suggestions:
-        hint = f"it has {listed(labelled, MAX_LISTED_NAMES)}; add them to aliases"
+        hint = f"it has {listed(labelled_names, MAX_LISTED_NAMES)}; add them to aliases"
     return Fault("SOL001", message, hint=hint)

@@ -177,15 +177,15 @@ def fitted_channel(
     count, components = keys.values.shape
     ins, outs = np.zeros((2, count, 1 + components))
     ins[1:, 0], outs[:-1, 0] = -1.0, 1.0
-    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / intervals * factor, unit)
-    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / intervals * factor, unit)
+    ins[1:, 1:] = _round_in_unit(3 * keys.ins[1:] / intervals * factor, unit)
+    outs[:-1, 1:] = _round_in_unit(3 * keys.outs[:-1] / intervals * factor, unit)
     outer_tangents = (Tangent.AUTO_CLAMPED, Tangent.FREE)
     tangents_before = (outer_tangents[0], *(Tangent.FREE,) * (count - 1))
     tangents_after = (*(Tangent.FREE,) * (count - 1), outer_tangents[0])
     return ClipChannel(
         target,
         times,
-        _rounded(keys.values * factor, unit),
+        _round_in_unit(keys.values * factor, unit),
         (Interp.HERMITE,) * count,
         tuple(zip(tangents_before, tangents_after, strict=True)),
         ins,
@@ -203,7 +203,7 @@ def _target(channel: ReducedChannel, rig: Rig) -> str:
     return f"joint/{channel.joint}.{channel.part}"
 
 
-def _rounded(values: ArrayLike, unit: float) -> FloatArray:
+def _round_in_unit(values: ArrayLike, unit: float) -> FloatArray:
     """Round values in a unit; return them in metres and radians."""
     flattened = np.ravel(values).tolist()
     rounded_values = [

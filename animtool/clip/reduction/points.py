@@ -48,9 +48,11 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     ]
     bounds = np.full(len(rig.joints), float(tolerance))
     for pattern, value in others.items():
-        matching = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
-        bounds[matching] = value
-        if not matching:
+        matching_joints = [
+            j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)
+        ]
+        bounds[matching_joints] = value
+        if not matching_joints:
             suggestions = similar(pattern, rig.names)
             hint = f"did you mean {suggestions!r}?" if suggestions else None
             message = f"unknown joint {excerpt(pattern)} of {rig.name!r}"

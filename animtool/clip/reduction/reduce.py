@@ -105,7 +105,7 @@ def reduce_motion(
     _check(take, base, shell)
     if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
-    rest_motion = _rest(rig, motion, additive=base is not None)
+    rest_motion = _unkeyed_frame(rig, motion, additive=base is not None)
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     tracks = tracks_of(rig, motion, rest_motion) if tracks is None else tracks
     weights = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
@@ -113,7 +113,7 @@ def reduce_motion(
 
     base_motion = None if base is None else base.motion
     budgets: list[Budget] = []
-    reached = _Reached([], np.zeros((motion.frames, 1)), 0.0, 0)
+    reached = _ReachedFit([], np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
         world = _World(rig, motion, base_motion, shell, bounds)
         if start is not None:
@@ -138,7 +138,7 @@ def reduce_motion(
 
 
 @dataclass(frozen=True, slots=True)
-class _Reached:
+class _ReachedFit:
     keys: list[FittedKeys]
     errors: FloatArray
     ratio: float
@@ -194,7 +194,7 @@ class _World:
         return np.asarray(np.linalg.norm(offsets, axis=-1) + self.reach[ends])
 
 
-def _search(world: _World, budgets: list[Budget]) -> _Reached:
+def _search(world: _World, budgets: list[Budget]) -> _ReachedFit:
     """Calibrate and tighten channel tolerances; return the keys."""
     errors = world.measure(budgets)
     rounds = 1
@@ -224,7 +224,7 @@ def _search(world: _World, budgets: list[Budget]) -> _Reached:
         errors = world.measure(changed_budgets)
         ratio = float((errors / world.bounds).max())
         rounds += 1
-    return _Reached([b.keys for b in budgets], errors, ratio, rounds)
+    return _ReachedFit([b.keys for b in budgets], errors, ratio, rounds)
 
 
 def _beyond_limits(budget: Budget) -> IntArray:
@@ -260,21 +260,25 @@ def _tighten(
     contributions = np.zeros((len(budgets), len(frames)))
     for i, budget in enumerate(budgets):
         joint = budget.track.index
-        affected = np.flatnonzero(world.below[joint, joints_beyond])
-        arms = world.arms(joint, frames[affected], joints_beyond[affected])
-        contributions[i, affected] = (
-            budget.unit_motion(arms) * budget.errors[frames[affected]]
+        affected_frames = np.flatnonzero(world.below[joint, joints_beyond])
+        arms = world.arms(
+            joint, frames[affected_frames], joints_beyond[affected_frames]
+        )
+        contributions[i, affected_frames] = (
+            budget.unit_motion(arms) * budget.errors[frames[affected_frames]]
         )
     is_main_cause = (contributions >= 0.5 * contributions.max(axis=0, initial=0.0)) & (
         contributions > 0
     )
     changed_budgets = []
     for i, budget in enumerate(budgets):
-        affected = np.flatnonzero(is_main_cause[i])
-        if len(affected):
-            frame_positions, inverse = np.unique(frames[affected], return_inverse=True)
+        affected_frames = np.flatnonzero(is_main_cause[i])
+        if len(affected_frames):
+            frame_positions, inverse = np.unique(
+                frames[affected_frames], return_inverse=True
+            )
             largest_excess = np.zeros(len(frame_positions))
-            np.maximum.at(largest_excess, inverse, excess[affected])
+            np.maximum.at(largest_excess, inverse, excess[affected_frames])
             budget.tighten(
                 frame_positions,
                 budget.errors[frame_positions] * 0.9 / largest_excess,
@@ -321,7 +325,7 @@ def _descendants(rig: Rig) -> BoolArray:
     return is_descendant
 
 
-def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
+def _unkeyed_frame(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of the values without keys."""
     joints = len(rig.joints)
     static = Channel.static

@@ -17,11 +17,11 @@ from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.label import (
     PARTNERS,
     RIGID,
-    _agreeing,
     _base,
     _exchange_parts,
     _fours,
     _matches,
+    _merge_seeds,
     _shape_error,
     _window,
     label,
@@ -180,8 +180,8 @@ def test_groups_that_contradict_a_better_one_are_left_out() -> None:
     together = np.ones((5, 5), bool)
     together[1, 4] = together[4, 1] = False
     seeds = [{0: 7, 1: 8}, {1: 9, 2: 6}, {2: 7}, {3: 5}, {4: 8}]
-    assert _agreeing(seeds, together) == {0: 7, 1: 8, 3: 5, 4: 8}
-    assert _agreeing([], together) == {}
+    assert _merge_seeds(seeds, together) == {0: 7, 1: 8, 3: 5, 4: 8}
+    assert _merge_seeds([], together) == {}
 
 
 def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:

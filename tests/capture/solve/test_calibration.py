@@ -18,7 +18,7 @@ from animtool.capture.solve.calibration import (
     OFFSET_DEVIATION,
     OVERALL_DEVIATION,
     SIDE_DEVIATION,
-    _Calibrating,
+    _CalibrationState,
     unlimited_rig,
     with_bones,
 )
@@ -109,14 +109,14 @@ def test_markers_at_an_end_go_with_the_bone_that_leads_there() -> None:
     assert np.sqrt((off**2).sum(axis=2).mean()) <= 5.0
 
 
-def unsettled(**fixed: bool) -> _Calibrating:
+def unsettled(**fixed: bool) -> _CalibrationState:
     """Return bones and offsets before any step."""
     _, motion = takes()
     markers = tuple(
         replace(m, fixed=fixed.get(m.name, False)) for m in TEMPLATE.markers
     )
     template = replace(TEMPLATE, markers=markers)
-    return _Calibrating(motion.markers, FIGURE, template, None, SolveOptions())
+    return _CalibrationState(motion.markers, FIGURE, template, None, SolveOptions())
 
 
 def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
