@@ -164,7 +164,7 @@ def _asking(
     return ask
 
 
-def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
+def _build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
     """Return a task that builds an item on a checked worker, sent as code."""
 
     def build(pickled: bytes) -> ItemOutcome | None:
@@ -235,7 +235,7 @@ class _Farm:
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
-        self.build = _building(self.name)  # pickled only once
+        self.build = _build_task(self.name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
         inputs = tuple(_inputs(self.work, self.delivery))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
@@ -245,10 +245,10 @@ class _Farm:
         counted_at = -POLL_INTERVAL
         while True:
             if time.monotonic() - counted_at >= POLL_INTERVAL:
-                yield from self._lost(self._addresses())
+                yield from self._reclaim_lost_items(self._addresses())
                 counted_at = time.monotonic()
             has_more = self._send()
-            yield from self._said()
+            yield from self._pop_faults()
             if has_more and not self.unseen:
                 self._refuse_unfit()
             if not (has_more or self.unseen or any(s.item for s in self.sent.values())):
@@ -257,9 +257,9 @@ class _Farm:
                 future, value = self.ended.get(timeout=POLL_INTERVAL)
                 if future in self.sent:
                     yield from self._handle_answer(self.sent.pop(future), value)
-            yield from self._delivered()
+            yield from self._delivered_outcomes()
 
-    def _said(self) -> Iterator[Fault]:
+    def _pop_faults(self) -> Iterator[Fault]:
         while self.said:
             yield self.said.pop(0)
 
@@ -287,7 +287,9 @@ class _Farm:
             self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
         return threads
 
-    def _lost(self, addresses: Mapping[str, int]) -> Iterator[ItemOutcome]:
+    def _reclaim_lost_items(
+        self, addresses: Mapping[str, int]
+    ) -> Iterator[ItemOutcome]:
         """Take back items of lost workers, and check new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
@@ -374,7 +376,7 @@ class _Farm:
         """Process the answer of a worker: a check or the outcome of an item."""
         worker, item = sent.worker, sent.item
         if item is None:
-            yield from self._checked(worker, value)
+            yield from self._accept_check(worker, value)
             return
         if isinstance(value, BaseException):
             # A lost worker is detected in the next count.
@@ -391,11 +393,11 @@ class _Farm:
             fault = Fault("BAT020", message, str(item.file.path))
             yield ItemOutcome.failed(item, fault)
         elif value.status is ItemStatus.DONE:
-            yield from self._built(worker, item, value)
+            yield from self._accept_outcome(worker, item, value)
         else:
-            yield from self._failed(worker, item, value)
+            yield from self._accept_failure(worker, item, value)
 
-    def _checked(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
+    def _accept_check(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
         if isinstance(value, tuple):
             worker.host, code, why = value
             worker.fit = not code
@@ -415,7 +417,7 @@ class _Farm:
         message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
-    def _built(
+    def _accept_outcome(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
         """Accept an outcome with this machine's inputs; wait for its files.
@@ -436,7 +438,7 @@ class _Farm:
             until = time.monotonic() + MAX_UNSEEN
             self.unseen.append((until, item, worker, outcome))
 
-    def _delivered(self) -> Iterator[ItemOutcome | Fault]:
+    def _delivered_outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcomes whose files have arrived with the written content."""
         time_and_unseen, unseen = time.monotonic(), self.unseen
         self.unseen = []
@@ -456,7 +458,7 @@ class _Farm:
                     )
                     yield from self._leave_out(worker, DISK, why)
 
-    def _failed(
+    def _accept_failure(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
         """Accept a failure, unless another worker may be able to build the item."""

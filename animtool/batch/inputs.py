@@ -121,7 +121,7 @@ def _matched_inputs(
         remaining = {resolve(file.path): file for file in meant}
         remaining = {at: f for at, f in remaining.items() if at not in left_out}
         if not meant or _is_missing(text, remaining):
-            unmatched.append(_unmatched(spec, i, suffixes))
+            unmatched.append(_unmatched_fault(spec, i, suffixes))
         files = {**remaining, **files}
     ordered = [files[path] for path in sorted(files, key=os.fspath)]
     return ordered, lambda path: resolve(path) in left_out, unmatched
@@ -137,7 +137,7 @@ def _is_missing(text: str, meant: Mapping[Path, MatchedFile]) -> bool:
     return "://" not in text and len(meant) == 1 and not exists(next(iter(meant)))
 
 
-def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
+def _unmatched_fault(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
     text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():

@@ -426,19 +426,19 @@ class ItemTask:
     def _digest(self, path: Path, root: Path) -> str:
         kind = path.suffix.lower()
         if kind not in self._digests:
-            self._digests[kind] = digest_of(_plain(self._options(path), root))
+            self._digests[kind] = digest_of(_to_json(self._options(path), root))
         return self._digests[kind]
 
 
-def _plain(value: object, root: Path) -> object:
+def _to_json(value: object, root: Path) -> object:
     """Return options as JSON values."""
     if is_dataclass(value):
         return {
-            entry.name: _plain(getattr(value, entry.name), root)
+            entry.name: _to_json(getattr(value, entry.name), root)
             for entry in fields(value)
         }
     if isinstance(value, tuple):
-        return [_plain(part, root) for part in value]
+        return [_to_json(part, root) for part in value]
     if isinstance(value, Path):
         return relative_name(value, root)
     if value is None or isinstance(value, bool | int | float | str):

@@ -297,14 +297,17 @@ def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
 def _pass_scores(plain: Mapping[str, Any]) -> PassScores:
     names = object_of(plain.get("names"))
     return PassScores(
-        tuple(_score(object_of(score_entry)) for score_entry in _some(plain, "scores")),
+        tuple(
+            _score(object_of(score_entry))
+            for score_entry in _nonempty_list(plain, "scores")
+        ),
         {score_name: tuple(texts_in(names, score_name)) for score_name in names},
         text_in(plain, "pass"),
         text_in(plain, "where"),
     )
 
 
-def _some(plain: Mapping[str, Any], key: str) -> Sequence[Any]:
+def _nonempty_list(plain: Mapping[str, Any], key: str) -> Sequence[Any]:
     entries = list_in(plain, key)
     if not entries:
         raise RecordError(f"{key!r} is empty")

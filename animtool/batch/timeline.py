@@ -152,14 +152,14 @@ def media_path(url: str, folder: Path) -> Path:
         from urllib.request import url2pathname
 
         host = "" if url_parts.netloc in LOCAL_HOSTS else f"//{url_parts.netloc}"
-        return Path(_named(url2pathname(host + url_parts.path)))
+        return Path(_escape_null(url2pathname(host + url_parts.path)))
     if len(url_parts.scheme) > 1:
         return Path(url)
     exists = FileState.of(folder / url) is not None
-    return folder / (url if exists else _named(unquote(url)))
+    return folder / (url if exists else _escape_null(unquote(url)))
 
 
-def _named(path: str) -> str:
+def _escape_null(path: str) -> str:
     return path.replace("\0", "%00")
 
 

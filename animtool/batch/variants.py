@@ -81,7 +81,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     for i, (name, text) in enumerate(zip(names, texts, strict=True)):
         marker = argument("vary", text)
         if "=" not in text:
-            message, form = f"{marker}: the sign = is missing", _assigned(text)
+            message, form = f"{marker}: the sign = is missing", _assignment_hint(text)
             faults.append(Fault("BAT064", message, hint=form))
         elif i in problems:
             faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
@@ -98,7 +98,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     raise OptionError(faults)
 
 
-def _assigned(text: str) -> str:
+def _assignment_hint(text: str) -> str:
     """Return a hint at how to write a text without a sign =.
 
     >>> _assigned("wind 1 2"), _assigned("wind")

@@ -124,7 +124,7 @@ class Console:
     def result_json(self, value: object, *, line: bool = False) -> None:
         """Write a record or plain values as JSON to stdout, or as one ASCII line."""
         indent = None if line else 2
-        value = self._worded(plain_value(value))
+        value = self._with_flags(plain_value(value))
         self.document(json_printed(value, indent=indent, ascii_only=line))
         sys.stdout.flush()
 
@@ -245,14 +245,14 @@ class Console:
         finally:
             bar.stop()
 
-    def _worded(self, value: object) -> object:
+    def _with_flags(self, value: object) -> object:
         """Return plain values whose texts name arguments by their flags."""
         if isinstance(value, str):
             return worded(value, self.calling)
         if isinstance(value, Mapping):
-            return {key: self._worded(item) for key, item in value.items()}
+            return {key: self._with_flags(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return [self._worded(item) for item in value]
+            return [self._with_flags(item) for item in value]
         return value
 
     def _line(self, level: str, text: str) -> None:

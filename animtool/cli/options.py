@@ -126,7 +126,7 @@ def _joint_length(text: str) -> tuple[str, float]:
     return name, parse_length(length)
 
 
-def _variable(text: str) -> tuple[str, str]:
+def _parse_variable(text: str) -> tuple[str, str]:
     from animtool.core.names import is_variable_name
 
     name, equals, value = text.partition("=")
@@ -425,7 +425,7 @@ stage_option = click.option(
 set_option = click.option(
     "--set",
     "variables",
-    type=Parsed("variable", _variable),
+    type=Parsed("variable", _parse_variable),
     metavar="NAME=VALUE",
     multiple=True,
     help="Value of ${NAME} in a scene, such as shot=sh020; repeatable.",

@@ -73,7 +73,7 @@ def _stopped_joints(clamped: Mapping[str, float]) -> list[str]:
     ]
 
 
-def _scored(value: float, printer: str) -> str:
+def _score_text(value: float, printer: str) -> str:
     """Format a score; empty for a missing one."""
     if math.isnan(value):
         return ""
@@ -109,7 +109,7 @@ _TEMPLATE = Template(
         "verdict": _verdict,
         "metres": _length,
         "held": _stopped_joints,
-        "scored": _scored,
+        "scored": _score_text,
     },
     (SECONDS,),
 )

@@ -79,7 +79,7 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
     methods_to_add["__dataclass_fields__"] = declared_fields
     methods_to_add["__dataclass_params__"] = flags
     if flags.slots:
-        return _slotted(cls, declared_fields, methods_to_add)
+        return _class_with_slots(cls, declared_fields, methods_to_add)
     for name, method in methods_to_add.items():
         setattr(cls, name, method)
     return cls
@@ -168,7 +168,7 @@ def _methods(
             frozenset(declared_fields)
         )
     if flags.frozen and flags.slots:
-        methods["__getstate__"], methods["__setstate__"] = _pickled(
+        methods["__getstate__"], methods["__setstate__"] = _pickle_methods(
             tuple(declared_fields)
         )
     return methods
@@ -218,7 +218,9 @@ def _initializer(
                 or values.keys() != settable_names
                 or (
                     (positional or unset_names)
-                    and _taken(named, positional_names[: len(positional)], unset_names)
+                    and _is_repeated_or_unknown(
+                        named, positional_names[: len(positional)], unset_names
+                    )
                 )
             ):
                 _refuse(self, positional, named)
@@ -230,7 +232,9 @@ def _initializer(
     return __init__
 
 
-def _taken(named: Mapping[str, Any], *known_names: Iterable[str]) -> bool:
+def _is_repeated_or_unknown(
+    named: Mapping[str, Any], *known_names: Iterable[str]
+) -> bool:
     """Return whether an argument is repeated or unknown."""
     return any(name in named for names in known_names for name in names)
 
@@ -347,7 +351,7 @@ def _frozen_methods(
     return __setattr__, __delattr__
 
 
-def _pickled(
+def _pickle_methods(
     names: tuple[str, ...],
 ) -> tuple[Callable[[Any], list[Any]], Callable[[Any, list[Any]], None]]:
     """Return the pickle methods of a frozen record with slots."""
@@ -362,7 +366,7 @@ def _pickled(
     return __getstate__, __setstate__
 
 
-def _slotted(
+def _class_with_slots(
     cls: type[Any], declared_fields: Iterable[str], methods_to_add: Mapping[str, Any]
 ) -> type[Any]:
     """Return a class with slots for fields that its bases have no slots for."""

@@ -94,7 +94,7 @@ def outliers(
     steps = _without_cuts(steps[:, candidates], cuts)
     # Overflowing steps stay unexplained.
     with np.errstate(over="ignore", invalid="ignore"):
-        residuals, near_pop_residuals = _unexplained(steps, deviations)
+        residuals, near_pop_residuals = _unexplained_deviations(steps, deviations)
         reach = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
         typical = noise + mean_around(residuals, reach, NEIGHBOURHOOD_GAP)
     mask[:, candidates] = (
@@ -117,13 +117,13 @@ def prediction_errors(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
     steps = _without_cuts(steps, cuts)
-    a, b, c, d = (_shifted(steps, offset) for offset in (-2, -1, 1, 2))
+    a, b, c, d = (_shift_steps(steps, offset) for offset in (-2, -1, 1, 2))
     largest = np.maximum(np.maximum(a, b), np.maximum(c, d))
     smallest = np.minimum(np.minimum(a, b), np.minimum(c, d))
     return _lengths(steps - 0.5 * (a + b + c + d - largest - smallest))
 
 
-def _unexplained(
+def _unexplained_deviations(
     steps: FloatArray, deviations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return two arrays of deviations unexplained by smooth fast motion ``(S, N)``.
@@ -134,7 +134,7 @@ def _unexplained(
     accelerates until it ends. The second array applies the lines to all steps: it is
     for steps next to a pop, which lines on their far sides do not contain.
     """
-    a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
+    a, b, c, d, e, f = (_shift_steps(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
     residuals = deviations
     for cubic in (
         (4.0 * (c + d) - b - e) / 6.0,
@@ -154,7 +154,7 @@ def _unexplained(
     return residuals, line_residuals
 
 
-def _shifted(steps: FloatArray, offset: int) -> FloatArray:
+def _shift_steps(steps: FloatArray, offset: int) -> FloatArray:
     """Return the steps shifted by an offset, held at the ends ``(S, N, 3)``."""
     rows = np.arange(len(steps)) + offset
     return np.asarray(steps[rows.clip(0, len(steps) - 1)])

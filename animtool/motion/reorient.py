@@ -80,15 +80,15 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
 
     ``roots``: joints without a parent ``(R,)``.
     """
-    rotations = _placed(motion.rotations, roots, placement, rotates=True)
+    rotations = _place_roots(motion.rotations, roots, placement, rotates=True)
     if placement.moves:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
     return replace(
         motion,
-        translations=_placed(motion.translations, roots, placement, rotates=False),
+        translations=_place_roots(motion.translations, roots, placement, rotates=False),
         rotations=rotations,
-        scales=_scaled(motion, roots, placement),
+        scales=_scale_roots(motion, roots, placement),
         points={
             name: _placed_points(channel, placement)
             for name, channel in motion.points.items()
@@ -96,7 +96,7 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
     )
 
 
-def _placed(
+def _place_roots(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""
@@ -116,7 +116,9 @@ def _placed(
     return Channel(rest, channel.animated, values)
 
 
-def _scaled(motion: Motion, roots: IntArray, placement: Placement) -> Channel | None:
+def _scale_roots(
+    motion: Motion, roots: IntArray, placement: Placement
+) -> Channel | None:
     """Return scales multiplied by the varying part of the placement's size."""
     extra = placement.sizes / placement.size
     if (extra == 1.0).all():

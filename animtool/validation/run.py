@@ -224,7 +224,7 @@ class Report:
         return frozenset(
             fault.path
             for fault in self.findings
-            if fault.path in file_names and _unreadable(fault, fault.path)
+            if fault.path in file_names and _is_unreadable(fault, fault.path)
         )
 
     def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
@@ -277,7 +277,7 @@ def validate_files(
     )
     by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
-    findings = {_named(fault, names) for faults in by_file for fault in faults}
+    findings = {_with_file_name(fault, names) for faults in by_file for fault in faults}
     return Report(files, tuple(sorted(findings, key=_order)), failed_rules)
 
 
@@ -296,11 +296,11 @@ def _all(
     faults = None
     # Which file crashed before is known only in this process.
     if processes > 1 and not has_crashed():
-        faults = _shared(files, settings, values, processes)
+        faults = _findings_in_processes(files, settings, values, processes)
     yield from map(_check, files, settings, values) if faults is None else faults
 
 
-def _shared(
+def _findings_in_processes(
     files: Sequence[Path],
     settings: Sequence[ValidateOptions],
     values: Sequence[SceneValues | None],
@@ -343,11 +343,11 @@ def _check(
     return [
         options.of(fault)
         for fault in faults
-        if options.counts(fault.code) or _unreadable(fault, str(path))
+        if options.counts(fault.code) or _is_unreadable(fault, str(path))
     ]
 
 
-def _unreadable(fault: Fault, path: str) -> bool:
+def _is_unreadable(fault: Fault, path: str) -> bool:
     """Return whether a finding is an unreadable file, which always counts."""
     return fault.code == "IO001" and fault.path == path
 
@@ -358,7 +358,7 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
     rules, _ = all_rules()
     for rule in rules.values():
         if rule.check and checked.kind in rule.kinds:
-            faults += _run(rule, checked)
+            faults += _run_rule(rule, checked)
     if checked.document is None:
         return faults
     ignores = Ignores.of(checked.document)
@@ -394,7 +394,7 @@ def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
         yield fault if is_note else replace(fault, severity=rule.severity)
 
 
-def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
+def _run_rule(rule: Rule, checked: CheckedFile) -> list[Fault]:
     """Return the findings of a rule; a crash is a finding, too."""
     try:
         return [f for s in _subjects(rule, checked) for f in _faults_of(rule, s)]
@@ -406,7 +406,7 @@ def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
         return [Fault("VAL003", message, path, (), hint)]
 
 
-def _named(fault: Fault, names: dict[Path, str]) -> Fault:
+def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
     """Return a finding with its file spelled as the user did, or relative."""
     if fault.path is None or fault.path in names.values():
         return fault

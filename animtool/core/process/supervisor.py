@@ -276,7 +276,7 @@ def supervise(
     ``clean`` removes the unfinished files of a dead child from folders.
     """
     notes = _Notes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
-    signals_to_wait = _waited()
+    signals_to_wait = _signals_to_wait_for()
     signal.pthread_sigmask(signal.SIG_BLOCK, signals_to_wait)
     while True:
         child, alive = _fork(work, notes, signals_to_wait)
@@ -302,7 +302,7 @@ def supervise(
         _state.crashed[str(Path(crash.path).absolute())] = crash.number
 
 
-def _waited() -> set[int]:
+def _signals_to_wait_for() -> set[int]:
     """Return the signals to wait for; ignored ones stay ignored."""
     # If it is ignored by default, some systems cannot wait for it.
     signal.signal(signal.SIGCHLD, lambda *_: None)

@@ -84,7 +84,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
                 source_meshes(source, options.source.prim_path, options.placement),
             )
         take.notices.extend(targets.notices)
-        surfaces = _turned(targets.surfaces, rig.up, targets.up)
+        surfaces = _rotate_surfaces(targets.surfaces, rig.up, targets.up)
         strands, bind = targets.strands, targets.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
@@ -102,7 +102,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     )
 
 
-def _turned(
+def _rotate_surfaces(
     surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
 ) -> tuple[Surface, ...]:
     """Rotate meshes without a skin to another up axis; joints carry the others.

@@ -91,10 +91,10 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
         and options.rest_frame is None
     )
     if unchanged:
-        return TimedTake(_streamed(plan, stream), stream.rig)
+        return TimedTake(_stream_blocks(plan, stream), stream.rig)
     curve = None if stream.altered else stream.curve
     if curve is not None and options.rest_frame is None:
-        return _sampled(plan, stream, curve)
+        return _sample_curve(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
     rig, interpolation = take.rig, Between.of(take)
@@ -234,7 +234,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     return notices
 
 
-def _sampled(
+def _sample_curve(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> TimedTake:
     """Sample a source that is a function of time at the output's sample times."""
@@ -261,7 +261,7 @@ def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
         done += motion.frames
 
 
-def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
+def _stream_blocks(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
     frames_read = 0
     for block in stream.blocks:
         first = plan.start + frames_read * stream.step
@@ -380,7 +380,7 @@ class BakedTake:
         if self._timed is not None:
             return self._timed
         stream = self.plan.stream
-        stream = replace(stream, blocks=self._counted(stream.blocks))
+        stream = replace(stream, blocks=self._count_frames(stream.blocks))
         if self._watch is not None:
             stream = self._watch.read(stream)
         timed_take = timed_blocks(self.plan, stream)
@@ -388,7 +388,7 @@ class BakedTake:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._timed = replace(timed_take, blocks=self._recorded(timed_take.blocks))
+        self._timed = replace(timed_take, blocks=self._record_blocks(timed_take.blocks))
         return self._timed
 
     @property
@@ -396,12 +396,12 @@ class BakedTake:
         """Rig in its rest pose."""
         return self.open().rig
 
-    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _count_frames(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
             self.frames += block.frames
             yield block
 
-    def _recorded(self, blocks: TimedBlocks) -> TimedBlocks:
+    def _record_blocks(self, blocks: TimedBlocks) -> TimedBlocks:
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._watch is not None:

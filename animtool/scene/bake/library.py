@@ -68,7 +68,9 @@ def in_joint_order(
     notices: list[Fault],
 ) -> list[TakeStream]:
     """Return the takes with their joints in the order of the first take's."""
-    first_joints, *other_joints = [_named(stream.rig, options) for stream in streams]
+    first_joints, *other_joints = [
+        _parents_by_name(stream.rig, options) for stream in streams
+    ]
     faults = [
         Fault("USD030", difference, str(path), (), "a library has one skeleton")
         for path, other in zip(sources[1:], other_joints, strict=True)
@@ -78,7 +80,7 @@ def in_joint_order(
         raise FormatError(faults)
     reordered = [streams[0]]
     reordered += [
-        _ordered(stream, list(other), list(first_joints), streams[0].rig)
+        _reorder_joints(stream, list(other), list(first_joints), streams[0].rig)
         for stream, other in zip(streams[1:], other_joints, strict=True)
     ]
     if options.rest_frame is None:
@@ -89,7 +91,7 @@ def in_joint_order(
     return reordered
 
 
-def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
+def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
     """Return the parent of every joint by USD name, in order.
 
     So a BVH and what USD holds of it have the same joints. A root has none.
@@ -115,7 +117,7 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
     return ""
 
 
-def _ordered(
+def _reorder_joints(
     stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
     """Return a take with its joints in the order of a first rig."""

@@ -89,12 +89,12 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     notices = [*outline.notices, *reading.unused]
     if len(entries) == 1:
         names = reading.names
-        return [_planned(reading.files, streams, entries[0], notices, names)]
+        return [_plan_output(reading.files, streams, entries[0], notices, names)]
     (stream,) = streams
     return [
-        _planned(reading.files, [entry_stream], entry, list(notices))
+        _plan_output(reading.files, [entry_stream], entry, list(notices))
         for entry, entry_stream in zip(
-            entries, _shared(stream, len(entries)), strict=True
+            entries, _shared_streams(stream, len(entries)), strict=True
         )
     ]
 
@@ -117,13 +117,13 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
             if take is None:
                 _planned_systems(entry, [])
             else:
-                _planned(outline.reading.files, [TakeStream.of(take)], entry, [])
+                _plan_output(outline.reading.files, [TakeStream.of(take)], entry, [])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
     return faults
 
 
-def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
+def _shared_streams(stream: TakeStream, count: int) -> list[TakeStream]:
     """Return several streams of one take, which is read only once."""
     motions: list[Motion] = []
 
@@ -136,7 +136,7 @@ def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
     return [replace(stream, blocks=blocks()) for _ in range(count)]
 
 
-def _planned(
+def _plan_output(
     sources: Sequence[Path],
     streams: list[TakeStream],
     entry: OutputEntry,
@@ -390,11 +390,11 @@ def _on_rig(
         )
         for stream in streams
     ]
-    mappings = [_mapped(one, target, options, notices) for one in over]
+    mappings = [_joint_map(one, target, options, notices) for one in over]
     return [one.stream for one in over], mappings
 
 
-def _mapped(
+def _joint_map(
     over_rig: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> RigJointMap:
     from animtool.usd.rigs.joint_map import map_joints

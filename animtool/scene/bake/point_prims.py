@@ -81,12 +81,12 @@ class PointStream:
             for i, mesh in enumerate(character.meshes):
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in mapped_motion.points:
-                    frames = self._moved(
+                    frames = self._displaced_frames(
                         i, frames, codes, mapped_motion.points[mesh.name]
                     )
-                yield from self._rounded(i, codes, frames, counted_frames)
+                yield from self._float32_blocks(i, codes, frames, counted_frames)
 
-    def _moved(
+    def _displaced_frames(
         self,
         mesh: int,
         deformed: Iterator[Deformed],
@@ -103,7 +103,7 @@ class PointStream:
             yield displaced_points(deformed_block, points, frames, surface, times)
             frames_done = frames.stop
 
-    def _rounded(
+    def _float32_blocks(
         self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
     ) -> Iterator[Block]:
         """Yield the counted frames of a piece in float32."""
@@ -147,7 +147,7 @@ class PointStream:
             one_frame = deform(
                 record, weights, first_world, normals=normals, times=times
             )
-            return _repeated(one_frame, len(codes))
+            return _repeat_frame(one_frame, len(codes))
         times = codes / self.rate if self.velocities else None
         return deform_blocks(record, weights, world, normals=normals, times=times)
 
@@ -167,7 +167,7 @@ def _is_static(
     )
 
 
-def _repeated(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
+def _repeat_frame(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
     size = block_frames(frame_block.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:

@@ -82,7 +82,7 @@ def chosen_tracks(
             chosen[kind] |= fitting
     _add_driven(rig, chosen)
     tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
-    return _within(tracks, names), unknown
+    return _common_tracks(tracks, names), unknown
 
 
 def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
@@ -122,7 +122,9 @@ def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
 
     joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
     joint_indices = np.unique(np.concatenate(joints))
-    return _within(Tracks(joint_indices, moved("weights"), moved("controls")), names)
+    return _common_tracks(
+        Tracks(joint_indices, moved("weights"), moved("controls")), names
+    )
 
 
 def rest_motion(rig: Rig) -> Motion:
@@ -140,7 +142,7 @@ def _defaults(rig: Rig) -> FloatArray:
     return np.array([[control.default] for control in rig.controls])
 
 
-def _within(tracks: Tracks, names: NameMap) -> Tracks:
+def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
     """Return the tracks that the other rig has."""
     return Tracks(*(tracks.of(k)[getattr(names, k)[tracks.of(k)] >= 0] for k in KINDS))
 
@@ -156,13 +158,13 @@ def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion
         if not len(chosen) or (base_channel is None and other_channel is None):
             return base_channel
         base_channel = base_channel or _steady(other_channel, neutral)
-        return _replaced(
+        return _replace_entries(
             base_channel, other_channel or _steady(base_channel, neutral), chosen
         )
 
     return Motion(
-        _replaced(base.translations, other.translations, tracks.joints),
-        _replaced(base.rotations, other.rotations, tracks.joints),
+        _replace_entries(base.translations, other.translations, tracks.joints),
+        _replace_entries(base.rotations, other.rotations, tracks.joints),
         optional("scales", tracks.joints, 1.0),
         optional("weights", tracks.shapes, 0.0),
         optional("controls", tracks.controls, _defaults(rig)),
@@ -176,7 +178,9 @@ def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
     return Channel.static(rest, len(like.values))
 
 
-def _replaced(channel: Channel, replacement: Channel, chosen: IntArray) -> Channel:
+def _replace_entries(
+    channel: Channel, replacement: Channel, chosen: IntArray
+) -> Channel:
     """Return a channel with some entries replaced by those of another."""
     rest_values = channel.rest.copy()
     rest_values[chosen] = replacement.rest[chosen]

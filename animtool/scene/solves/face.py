@@ -145,7 +145,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)
     landmark_points, point_notices = in_order(capture, model)
-    camera, landmark_points = _undistorted(job, capture, landmark_points)
+    camera, landmark_points = _undistort(job, capture, landmark_points)
     read_at = time.perf_counter()
     with faults_in(job.capture):
         model = _proportions(job.options, model, landmark_points, camera is not None)
@@ -191,7 +191,7 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     return capture.model
 
 
-def _undistorted(
+def _undistort(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
     """Return the camera, and landmarks in its pixels without distortion."""

@@ -247,7 +247,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     """
     target = job.target
     target.check((job.rig, job.targets, job.start, job.bake.rig_layer))
-    report = _solved(job, progress)
+    report = _solve(job, progress)
     if target.outline is None:
         return report
     began = time.perf_counter()
@@ -265,7 +265,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
     return rig if is_named(rig, "rig") and inside else None
 
 
-def _solved(job: IkJob, progress: Progress) -> IkReport:
+def _solve(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
     with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
@@ -343,14 +343,14 @@ def open_start(
         options = replace(options, rig=rig_path)
     stream = reorient(open_source(path, options, progress=progress), rig.up)
     # What its blocks notice is known when all are read.
-    take = _within(stream.collect(), options.shot)
+    take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return driven_take(replace(take, rig=rig))
-    motion, left_out = _mapped(take, rig, path)
+    motion, left_out = _map_motion(take, rig, path)
     return driven_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
 
 
-def _within(take: Take, shot: Shot | None) -> Take:
+def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
     """Return the samples between which the frames of a shot lie."""
     if shot is None:
         return take
@@ -365,7 +365,7 @@ def _within(take: Take, shot: Shot | None) -> Take:
     return replace(take, clock=clock, motion=take.motion.select(kept))
 
 
-def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
+def _map_motion(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
     """Return the motion of common joints, and notices of the joints left out."""
     names = map_names(rig, take.rig)
     if (names.joints < 0).all():

@@ -109,7 +109,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     if text.arrays:
         outputs.insert(0, arrays_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.written.overwrite)
-        write_arrays(outputs[0], _named(text.arrays))
+        write_arrays(outputs[0], _arrays_by_name(text.arrays))
     write_parts(job.output, [text.text.encode()])
     seconds = {
         "read": read - began,
@@ -126,5 +126,5 @@ def _pose(take: Take, frame: int) -> Take:
     return replace(take, clock=only, motion=take.motion.select(slice(frame, frame + 1)))
 
 
-def _named(arrays: dict[str, FloatArray]) -> StoredArrays:
+def _arrays_by_name(arrays: dict[str, FloatArray]) -> StoredArrays:
     return {name.partition("#")[2]: values for name, values in arrays.items()}

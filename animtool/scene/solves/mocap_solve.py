@@ -117,7 +117,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
     target.check(file_of(path) for path in inputs if path is not None)
     with atomic_outputs():
-        stream, result = _solved(job, template, rig_path, target.files, progress)
+        stream, result = _solve(job, template, rig_path, target.files, progress)
         target.write(stream, result, progress=progress)
         result.outputs = [*_write_subject(job, result), *target.files]
         result.outputs = list(dict.fromkeys(result.outputs))
@@ -161,7 +161,7 @@ def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
     return outputs
 
 
-def _solved(
+def _solve(
     job: MocapSolveJob,
     template: Any,
     rig_path: Path,

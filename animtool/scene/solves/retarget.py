@@ -140,7 +140,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     target = job.target
     target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
     with atomic_outputs():
-        stream, report = _retargeted(job, target.files, progress)
+        stream, report = _retarget(job, target.files, progress)
         target.write(stream, report, "retarget", progress)
         if job.write_map is not None:
             text = map_text(report.joint_map, report.source_rig, report.target)
@@ -187,7 +187,7 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     return replace(at_stage_origin(stream), notices=stream.notices + notice)
 
 
-def _retargeted(
+def _retarget(
     job: RetargetJob, outputs: list[Path], progress: Progress
 ) -> tuple[TakeStream, RetargetResult]:
     seconds = {"read": 0.0, "solve": 0.0}

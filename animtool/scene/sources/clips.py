@@ -69,16 +69,16 @@ def clip_stream(
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
                 reported_pairs.add((note.fault.code, note.target))
-                stream.notices.append(_located(file, rig, note))
+                stream.notices.append(_fault_of(file, rig, note))
         return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
-        with _named(path):
+        with _add_path(path):
             sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
         return reported(sampled)
 
     def blocks(times: FloatArray) -> Iterator[Motion]:
-        with _named(path):
+        with _add_path(path):
             for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
                 yield reported(sampled)
 
@@ -89,7 +89,7 @@ def clip_stream(
     return stream
 
 
-def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
+def _fault_of(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
     """Return the fault of a notice, at the key or channel that causes it."""
     document = file.document
     for i, channel in _causes(file, rig, notice.target):
@@ -149,7 +149,7 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
+def _add_path(path: Path) -> Iterator[None]:
     """Add the clip's path to faults without a file."""
     try:
         yield

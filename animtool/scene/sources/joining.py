@@ -88,17 +88,19 @@ class _Layer:
         if self.part.stream.curve is None:
             return other_frames(self.take, rate, first, count, self.delay * rate)
         begin_code = clock.start + (first / rate - self.delay) * clock.fps
-        return self._curved(time_codes(begin_code, clock.fps / rate, count))
+        return self._sample_curve(time_codes(begin_code, clock.fps / rate, count))
 
     def at(self, seconds: FloatArray) -> Motion:
         """Return its motion at times from the first frame of the first source."""
         clock, layer_seconds = self.take.clock, seconds - float(self.delay)
         if self.part.stream.curve is not None:
-            return self._curved(float(clock.start) + layer_seconds * float(clock.fps))
+            return self._sample_curve(
+                float(clock.start) + layer_seconds * float(clock.fps)
+            )
         samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
         return self.take.motion.map(samples.blend)
 
-    def _curved(self, codes: FloatArray) -> Motion:
+    def _sample_curve(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock
         assert curve is not None
         last_code = clock.start + clock.step * (clock.count - 1)

@@ -76,8 +76,8 @@ class NameMap:
         zero_weights = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
         return Motion(
-            _moved(motion.translations, self.joints, rig.rest_translations),
-            _moved(motion.rotations, self.joints, rig.rest_rotations),
+            _gather_entries(motion.translations, self.joints, rig.rest_translations),
+            _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
             _moved_if(motion.scales, self.joints, one_frame),
             _moved_if(motion.weights, self.shapes, zero_weights),
             _moved_if(motion.controls, self.controls, defaults),
@@ -224,11 +224,13 @@ def _moved_if(
     channel: Channel | None, indices: IntArray, rest: FloatArray
 ) -> Channel | None:
     return (
-        None if channel is None or not len(indices) else _moved(channel, indices, rest)
+        None
+        if channel is None or not len(indices)
+        else _gather_entries(channel, indices, rest)
     )
 
 
-def _moved(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
+def _gather_entries(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
     """Return a channel's entries at indices; -1 is an entry at rest."""
     exists = indices >= 0
     values = np.array(rest, np.float64)

@@ -334,7 +334,7 @@ def open_source(
         mapped_stream = on_rig_file(
             path, stream, options.rig, force_fit=options.force_fit
         )
-        return _driven(mapped_stream)
+        return _drive_tracks(mapped_stream)
     note_input(path)
     defaults = SourceOptions()
     arguments = {
@@ -356,7 +356,7 @@ def open_source(
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
     # Keys of a clip are evaluated together with the tracks they drive.
-    return stream if reader is DOCUMENT else _driven(stream)
+    return stream if reader is DOCUMENT else _drive_tracks(stream)
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
@@ -366,12 +366,12 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     note_input(path)
 
     def opener(read: Callable[[], TakeStream]) -> Callable[[], TakeStream]:
-        return lambda: _driven(read())
+        return lambda: _drive_tracks(read())
 
     return {name: opener(read) for name, read in read_characters(path).items()}
 
 
-def _driven(stream: TakeStream) -> TakeStream:
+def _drive_tracks(stream: TakeStream) -> TakeStream:
     """Return a source whose driven tracks are evaluated from its rig."""
     if not stream.rig.is_driven:
         return stream

@@ -58,7 +58,7 @@ def open_props(
         except AnimtoolError as error:
             faults += map(entry.location.locate, error.faults)
             continue
-        track = _counted(entry, prop, stage, meter, notices)
+        track = _metered_track(entry, prop, stage, meter, notices)
         same_source = same_file(
             entry.file.resolve(), source
         ) or not entry.path.startswith("/")
@@ -105,7 +105,7 @@ def with_props(
     return with_tracks
 
 
-def _counted(
+def _metered_track(
     entry: SceneProp,
     source: PropSource,
     stage: StageCost,

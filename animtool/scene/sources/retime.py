@@ -99,10 +99,10 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
     if shot.speed < 0:
         return _backwards(stream, shot)
     shot_step = stream.step / stream.fps * shot.fps / shot.speed
-    return _moved(stream, shot, shot.frame_at(0), shot_step)
+    return _retime_stream(stream, shot, shot.frame_at(0), shot_step)
 
 
-def _moved(
+def _retime_stream(
     stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
 ) -> TakeStream:
     """Return a take with its samples at other frames and its curves retimed."""
@@ -137,7 +137,9 @@ def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
     start = shot.frame_at((motion.frames - 1) * sample_seconds)
     reversed_motion = motion.select(np.arange(motion.frames)[::-1])
     step = sample_seconds * shot.fps / -shot.speed
-    return _moved(replace(stream, blocks=iter([reversed_motion])), shot, start, step)
+    return _retime_stream(
+        replace(stream, blocks=iter([reversed_motion])), shot, start, step
+    )
 
 
 def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:

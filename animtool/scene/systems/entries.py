@@ -205,7 +205,7 @@ class EntryReader:
         if entry_poses.faults():
             return entry_poses
         if model.prim is not None:
-            return self._followed(at, model, entry_poses, code)
+            return self._prim_poses(at, model, entry_poses, code)
         sound = True
         for pose_key in ("moves", "turns"):
             rows = np.array(getattr(model, pose_key)).reshape(
@@ -221,7 +221,7 @@ class EntryReader:
                 self.note((*at, pose_key), Fault(code, message))
         return moved_poses(model, entry_poses) if sound else None
 
-    def _followed(
+    def _prim_poses(
         self,
         at: Location,
         model: PlacedModel,

@@ -118,10 +118,15 @@ class SystemRun:
             progress(0.0)
             self._phases = ProgressPhases(progress)
         self._open: list[EntryRun] = open_systems(
-            systems, last, character, self._shown(last), self._warnings, main_rig
+            systems,
+            last,
+            character,
+            self._system_progress(last),
+            self._warnings,
+            main_rig,
         )
 
-    def _shown(self, last: float) -> SystemProgress | None:
+    def _system_progress(self, last: float) -> SystemProgress | None:
         """Return the progress callbacks of the systems."""
         if self._phases is None:
             return None
@@ -175,12 +180,16 @@ class SystemRun:
                 row = [self._row(i, t) for i in self.written]
             except ToleranceError as error:
                 if not (k and keep_stopped):
-                    raise ToleranceError(self._before(code, error)) from error
+                    raise ToleranceError(
+                        self._faults_with_frame(code, error)
+                    ) from error
                 kept_frames = (
                     f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
                 )
                 note = Fault("SIM193", kept_frames, severity=Severity.NOTE)
-                self.stopped = ToleranceError([*self._before(code, error), note])
+                self.stopped = ToleranceError(
+                    [*self._faults_with_frame(code, error), note]
+                )
                 break
             yield float(code), row
             self.done = k + 1
@@ -247,7 +256,7 @@ class SystemRun:
             run.simulation.set_final_state(final_states[i])
         self.seconds[min(tearing)] += time.perf_counter() - started
 
-    def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
+    def _faults_with_frame(self, code: Fraction, error: ToleranceError) -> list[Fault]:
         """Return the faults of a stopped system, the last with the frame."""
         *other_faults, last_fault = error.faults
         message = last_fault.message + f", before frame {float(code):g}"

@@ -128,7 +128,7 @@ class Surroundings:
         return (
             *(
                 (surface.system, location)
-                for surface, location in self._named("system")
+                for surface, location in self._collided_systems("system")
             ),
             *self._ties,
         )
@@ -136,7 +136,7 @@ class Surroundings:
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
         """Systems whose bodies it pushes or pulls, and their locations."""
-        named_surfaces = self._named("two_way")
+        named_surfaces = self._collided_systems("two_way")
         pushed_names = (
             (surface.system, location)
             for surface, location in named_surfaces
@@ -157,7 +157,9 @@ class Surroundings:
         """Distinct names of the rigid systems that carry its particles."""
         return list(dict.fromkeys(name for name, *_ in self.tied))
 
-    def _named(self, key: str) -> Iterator[tuple[SystemSurfaceModel, Location]]:
+    def _collided_systems(
+        self, key: str
+    ) -> Iterator[tuple[SystemSurfaceModel, Location]]:
         """Yield the systems it collides with, each with the location of a key."""
         for i, surface in enumerate(self.systems):
             yield surface, (*self.at, "systems", i, key)

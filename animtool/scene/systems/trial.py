@@ -232,7 +232,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         run.state.state, run.time(run.state.steps)
     )
     known_energies = [energy for energy in energies if energy is not None]
-    complete = len(known_energies) == len(snapshots) and _same(snapshots)
+    complete = len(known_energies) == len(snapshots) and _has_constant_count(snapshots)
     return TrialOutcome(
         seconds,
         run.steps_taken if last_diagnostics.steps is None else last_diagnostics.steps,
@@ -253,7 +253,7 @@ def _is_fixed(method: str) -> bool:
     return not known or find_integrator(method).control is StepControl.FIXED
 
 
-def _same(snapshots: Sequence[Snapshot]) -> bool:
+def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
     """Return whether the number of points is constant."""
     ids = [shot.ids for shot in snapshots if shot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)

@@ -117,18 +117,18 @@ def solve_trial(
         run,
         ErrorMeasure.LARGEST,
         unit="iterations",
-        where=lambda shot, point: _where(chosen_result, shot, point),
+        where=lambda shot, point: _point_label(chosen_result, shot, point),
         lines=lambda setting: scene_text(options_of(setting)),
     )
 
 
-def _where(solved: TakeIk, shot: int, point: int) -> str:
-    goals = [goal for goal, _, _ in _compared(solved)]
+def _point_label(solved: TakeIk, shot: int, point: int) -> str:
+    goals = [goal for goal, _, _ in _compared_points(solved)]
     frame = float(solved.take.clock.times[shot])
     return f"{solved.tracks.goals[goals[point]].name} at frame {frame:g}"
 
 
-def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
+def _compared_points(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
     """Return the compared points: goal, joint and offset of each."""
     points = []
     for i, track in enumerate(solved.tracks.goals):
@@ -143,7 +143,7 @@ def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
 
 def _outcome(solved: TakeIk) -> TrialOutcome:
     """Return the positions of the effectors and their errors."""
-    take, compared_points = solved.take, _compared(solved)
+    take, compared_points = solved.take, _compared_points(solved)
     joints = [joint for _, joint, _ in compared_points]
     offsets = np.array([offset for _, _, offset in compared_points])
     world = take.world()

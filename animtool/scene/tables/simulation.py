@@ -138,13 +138,13 @@ def _times(
     plan = plan_stage(replace(scene, outputs=(without_chunks,)), STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
-        return _within(character.times, plan), character
+        return _times_in_range(character.times, plan), character
     (systems,) = plan.prims
     assert isinstance(systems, SystemPrims)
     return np.array([systems.seconds(code) for code in systems.codes]), None
 
 
-def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
+def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
     """Return a take's times [s] in the range of an output."""
     frame_range = plan.options.frame_range
     if frame_range is None:
@@ -231,7 +231,7 @@ def _attach_trial(
         started = time.perf_counter()
         motion, report = passed(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - started
-        points = _attached(take.rig, body, motion.select(frames))
+        points = _attachment_points(take.rig, body, motion.select(frames))
         shots = [Snapshot(shot_points) for shot_points in points]
         is_valid = bool(np.isfinite(points).all())
         return TrialOutcome(
@@ -264,7 +264,7 @@ def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
     return figures
 
 
-def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
+def _attachment_points(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
     """Return the compared points of an attachment ``(F, N, 3)`` [m]."""
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()

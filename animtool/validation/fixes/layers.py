@@ -58,7 +58,7 @@ class LayerDraft:
         refused_findings: list[tuple[Fault, str]] = []
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
-                reason, remedy = _applied(layer, fault)
+                reason, remedy = _apply_fix(layer, fault)
                 (refused_findings if reason else fixed).append(
                     (fault, reason or remedy)
                 )
@@ -98,7 +98,7 @@ class LayerDraft:
         return write_copy(self.path, self.content, output)
 
 
-def _applied(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
+def _apply_fix(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
     """Apply the fix of a finding; return why not, or what changed."""
     from animtool.usd.fixes.target import NotFixableError
 

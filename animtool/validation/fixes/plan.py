@@ -42,7 +42,7 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     while cases := list(_open_cases(plan.after.findings, options, unfixable)):
         batch = plan.after.batch(cases)
         step = plan.after.step(batch)
-        reason = _worse(plan.after, step)
+        reason = _reason_to_reject(plan.after, step)
         if step.done and not reason:
             plan.after = step.draft
             plan.mended.extend(step.done)
@@ -131,7 +131,7 @@ def _key(fault: Fault) -> tuple[str, str | None, str]:
     return fault.code, fault.where, fault.message
 
 
-def _worse(before: FileDraft, step: FixStep) -> str:
+def _reason_to_reject(before: FileDraft, step: FixStep) -> str:
     """Return why a step is rejected: findings remain or appear; empty if accepted."""
     if not step.done:
         return ""

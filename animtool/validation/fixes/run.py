@@ -82,7 +82,7 @@ def fix_files(
                 plan.after.write(plan.path)
     unpack = "packages are not edited: unpack it, and fix its layers"
     packages = [f"{path}: {unpack}" for path in _with_fixes(report, packed=True)]
-    notes = (*_kept(report, kept_files), *packages)
+    notes = (*_unfixed_findings(report, kept_files), *packages)
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
     fixed_findings = tuple(entry for plan in plans for entry in plan.mended)
@@ -135,7 +135,7 @@ def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
     return [path for path in fixable if has_fixes(path) and is_package(path) is packed]
 
 
-def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
+def _unfixed_findings(report: Report, paths: Sequence[Path]) -> Iterator[str]:
     """Yield fixable findings of USD files that stay unchanged."""
     if not paths:
         return

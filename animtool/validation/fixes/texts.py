@@ -88,7 +88,7 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
-    arrays = {path: {weights.key: _divided(weights)}}
+    arrays = {path: {weights.key: _normalized_weights(weights)}}
     return Mend(remedy, (Replace(pointer, text),), arrays)
 
 
@@ -104,7 +104,7 @@ def _free(path: Path, key: str) -> Path:
     return candidate
 
 
-def _divided(weights: ArrayRef) -> npt.NDArray[np.float32]:
+def _normalized_weights(weights: ArrayRef) -> npt.NDArray[np.float32]:
     values = weights.load()
     return np.asarray(values / values.sum(axis=1, keepdims=True), np.float32)
 

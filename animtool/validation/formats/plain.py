@@ -79,11 +79,14 @@ def text_report(
 ) -> str:
     """Return the findings, each with its source line, and a summary line."""
     report = report.worded(calling)
-    lines = [*FINDINGS.text(Findings(_shown(report, repeats=repeats))), summary(report)]
+    lines = [
+        *FINDINGS.text(Findings(_findings_to_print(report, repeats=repeats))),
+        summary(report),
+    ]
     return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
 
 
-def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
+def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     """Return the findings to print; without a line, only the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))

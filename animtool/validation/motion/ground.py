@@ -56,7 +56,10 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     if contacts is None or body_axis(subject):
         return
     of_take = list(_full_take(subject, contacts))
-    yield from of_take or [*_sunk(subject, contacts), *_floating(subject, contacts)]
+    yield from of_take or [
+        *_sunk(subject, contacts),
+        *_floating_fault(subject, contacts),
+    ]
 
 
 def _full_take(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
@@ -212,7 +215,7 @@ def _ground_of_pairs(
     return ground, has_ground
 
 
-def _floating(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if no joint is near the ground for longer than a jump."""
     flat = np.isfinite(contacts.floor)
     if not flat.any():

@@ -207,7 +207,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     ratios, is_lost = np.ones(count), np.zeros(count, bool)
     a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
     near_steps, far_steps = 0.5 * (b + d), 0.5 * (a + e)
-    predicted = _predicted(near_steps, far_steps, 0)
+    predicted = _predicted_step(near_steps, far_steps, 0)
     deviations = _squares(c - predicted)
     pace = _squares(predicted)
     noise = (
@@ -231,7 +231,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     )
     is_possible &= contradicting < CERTAIN_CONTRADICTING
     for frames in range(1, MAX_LOST + 1):
-        remaining = _squares(c - _predicted(near_steps, far_steps, frames))
+        remaining = _squares(c - _predicted_step(near_steps, far_steps, frames))
         weighted_remaining = (shows_loss * remaining / noise).sum(axis=1)
         is_better = shows_loss & (remaining < 0.5 * deviations)
         joints = is_better.sum(axis=1)
@@ -275,7 +275,7 @@ def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
     return np.asarray(np.sum(flags_by_limb, axis=0) > 1)
 
 
-def _predicted(near: FloatArray, far: FloatArray, lost_count: int) -> FloatArray:
+def _predicted_step(near: FloatArray, far: FloatArray, lost_count: int) -> FloatArray:
     """Return the predicted step over lost frames, from its neighbours.
 
     ``near`` and ``far``: means of the steps next to it and of those after these ``(S,

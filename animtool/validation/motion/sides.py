@@ -192,12 +192,12 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     if not pairs:
         return
     of_take = list(_full_take(subject, pairs))
-    yield from of_take or _exchanged(subject, pairs)
+    yield from of_take or _side_swaps(subject, pairs)
 
 
 def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
     """Yield a fault if left joints are on the right of a body facing forward."""
-    facing = _facing(subject)
+    facing = _facing_direction(subject)
     hips = _hips(subject, pairs)
     if facing is None or hips is None:
         return
@@ -231,7 +231,7 @@ def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     )
 
 
-def _facing(subject: MotionSubject) -> FloatArray | None:
+def _facing_direction(subject: MotionSubject) -> FloatArray | None:
     """Return the mean direction of the feet ``(F, 3)`` [m]; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
@@ -270,7 +270,9 @@ def _hips(
     return None
 
 
-def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
+def _side_swaps(
+    subject: MotionSubject, pairs: list[tuple[int, int]]
+) -> Iterator[Fault]:
     """Yield the step at which joints of two sides swap their motion."""
     rotations = subject.take.motion.rotations
     moves = set(rotations.animated.tolist())

@@ -183,7 +183,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
         height = float(np.median(subject.heights[:, root]))
         ratio = height / (legs if rests_at_hips else rest_height)
         # At 1/100 of its height, a root is at 0, like a root with another origin.
-        factor = _low_factor(subject, root) if ratio < 1.0 else _high(ratio)
+        factor = _low_factor(subject, root) if ratio < 1.0 else _height_factor(ratio)
         if factor is None and not rests_at_hips:
             factor = _unit_factor(np.array([ratio]))
         if factor is not None and abs(math.log10(factor)) > 1.5:
@@ -224,7 +224,7 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     return None
 
 
-def _high(ratio: float) -> float | None:
+def _height_factor(ratio: float) -> float | None:
     """Return the unit conversion factor nearest to a height, if any.
 
     Crawling or climbing bodies are lower or higher than at rest, but never by such

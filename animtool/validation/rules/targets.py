@@ -63,7 +63,7 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
         return
     first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
-        for key, times, times_outside in _outside(goal, first_frame, last_frame):
+        for key, times, times_outside in _keys_outside(goal, first_frame, last_frame):
             message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
             message += "never met"
             if times_outside:
@@ -72,7 +72,7 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
             yield subject.outside(i, (key,), message, first_frame, last_frame)
 
 
-def _outside(
+def _keys_outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
     """Yield keys or spans of a goal outside a frame range."""
@@ -228,7 +228,7 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
     """Yield goals beyond the reach of the fully extended chain (TGT205)."""
     for sampled in _all_sampled(subject):
         rig, times = sampled.take.rig, sampled.take.clock.times
-        moving = _moving(rig, sampled.tracks.goals)
+        moving = _goal_joints(rig, sampled.tracks.goals)
         for e, track in enumerate(sampled.tracks.goals):
             points, is_active = sampled.points(e)
             chain = _chain(rig, track.goal, moving)
@@ -260,7 +260,7 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             yield replace(fault, frame=float(times[worst_frame]))
 
 
-def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
+def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
     """Return the joints that some goal may move."""
     moving: set[int] = set()
     for track in goals:
@@ -354,7 +354,9 @@ def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
         times = sampled.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])
         for e, track in enumerate(sampled.tracks.goals):
-            for key, outside_times, are_keys in _outside(track, first_time, last_time):
+            for key, outside_times, are_keys in _keys_outside(
+                track, first_time, last_time
+            ):
                 frames_text = f"from {outside_times[0]:g} to {outside_times[-1]:g} is"
                 frames_text = (
                     f"has a key at {outside_times[0]:g}, which is used"

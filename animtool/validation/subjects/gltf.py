@@ -45,14 +45,14 @@ def open_gltf(path: Path) -> CheckedFile:
     take_subjects: list[MotionSubject] = []
     if gltf.nodes:
         for character in characters(gltf):
-            built_rig = _built(gltf, character, faults)
+            built_rig = _build_rig(gltf, character, faults)
             take_subjects += _takes(gltf, built_rig, faults)
     return CheckedFile(
         Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(take_subjects)
     )
 
 
-def _built(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
+def _build_rig(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
     rig_and_skins = build_rig(gltf, character, gltf.path.stem)
     faults += rig_and_skins.notices
     return rig_and_skins
@@ -127,12 +127,12 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
     return MotionSubject(
         replace(take, curve=None),
         fault_at,
-        influencing=_influencing(rig, skins) if skins else None,
+        influencing=_influencing_joints(rig, skins) if skins else None,
         bind=_bound(rig, skins),
     )
 
 
-def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
+def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
     """Return the joints that influence points, and all joints outside skins.
 
     Ancestors of joints that influence points influence them, too.
