@@ -48,8 +48,8 @@ def rotation_pops(
     Fewer than 8 frames have no pops.
     """
     if len(rotations) + 1 < MIN_FRAMES or not rotations.shape[1]:
-        empty = np.zeros(rotations.shape[:2])
-        return empty.astype(bool), empty
+        no_pops = np.zeros(rotations.shape[:2])
+        return no_pops.astype(bool), no_pops
     deviations = prediction_errors(rotations, cuts)
     mask = outliers(rotations, deviations, cuts, MIN_ROTATION, ROTATION_NOISE, interval)
     # If every second step is a flip, none exceeds its surrounding motion.
@@ -67,8 +67,8 @@ def translation_pops(
     the smallest pop and ``noise`` the noise of the motion [m].
     """
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
-        empty = np.zeros(shifts.shape[:2])
-        return empty.astype(bool), empty
+        no_pops = np.zeros(shifts.shape[:2])
+        return no_pops.astype(bool), no_pops
     deviations = prediction_errors(shifts, cuts)
     mask = outliers(shifts, deviations, cuts, smallest, noise, interval)
     return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(shifts)), deviations
@@ -168,9 +168,11 @@ def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     """Return steps with cuts replaced by the nearest other step."""
     if not cuts.any() or cuts.all():
         return steps
-    kept = np.flatnonzero(~cuts)
-    nearest = np.searchsorted(kept, np.arange(len(steps))).clip(0, len(kept) - 1)
-    return np.asarray(steps[kept[nearest]])
+    kept_steps = np.flatnonzero(~cuts)
+    nearest = np.searchsorted(kept_steps, np.arange(len(steps))).clip(
+        0, len(kept_steps) - 1
+    )
+    return np.asarray(steps[kept_steps[nearest]])
 
 
 def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
@@ -216,5 +218,11 @@ def velocity_changes(steps: FloatArray) -> FloatArray:
     before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
     pairs = ((before, after), (before, after2), (before2, after))
     return np.asarray(
-        np.min([np.linalg.norm(late - early, axis=2) for early, late in pairs], axis=0)
+        np.min(
+            [
+                np.linalg.norm(after_velocity - before_velocity, axis=2)
+                for before_velocity, after_velocity in pairs
+            ],
+            axis=0,
+        )
     )

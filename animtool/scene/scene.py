@@ -248,8 +248,8 @@ class Scene:
     ) -> tuple[TakeStream, object]:
         # Loaded by name, like all systems.
         with_colliders = load_object("animtool.scene.systems.attached:with_colliders")
-        built = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
-        return built(self.systems, self.path, stream, options, lead)
+        add_colliders = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
+        return add_colliders(self.systems, self.path, stream, options, lead)
 
     def _segments(
         self, take: Take, system: str, particle: str, progress: Progress
@@ -297,12 +297,12 @@ class Scene:
         retimed: bool,
     ) -> TakeStream:
         """Return a take with the props that passes retime, or with the others."""
-        matching = [prop for prop in props if prop.entry.retimed is retimed]
-        if not matching:
+        matching_props = [prop for prop in props if prop.entry.retimed is retimed]
+        if not matching_props:
             return stream
         from animtool.scene.sources.props import with_props
 
-        return with_props(stream, matching, self.first, self.bake.fps, dropped)
+        return with_props(stream, matching_props, self.first, self.bake.fps, dropped)
 
     @contextmanager
     def located_props(self) -> Iterator[None]:

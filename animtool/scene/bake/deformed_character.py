@@ -47,13 +47,13 @@ class DeformedCharacter:
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
         """Return a copy with some of its meshes and strands, in its order."""
-        kept = [part.name in surfaces for part in self.surfaces]
-        kept += [part.name in strands for part in self.strands]
+        is_kept = [part.name in surfaces for part in self.surfaces]
+        is_kept += [part.name in strands for part in self.strands]
         return replace(
             self,
             surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
             strands=tuple(part for part in self.strands if part.name in strands),
-            meshes=tuple(itertools.compress(self.meshes, kept)),
+            meshes=tuple(itertools.compress(self.meshes, is_kept)),
         )
 
 

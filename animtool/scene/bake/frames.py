@@ -83,14 +83,14 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     options = plan.options
     # A requested rate puts a sample on each frame.
     keeps_samples = options.fps is None or options.keep_samples or stream.step == 1
-    unchanged = (
+    is_unchanged = (
         plan.fps == stream.fps
         and keeps_samples
         and not options.samples
         and options.frame_range is None
         and options.rest_frame is None
     )
-    if unchanged:
+    if is_unchanged:
         return TimedTake(_stream_blocks(plan, stream), stream.rig)
     curve = None if stream.altered else stream.curve
     if curve is not None and options.rest_frame is None:
@@ -169,10 +169,10 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
     """Return how to name frames by the numbers that the take has."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
     origin = Fraction(1) if plan.stream.start is None else plan.stream.start
-    moved = plan.start - origin
+    offset = plan.start - origin
     start = argument("start", frame_label(plan.start))
-    if moved and 0 <= frames.first - origin <= span:
-        text = f"{frames.first + math.floor(moved)}-{frames.last + math.floor(moved)}"
+    if offset and 0 <= frames.first - origin <= span:
+        text = f"{frames.first + math.floor(offset)}-{frames.last + math.floor(offset)}"
         return f"{start} renumbers the take first: {argument('frame_range', text)}"
     if plan.options.start is None and frames.last - frames.first <= span:
         start = argument("start", frames.first)
@@ -188,28 +188,31 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """
     frame_range, where = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
-    requested = range(frame_range.first, frame_range.last + 1, frame_range.step)
+    requested_frames = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
     # Played backwards, a frame lasts until the previous one.
     lead_in, lead_out = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
     missing_frames = [
         n
-        for n in requested
+        for n in requested_frames
         if not (plan.start - lead_in < n < last + lead_out or n in {plan.start, last})
     ]
     if not missing_frames:
         return []
     prefix = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
-    if len(missing_frames) == len(requested):
+    if len(missing_frames) == len(requested_frames):
         # After passes that retime the take, its times do not correspond to the media.
         nearest_end = last if shot.speed < 0 else plan.start
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
-            raise no_frames(shot, requested[0], requested[-1], length, where)
+            raise no_frames(
+                shot, requested_frames[0], requested_frames[-1], length, where
+            )
         message = (
-            f"{prefix}the take has no frame from {requested[0]} to {requested[-1]}"
+            f"{prefix}the take has no frame from {requested_frames[0]} "
+            f"to {requested_frames[-1]}"
         )
         cut_key = None if shot.places_media else "shot.cut"
         raise OptionError(Fault("SCN042", message, where, (), hint, where=cut_key))
@@ -255,10 +258,10 @@ def _sample_curve(
 
 
 def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
-    done = 0
+    frames_done = 0
     for motion in motions:
-        yield codes[done : done + motion.frames], motion
-        done += motion.frames
+        yield codes[frames_done : frames_done + motion.frames], motion
+        frames_done += motion.frames
 
 
 def _stream_blocks(plan: TakePlan, stream: TakeStream) -> TimedBlocks:

@@ -108,7 +108,7 @@ class PointStream:
     ) -> Iterator[Block]:
         """Yield the counted frames of a piece in float32."""
         frames_done = 0
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         for deformed_block in deformed:
             first, last = (
                 max(counted.start - frames_done, 0),
@@ -125,10 +125,10 @@ class PointStream:
             block = round_points(
                 mesh, block_codes, counted_block, self.meters_per_unit, space
             )
-            self.seconds[mesh] += time.perf_counter() - started
+            self.seconds[mesh] += time.perf_counter() - start_time
             yield block
-            started = time.perf_counter()
-        self.seconds[mesh] += time.perf_counter() - started
+            start_time = time.perf_counter()
+        self.seconds[mesh] += time.perf_counter() - start_time
 
     def _frames(
         self,
@@ -259,14 +259,14 @@ def _author_props(
 ) -> list[str]:
     """Write the props of the take to a layer; return their prims."""
     assert run.props is not None
-    mapping = plan.takes[0].mapping
+    joint_map = plan.takes[0].mapping
     placements = prop_placements(
         job.paths,
         plan.target,
         None,
         job.meters_per_unit,
         up,
-        to_rig=None if mapping is None else mapping.to_rig,
+        to_rig=None if joint_map is None else joint_map.to_rig,
     )
     props, notices = author_props(layer, run.props, placements, plan.output)
     plan.notices.extend(notices)

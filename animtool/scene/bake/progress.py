@@ -51,9 +51,9 @@ def timed(
 ) -> Iterator[Item]:
     """Yield items and add the time they take to a stage."""
     while True:
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         item = next(items, None)
-        seconds[stage] += time.perf_counter() - started
+        seconds[stage] += time.perf_counter() - start_time
         if item is None:
             return
         yield item

@@ -270,22 +270,28 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         for field in fields(options)
         if isinstance(value := getattr(options, field.name), Path)
     ]
-    available = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    available_parts = state.moving | {TakePart.RIG, TakePart.CLOCK}
     if not sees_tracks(entry.pass_):
-        available -= {TakePart.TRACKS}
+        available_parts -= {TakePart.TRACKS}
     left_out = []
     if scene.preroll is not None and not entry.pass_.settles:
         left_out.append("pre-roll: it has no state that would settle")
-    lacking = sorted((entry.pass_.reads & entry.pass_.changes) - available)
-    left_out += [f"{part}: the take has none" for part in lacking]
+    missing_parts = sorted((entry.pass_.reads & entry.pass_.changes) - available_parts)
+    left_out += [f"{part}: the take has none" for part in missing_parts]
     if state.curves and not state.dropped and _drops(entry):
         left_out.append("curves of controls: invalid where it changes these")
     return PlanStep(
         StepKind.PASS,
         entry.pass_.name,
         entry.location.where,
-        (*files, *map(str, entry.files), *_part_names(entry.pass_.reads & available)),
-        tuple(_part_names((entry.pass_.changes & available) | _added_parts(entry))),
+        (
+            *files,
+            *map(str, entry.files),
+            *_part_names(entry.pass_.reads & available_parts),
+        ),
+        tuple(
+            _part_names((entry.pass_.changes & available_parts) | _added_parts(entry))
+        ),
         tuple(left_out),
     )
 

@@ -134,8 +134,8 @@ class IkReport:
     def moved(self) -> bool:
         """Whether written frames have other numbers than solved ones."""
         clock, span = self.solved.take.clock, self.span
-        same = (span.first, span.fps) == (clock.start, clock.fps)
-        return self.written is not None and not same
+        is_same_clock = (span.first, span.fps) == (clock.start, clock.fps)
+        return self.written is not None and not is_same_clock
 
     @property
     def span(self) -> FrameSpan:
@@ -261,8 +261,10 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig if a clip of the output can refer to its file."""
     if output in {None, STDOUT}:
         return None
-    inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
-    return rig if is_named(rig, "rig") and inside else None
+    is_in_project = any(
+        rig.resolve().is_relative_to(root) for root in project_roots(output)
+    )
+    return rig if is_named(rig, "rig") and is_in_project else None
 
 
 def _solve(job: IkJob, progress: Progress) -> IkReport:
@@ -271,7 +273,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with faults_in(job.rig):
-        solved = solve_take(
+        solution = solve_take(
             context.take,
             context.tracks,
             _as_fine(job),
@@ -280,18 +282,18 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
             progress=progress,
         )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
-    goals = goal_reports(solved, *_missed_by(job))
-    missed = missed_notices(solved, goals)
+    goals = goal_reports(solution, *_missed_by(job))
+    missed_goals = missed_notices(solution, goals)
     notices = [
         *context.notices,
-        *span_notices(solved),
-        *single_frame_notices(solved, smooth=job.options.smooth > 0),
-        *away_notices(solved, goals),
-        *jump_notices(solved),
+        *span_notices(solution),
+        *single_frame_notices(solution, smooth=job.options.smooth > 0),
+        *away_notices(solution, goals),
+        *jump_notices(solution),
     ]
-    report = IkReport(solved, goals, [*notices, *missed], seconds)
-    if job.bake.strict and missed:
-        raise MissedGoalsError(missed, report)
+    report = IkReport(solution, goals, [*notices, *missed_goals], seconds)
+    if job.bake.strict and missed_goals:
+        raise MissedGoalsError(missed_goals, report)
     refuse_warnings(notices, strict=job.bake.strict)
     return report
 
@@ -322,8 +324,8 @@ MAX_NAMED = 6
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return a take with controls at their defaults in all frames."""
     last = clock.start + clock.step * (clock.count - 1)
-    empty = Clip("rest", clock.fps, clock.start, last, ())
-    return empty.sample(rig, step=clock.step)
+    empty_clip = Clip("rest", clock.fps, clock.start, last, ())
+    return empty_clip.sample(rig, step=clock.step)
 
 
 def open_start(
@@ -357,12 +359,12 @@ def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
     clock = take.clock
     first = math.floor((shot.start - clock.start) / clock.step)
     last = math.ceil((shot.end - clock.start) / clock.step)
-    kept = slice(max(first, 0), min(last, clock.count - 1) + 1)
-    if kept.start >= kept.stop:
+    kept_samples = slice(max(first, 0), min(last, clock.count - 1) + 1)
+    if kept_samples.start >= kept_samples.stop:
         return take
-    start = clock.start + kept.start * clock.step
-    clock = replace(clock, start=start, count=kept.stop - kept.start)
-    return replace(take, clock=clock, motion=take.motion.select(kept))
+    start = clock.start + kept_samples.start * clock.step
+    clock = replace(clock, start=start, count=kept_samples.stop - kept_samples.start)
+    return replace(take, clock=clock, motion=take.motion.select(kept_samples))
 
 
 def _map_motion(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
@@ -373,10 +375,10 @@ def _map_motion(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
         hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
-    lacking = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    missing_joints = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
     spare = [take.rig.names[j] for j in names.spare]
     for which, what in (
-        (lacking, "does not have {}: they stay at rest"),
+        (missing_joints, "does not have {}: they stay at rest"),
         (spare, "moves {}, which the rig does not have: they are ignored"),
     ):
         if which:

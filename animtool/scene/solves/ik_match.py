@@ -104,7 +104,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     refuse_warnings(notices, strict=job.written.strict)
     tracks = match_take(take, chains, job.output, reduce=job.written.reduce)
     text = targets_text(tracks, ClipUnits.of_rig(rig))
-    matched = time.perf_counter()
+    end_time = time.perf_counter()
     outputs = [job.output]
     if text.arrays:
         outputs.insert(0, arrays_of(job.output))
@@ -113,8 +113,8 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     write_parts(job.output, [text.text.encode()])
     seconds = {
         "read": read - began,
-        "match": matched - read,
-        "write": time.perf_counter() - matched,
+        "match": end_time - read,
+        "write": time.perf_counter() - end_time,
     }
     return MatchReport(tracks, take.clock, outputs, notices, seconds)
 

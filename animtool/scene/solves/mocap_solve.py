@@ -169,14 +169,14 @@ def _solve(
     progress: Progress,
 ) -> tuple[TakeStream, MocapSolveResult]:
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
     calibration: Calibration | None = None
     with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)
         rig = at_origin(rig)
         markers = open_markers(job.source, **reading)
-        seconds["read"] = time.perf_counter() - started
+        seconds["read"] = time.perf_counter() - start_time
         if job.calibrate:
             static_markers = None
             if job.static is not None:
@@ -187,7 +187,7 @@ def _solve(
                 )
             rig, template = calibration.rig, calibration.template
             notices = [*notices, *calibration.notices]
-            seconds["calibrate"] = time.perf_counter() - started - seconds["read"]
+            seconds["calibrate"] = time.perf_counter() - start_time - seconds["read"]
         with faults_in(job.source):
             solve = solve_markers(markers, rig, template, job.options)
     stream = solve_stream(solve, job.source, progress)

@@ -64,7 +64,7 @@ def clip_stream(
 
     reported_pairs: set[tuple[str, str]] = set()
 
-    def reported(sampled: SampledMotion) -> Motion:
+    def to_motion(sampled: SampledMotion) -> Motion:
         for note in sampled.targeted:
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
@@ -75,17 +75,19 @@ def clip_stream(
     def curve(times: FloatArray) -> Motion:
         with _add_path(path):
             sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
-        return reported(sampled)
+        return to_motion(sampled)
 
     def blocks(times: FloatArray) -> Iterator[Motion]:
         with _add_path(path):
             for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
-                yield reported(sampled)
+                yield to_motion(sampled)
 
     frames = float(clip.first) + np.arange(count, dtype=np.float64)
     stream.blocks, stream.count = blocks(frames), count
-    keyed = KeyedCurve(curve, lambda: None if clamp else clip, sample_blocks=blocks)
-    stream.curve = keyed
+    keyed_curve = KeyedCurve(
+        curve, lambda: None if clamp else clip, sample_blocks=blocks
+    )
+    stream.curve = keyed_curve
     return stream
 
 

@@ -152,11 +152,11 @@ class _Prop:
         start = Fraction(1) if stream.start is None else stream.start
         rate = stream.step / self.step
 
-        def back(times: FloatArray) -> Placement:
+        def inverse_placement(times: FloatArray) -> Placement:
             codes = float(start) + (times - float(self.begin)) * float(rate)
             return dropped(codes).inverse()
 
-        return placed_track(track, back)
+        return placed_track(track, inverse_placement)
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield notices of the prop that do not depend on frames."""

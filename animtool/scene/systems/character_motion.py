@@ -142,8 +142,8 @@ class CharacterSkin:
             self._world.positions[i : i + 1], self._world.linear[i : i + 1]
         )
         weights = None if self._weights is None else self._weights[i : i + 1]
-        (deformed,) = deform_blocks(self._mesh, weights, world, normals=False)
-        return np.array(deformed.points[0], np.float64)
+        (deformed_mesh,) = deform_blocks(self._mesh, weights, world, normals=False)
+        return np.array(deformed_mesh.points[0], np.float64)
 
 
 class SkinMotion:

@@ -110,13 +110,16 @@ class Surroundings:
     @staticmethod
     def of(all_surroundings: Sequence[Surroundings]) -> Surroundings:
         """Return the colliders of jointly simulated entries."""
-        (merged, *others) = all_surroundings
+        (combined, *other_surroundings) = all_surroundings
         return replace(
-            merged,
+            combined,
             **{
                 name: sum(
-                    (getattr(surroundings, name) for surroundings in others),
-                    getattr(merged, name),
+                    (
+                        getattr(surroundings, name)
+                        for surroundings in other_surroundings
+                    ),
+                    getattr(combined, name),
                 )
                 for name in (*AROUND, "tied")
             },
@@ -214,17 +217,17 @@ class Surroundings:
         sheets: list[Sheet] = []
         bodies: list[BodyColliders] = []
         for surface_entry in self.systems:
-            running = opened[surface_entry.system]
-            if running.rigid:
+            system_run = opened[surface_entry.system]
+            if system_run.rigid:
                 material = record_of(Material, surface_entry)
-                bodies_of_system = running.bodies(
+                bodies_of_system = system_run.bodies(
                     material.restitution,
                     material.friction,
                     two_way=surface_entry.two_way,
                 )
                 bodies.append(bodies_of_system)
                 continue
-            surface = running.surface()
+            surface = system_run.surface()
             thickness = {"radius": surface.radius, "closed": surface.closed}
             sheets.append(
                 record_of(

@@ -208,7 +208,7 @@ def _attach_trial(
     frame_positions = np.linspace(0, clock.count - 1, min(clock.count, instants))
     frames = np.unique(frame_positions.astype(np.int64))
 
-    def passed(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
+    def run_pass(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
         """Return the result of the pass on a motion, and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
         changed_options = replace(entry.options, **options)
@@ -217,7 +217,7 @@ def _attach_trial(
         (report,) = passed_stream.simulated
         return result, report
 
-    _, report = passed(take.motion.select(slice(0, 1)))
+    _, report = run_pass(take.motion.select(slice(0, 1)))
     frame_rate = float(clock.rate)
     rate = frame_rate * report["steps"]
 
@@ -229,7 +229,7 @@ def _attach_trial(
 
     def run(setting: Setting) -> TrialOutcome:
         started = time.perf_counter()
-        motion, report = passed(take.motion, rate=setting["rate"])
+        motion, report = run_pass(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - started
         points = _attachment_points(take.rig, body, motion.select(frames))
         shots = [Snapshot(shot_points) for shot_points in points]

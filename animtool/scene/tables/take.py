@@ -99,7 +99,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         if notice not in full_take.notices
     )
 
-    def opened() -> Source:
+    def open_source_again() -> Source:
         # Results of passes are computed once.
         stream = TakeStream.of(take)
         if is_curved:
@@ -108,7 +108,9 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
     return [
         replace(
-            _samples(path, opened, plan, take, reference, rate, curved=is_curved),
+            _samples(
+                path, open_source_again, plan, take, reference, rate, curved=is_curved
+            ),
             notices=outside_notices,
         ),
         _keys(

@@ -193,9 +193,9 @@ def _pairs(
 
 def _row_to_compare(table: TrialTable) -> TrialRow | None:
     """Return the setting to compare with the chosen one; None without any."""
-    better = table.recommended
-    if better is not None and not better.chosen:
-        return better
+    recommended_row = table.recommended
+    if recommended_row is not None and not recommended_row.chosen:
+        return recommended_row
     works = [row for row in table.rows if row.error is not None and not row.chosen]
     return next(iter([row for row in works if row.best] or works), None)
 
