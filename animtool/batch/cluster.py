@@ -109,14 +109,16 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
         leave_cluster(client, name)
 
 
-def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
+def _fetch_results(
+    finished_futures: SimpleQueue[Any], results: SimpleQueue[Any]
+) -> None:
     """Fetch results while others are sent, until the queue holds None."""
-    while (future := finished.get()) is not None:
+    while (future := finished_futures.get()) is not None:
         try:
             value = future.result()
         except BaseException as error:
             value = error
-        ended.put((future, value))
+        results.put((future, value))
 
 
 def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
@@ -158,8 +160,8 @@ def _asking(
                 actual = f"animtool {version('animtool')}"
             except PackageNotFoundError:
                 actual = "no animtool"
-            why = f"it has {actual} instead of {versions['animtool']}: "
-            return host, "BAT036", f"{why}{type(error).__name__}: {error}"
+            reason = f"it has {actual} instead of {versions['animtool']}: "
+            return host, "BAT036", f"{reason}{type(error).__name__}: {error}"
 
     return ask
 
@@ -200,7 +202,7 @@ class _ClusterWorker:
 
 @dataclass(slots=True)
 class _Sent:
-    """A running task: an item, or the check of a worker if there is no item."""
+    """A running task: building an item, or checking a worker if the item is None."""
 
     worker: _ClusterWorker  # receiving worker
     item: Item | None = None
@@ -295,8 +297,8 @@ class _Farm:
             worker = self.workers.pop(address)
             for future in [
                 lost_future
-                for lost_future, sent in self.sent.items()
-                if sent.worker is worker
+                for lost_future, sent_item in self.sent.items()
+                if sent_item.worker is worker
             ]:
                 future.cancel()
                 yield from self._loss(self.sent.pop(future), "the worker has stopped")
@@ -304,34 +306,34 @@ class _Farm:
             self.workers[address] = _ClusterWorker(address, addresses[address])
             self._ask(self.workers[address])
 
-    def _loss(self, sent: _Sent, why: str) -> Iterator[ItemOutcome]:
+    def _loss(self, sent_item: _Sent, reason: str) -> Iterator[ItemOutcome]:
         """Send the item of a lost worker again, a limited number of times."""
-        sent.worker.going -= sent.item is not None
-        if sent.item is None:
+        sent_item.worker.going -= sent_item.item is not None
+        if sent_item.item is None:
             return
-        number = sent.item.number
+        number = sent_item.item.number
         self.losses[number] = self.losses.get(number, 0) + 1
         if self.losses[number] < MAX_LOSSES:
-            self.again.append(sent.item)
+            self.again.append(sent_item.item)
             return
         message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
-        message += f"{sent.worker}: {why}"
+        message += f"{sent_item.worker}: {reason}"
         hint = (
             "out of memory or over a time limit of the cluster; see the workers' logs"
         )
-        fault = Fault("BAT020", message, str(sent.item.file.path), (), hint)
-        yield ItemOutcome.failed(sent.item, fault)
+        fault = Fault("BAT020", message, str(sent_item.item.file.path), (), hint)
+        yield ItemOutcome.failed(sent_item.item, fault)
 
     def _ask(self, worker: _ClusterWorker) -> None:
         self._submit(
             _asking(self.name, builder_versions()), self.check, _Sent(worker, None)
         )
 
-    def _submit(self, function: Any, argument: bytes, sent: _Sent) -> None:
+    def _submit(self, function: Any, argument: bytes, sent_item: _Sent) -> None:
         future = self.client.submit(
-            function, argument, pure=False, workers=[sent.worker.address]
+            function, argument, pure=False, workers=[sent_item.worker.address]
         )
-        self.sent[future] = sent
+        self.sent[future] = sent_item
         future.add_done_callback(self.finished.put)
 
     def _send(self) -> bool:
@@ -424,13 +426,13 @@ class _Farm:
 
         If the worker's inputs differ, another worker builds the item.
         """
-        differing = self.delivery.other_inputs(outcome)
-        changed_inputs = self.delivery.changed(differing)
+        other_inputs = self.delivery.other_inputs(outcome)
+        changed_inputs = self.delivery.changed(other_inputs)
         if changed_inputs:
             yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
-        elif differing:
+        elif other_inputs:
             reason = (
-                f"it has different files with the same names: {listed(differing, 2)}"
+                f"it has different files with the same names: {listed(other_inputs, 2)}"
             )
             yield from self._leave_out(worker, INPUTS, reason)
             self.again.append(item)
@@ -443,37 +445,37 @@ class _Farm:
         time_and_unseen, unseen = time.monotonic(), self.unseen
         self.unseen = []
         for until, item, worker, outcome in unseen:
-            delivered = self.delivery.delivered(outcome)
-            if delivered is not None:
+            delivered_outcome = self.delivery.delivered(outcome)
+            if delivered_outcome is not None:
                 worker.built += 1
-                yield delivered
+                yield delivered_outcome
             elif time_and_unseen < until and worker.fit:
                 self.unseen.append((until, item, worker, outcome))
             else:
                 self.again.append(item)
                 if worker.fit:
-                    why = (
+                    reason = (
                         f"its {str(item.output.parent)!r} is not the folder of this "
                         "machine"
                     )
-                    yield from self._leave_out(worker, DISK, why)
+                    yield from self._leave_out(worker, DISK, reason)
 
     def _accept_failure(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
         """Accept a failure, unless another worker may be able to build the item."""
-        unreadable = [
+        unreadable_inputs = [
             fault.path
             for fault in outcome.faults
             if fault.code == "IO001" and fault.path and os.access(fault.path, os.R_OK)
         ]
-        if not unreadable or FileState.of(Path(unreadable[0])) is None:
+        if not unreadable_inputs or FileState.of(Path(unreadable_inputs[0])) is None:
             yield outcome
             return
         self.again.append(item)
         if worker.fit:
-            why = f"it cannot read {listed(unreadable, 2)}"
-            yield from self._leave_out(worker, INPUTS, why)
+            reason = f"it cannot read {listed(unreadable_inputs, 2)}"
+            yield from self._leave_out(worker, INPUTS, reason)
 
 
 _HINTS = {

@@ -64,15 +64,15 @@ def connected_client(address: str) -> Any:
     return client
 
 
-def _unreachable_error(about: str, error: Exception) -> OutputError:
-    why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
+def _unreachable_error(scheduler_text: str, error: Exception) -> OutputError:
+    reason = f"{type(error).__name__}: {excerpt(str(error), 200)}"
     if not isinstance(error, OSError | ValueError):
-        why = f"the scheduler there runs another version of dask ({why})"
+        reason = f"the scheduler there runs another version of dask ({reason})"
     hint = (
         "check that the scheduler runs, at this address, with the same version of "
         "distributed"
     )
-    return unusable(about, why, hint)
+    return unusable(scheduler_text, reason, hint)
 
 
 def unusable(about: str, why: str, hint: str) -> OutputError:

@@ -369,7 +369,7 @@ class _CutReader:
 
 
 def _is_file(path: Path) -> bool | None:
-    """Return whether a path is a file; None if nothing is there."""
+    """Return whether a path is a file; None if it does not exist."""
     try:
         return path.is_file() or (False if path.exists() else None)
     except (OSError, ValueError):

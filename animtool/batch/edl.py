@@ -35,7 +35,9 @@ _EVENT = re.compile(
     rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_LABEL})\s+){{3}}(?:{_LABEL}))\s*",
     re.IGNORECASE,
 )
-_SPEED = re.compile(r"M2\s+.*?\s*(?P<speed>[-+]?\d+(?:\.\d+)?)\s+\d\d:\d\d:\d\d\S*\s*")
+_SPEED_LINE = re.compile(
+    r"M2\s+.*?\s*(?P<speed>[-+]?\d+(?:\.\d+)?)\s+\d\d:\d\d:\d\d\S*\s*"
+)
 _RATE = re.compile(r"\*?\s*(?:FPS|FRAME\s?RATE)\s*[:=]?\s*(?P<rate>[\d./]+)", re.I)
 _COMMENTS = {
     name: re.compile(rf"\*?\s*{text}\s*:\s*(?P<value>.*\S)", re.I)
@@ -156,7 +158,7 @@ def _rate_or_none(text: str) -> Fraction | None:
 
 def _comment(event: Event, line: str) -> None:
     """Apply a comment after an event to that event."""
-    if (speed := _SPEED.fullmatch(line)) is not None:
+    if (speed := _SPEED_LINE.fullmatch(line)) is not None:
         event.speed = speed["speed"]
     elif _FREEZE.match(line) is not None:
         event.freeze = True

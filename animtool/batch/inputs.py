@@ -115,16 +115,18 @@ def _matched_inputs(
         for file in _meant(spec.folder, text, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
-    unmatched = []
+    unmatched_patterns = []
     for i, text in enumerate(spec.inputs):
         meant = _meant(spec.folder, text, suffixes)
-        remaining = {resolve(file.path): file for file in meant}
-        remaining = {at: f for at, f in remaining.items() if at not in left_out}
-        if not meant or _is_missing(text, remaining):
-            unmatched.append(_unmatched_fault(spec, i, suffixes))
-        files = {**remaining, **files}
-    ordered = [files[path] for path in sorted(files, key=os.fspath)]
-    return ordered, lambda path: resolve(path) in left_out, unmatched
+        remaining_files = {resolve(file.path): file for file in meant}
+        remaining_files = {
+            at: f for at, f in remaining_files.items() if at not in left_out
+        }
+        if not meant or _is_missing(text, remaining_files):
+            unmatched_patterns.append(_unmatched_fault(spec, i, suffixes))
+        files = {**remaining_files, **files}
+    ordered_files = [files[path] for path in sorted(files, key=os.fspath)]
+    return ordered_files, lambda path: resolve(path) in left_out, unmatched_patterns
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
@@ -164,7 +166,7 @@ def no_input(spec: BatchSpec) -> NoMatchError:
 
 
 def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
-    """Return a hint for a pattern whose suffix files have in the other case."""
+    """Return a hint if files match a pattern except for the case of its suffix."""
     for text in spec.inputs:
         stem, dot, suffix = text.rpartition(".")
         for other in (suffix.lower(), suffix.upper()):

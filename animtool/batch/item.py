@@ -211,12 +211,12 @@ def read_rules(path: Path) -> list[PathRule]:
         raise FormatError(Fault("BAT038", message, str(path))) from error
 
 
-def _rule(plain: Mapping[str, Any]) -> PathRule:
-    kind = text_in(plain, "source_path_format")
+def _rule(record: Mapping[str, Any]) -> PathRule:
+    kind = text_in(record, "source_path_format")
     if kind not in _KINDS:
         raise RecordError(f"unknown 'source_path_format' {excerpt(kind)}")
-    source = _KINDS[kind](text_in(plain, "source_path"))
-    return PathRule(source, text_in(plain, "destination_path"))
+    source = _KINDS[kind](text_in(record, "source_path"))
+    return PathRule(source, text_in(record, "destination_path"))
 
 
 def mapped_path(text: str, rules: Sequence[PathRule]) -> str:

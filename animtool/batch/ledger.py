@@ -89,8 +89,8 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
         writer.write(_line(key, why) for key, why in failures.items())
 
 
-def _line(key: str, why: str) -> dict[str, str]:
-    return {"item": key, "why": why.replace("\0", "\\0")[:MAX_MESSAGE]}
+def _line(key: str, reason: str) -> dict[str, str]:
+    return {"item": key, "why": reason.replace("\0", "\\0")[:MAX_MESSAGE]}
 
 
 # A run of some items briefly takes the batch's lock to check that it is free.

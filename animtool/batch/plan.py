@@ -216,19 +216,21 @@ def _clashes(
             yield Fault("OUT007", message, str(path), (), hint)
 
 
-def _separating_hint(item: Item, other: Item) -> str:
+def _separating_hint(item: Item, other_item: Item) -> str:
     """Return a hint at the name that separates the outputs of two items."""
-    if item.shot is not None and item.shot != other.shot:
+    if item.shot is not None and item.shot != other_item.shot:
         return "use {shot} in the output to keep the shots separate"
-    if item.file != other.file:
-        names, other_names = input_names(item.file), input_names(other.file)
+    if item.file != other_item.file:
+        names, other_names = input_names(item.file), input_names(other_item.file)
         for name in ("stem", "parent", "name"):
             if names[name] != other_names[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"
-    differing = [k for k, v in item.values.items() if other.values.get(k) != v]
-    if not differing:
+    differing_values = [
+        k for k, v in item.values.items() if other_item.values.get(k) != v
+    ]
+    if not differing_values:
         return "these values appear twice: remove one"
-    name = differing[0]
+    name = differing_values[0]
     return f"use {{{name}}} in the output to keep the variants separate"
 
 

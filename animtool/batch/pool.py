@@ -363,8 +363,8 @@ def _number(worker: _Worker) -> int | None:
     return None if worker.item is None else worker.item.number
 
 
-def _start_error(why: str) -> OutputError:
-    message = f"worker processes cannot be started: {why}"
+def _start_error(reason: str) -> OutputError:
+    message = f"worker processes cannot be started: {reason}"
     hint = (
         f"allow more memory, or lower {argument('jobs')}; finished items are "
         "recorded and will be skipped"

@@ -49,13 +49,13 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return values
 
 
-_PLAIN = json.JSONDecoder(parse_constant=_refuse_constant)
+_STRICT_DECODER = json.JSONDecoder(parse_constant=_refuse_constant)
 _UNIQUE = json.JSONDecoder(parse_constant=_refuse_constant, object_pairs_hook=_unique)
 
 
 def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
     """Return the JSON object in some data."""
-    decoder = _UNIQUE if unique else _PLAIN
+    decoder = _UNIQUE if unique else _STRICT_DECODER
     try:
         return object_of(decoder.decode(data.decode("utf-8")))
     except RecordError:
@@ -197,7 +197,7 @@ class LineReader:
                 yield record
 
     def _head(self, file: IO[bytes]) -> None:
-        """Read the first line; without one, nothing is read."""
+        """Read the first line, if the file has one."""
         expected = _line_text(self.head).encode()
         line = file.readline(MAX_LINE)
         # The first line may be incomplete after a kill; other files are not
@@ -236,8 +236,8 @@ class LineReader:
         lines = tuple(self.damaged)[:100]
         return Fault("BAT070", message, str(self.path), lines, hint, Severity.WARNING)
 
-    def _read_error(self, why: str) -> FormatError:
-        return FormatError(Fault("BAT011", f"cannot be read: {why}", str(self.path)))
+    def _read_error(self, reason: str) -> FormatError:
+        return FormatError(Fault("BAT011", f"cannot be read: {reason}", str(self.path)))
 
     def _foreign(self, line: Line) -> FormatError:
         (kind, version), *_ = self.head.items()

@@ -105,9 +105,9 @@ def run_batch(
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
-        selected = _items_to_consider(items, options, planner, history)
+        selected_items = _items_to_consider(items, options, planner, history)
         planned_reports = [
-            _planned_report(decision) for decision in planner.decisions(selected)
+            _planned_report(decision) for decision in planner.decisions(selected_items)
         ]
         seconds = time.perf_counter() - start_time
         return BatchReport(

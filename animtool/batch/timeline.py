@@ -27,9 +27,9 @@ MAX_BYTES = 100_000_000
 MAX_NESTING = 300
 CONTENT = "content.otio"
 
-_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
+_JSON_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
 # Non-finite numbers, which the library writes and reads.
-_INFINITE = re.compile(_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
+_INFINITE = re.compile(_JSON_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
 _BRACKETS = b"[]{}"
 _NO_BRACKETS = bytes(set(range(256)) - set(_BRACKETS))
 
@@ -80,7 +80,7 @@ def nesting(text: bytes) -> int:
     >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
     3
     """
-    brackets = _STRING.sub(b"", text).translate(None, _NO_BRACKETS)
+    brackets = _JSON_STRING.sub(b"", text).translate(None, _NO_BRACKETS)
     return max(accumulate(1 if b in b"[{" else -1 for b in brackets), default=0)
 
 

@@ -97,13 +97,18 @@ def timeline_rate(
     ]
 
 
-def _checked_rate(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
+def _checked_rate(
+    stated_rate: Fraction, requested_rate: Fraction | None, path: str
+) -> Fraction:
     """Return a stated rate (BAT051 if another one is requested)."""
-    if asked is not None and asked != stated:
-        message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
+    if requested_rate is not None and requested_rate != stated_rate:
+        message = (
+            f"has {rate_label(stated_rate)}, "
+            f"but {rate_label(requested_rate)} was requested"
+        )
         hint = "shots are written at the rate of their timeline"
         raise OptionError(Fault("BAT051", message, path, (), hint))
-    return stated
+    return stated_rate
 
 
 def picture_rates(composition: Any) -> Iterator[Fraction]:

@@ -46,7 +46,7 @@ def as_flag(argument: Argument) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FlagCalling:
-    """How a command spells arguments: its flags, None for what it lacks."""
+    """Map arguments to the flags of a command; None if it has no such flag."""
 
     command: click.Command
 
@@ -66,7 +66,7 @@ class FlagCalling:
         return f"{option.opts[0]} {value}".rstrip()
 
     def elsewhere(self, argument: Argument) -> str:
-        """Return what an argument that the command lacks is called elsewhere.
+        """Return the name in other commands of an argument that this command lacks.
 
         In `animtool bake`, such as ``bake --up Z``, or else in files.
         """

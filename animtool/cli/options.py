@@ -261,7 +261,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "processes": (Parsed("processes", _processes), "N"),
 }
 # Kinds whose options can be repeated.
-_REPEATABLE = {"lengths", "codes", "severities", "texts"}
+_REPEATABLE_TYPES = {"lengths", "codes", "severities", "texts"}
 
 
 class _OneOf(click.ParamType[Any]):
@@ -338,7 +338,7 @@ def declared(
         metavar=flag_and_metavar,
         default=default,
         show_default=default not in {None, ()} and "[default: " not in text,
-        multiple=option.kind in _REPEATABLE,
+        multiple=option.kind in _REPEATABLE_TYPES,
         help=text,
     )
 

@@ -66,8 +66,8 @@ def _angle(radians: float) -> str:
     return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
 
 
-def _stopped_joints(clamped: Mapping[str, float]) -> list[str]:
-    most_clamped = sorted(clamped.items(), key=lambda item: -item[1])
+def _stopped_joints(clamped_joints: Mapping[str, float]) -> list[str]:
+    most_clamped = sorted(clamped_joints.items(), key=lambda item: -item[1])
     return [
         f"{name} ({percent(fraction)} of frames)" for name, fraction in most_clamped
     ]

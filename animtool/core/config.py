@@ -150,9 +150,11 @@ def _config(path: Path, table: Any) -> Config:
     names = [entry.name for entry in fields(Config) if entry.name != "path"]
     for name in table:
         if name not in names:
-            allowed = f"allowed: {', '.join(names)}"
+            allowed_names = f"allowed: {', '.join(names)}"
             raise OptionError(
-                Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed)
+                Fault(
+                    "CFG002", f"unknown setting {name!r}", str(path), (), allowed_names
+                )
             )
     stated_start = table.get("start")
     frame = isinstance(stated_start, int) and not isinstance(stated_start, bool)

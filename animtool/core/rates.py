@@ -136,10 +136,10 @@ def _adjacent_integers(rate: Fraction) -> list[int]:
     return [n for n in (int(rate), int(rate) + 1) if 1 <= n <= HIGHEST_RATE]
 
 
-def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
+def _integers_that_print(printed_rate: Fraction, digits: int) -> list[int]:
     """Integers n in 1..1000 with 1/n, rounded half up to digits, as printed."""
     half = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
-    lower, upper = printed - half, printed + half
+    lower, upper = printed_rate - half, printed_rate + half
     smallest = int(1 / upper)
     largest = int(1 / lower) + 1 if lower > 0 else HIGHEST_RATE
     return [

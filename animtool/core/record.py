@@ -233,17 +233,19 @@ def _initializer(
 
 
 def _is_repeated_or_unknown(
-    named: Mapping[str, Any], *known_names: Iterable[str]
+    keyword_arguments: Mapping[str, Any], *known_names: Iterable[str]
 ) -> bool:
     """Return whether an argument is repeated or unknown."""
-    return any(name in named for names in known_names for name in names)
+    return any(name in keyword_arguments for names in known_names for name in names)
 
 
-def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) -> None:
+def _refuse(
+    record: Any, positional: tuple[Any, ...], keyword_arguments: Mapping[str, Any]
+) -> None:
     """Raise Python's error for arguments that do not fit."""
     kind = type(record)
     try:
-        _signature(kind).bind(*positional, **named)
+        _signature(kind).bind(*positional, **keyword_arguments)
     except TypeError as error:
         raise TypeError(f"{kind.__qualname__}.__init__(): {error}") from None
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 # Labelled frame rates with drop-frame, and the labels skipped per minute except every
 # tenth.
-_DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
+_DROPPED_LABELS = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
@@ -126,7 +126,7 @@ def seconds_between(
 
 def _labels_dropped_per_minute(rate: Fraction) -> int:
     """Return the number of labels that a drop-frame rate skips per minute."""
-    if rate not in _DROPPED:
+    if rate not in _DROPPED_LABELS:
         message = f"drop-frame (;) does not apply to {float(rate):g} frames per second"
         raise ValueError(f"{message}, only to 30000/1001 and 60000/1001")
-    return _DROPPED[rate]
+    return _DROPPED_LABELS[rate]

@@ -42,7 +42,7 @@ class FootContacts:
 
     @property
     def any(self) -> BoolArray:
-        """Mask of frames in which ankle or toe stands ``(F,)``."""
+        """Mask of frames in which ankle or toe is planted ``(F,)``."""
         return self.ankle | self.toe
 
 

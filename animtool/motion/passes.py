@@ -203,7 +203,7 @@ class PassContext:
     build_colliders: ColliderBuilder | None = None
 
     def note_once(self, notices: Iterable[Fault]) -> None:
-        """Add notices whose code was not reported yet."""
+        """Add notices with codes that are not yet reported."""
         for notice in notices:
             if notice.code not in self.reported_codes:
                 self.reported_codes.add(notice.code)

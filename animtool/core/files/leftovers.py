@@ -189,7 +189,7 @@ def _taken_back(folder: str, process: int) -> None:
 
 
 def _undo(path: Path) -> bool:
-    """Roll back the set of a journal; return whether nothing of it remains."""
+    """Roll back the set of a journal; return whether all its files are gone."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True

@@ -188,8 +188,8 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
     else:
         if isinstance(reason, OSError):
             reason = reason.strerror or str(reason)
-        it = "it " if reason.startswith("is a ") else ""
-        message = f"cannot be read: {it}{reason}"
+        subject = "it " if reason.startswith("is a ") else ""
+        message = f"cannot be read: {subject}{reason}"
     hint = unexpanded_hint(str(path)) or nearest_file(path) or _folder_hint(path)
     return FormatError(Fault("IO001", message, str(path), (), hint))
 

@@ -333,7 +333,9 @@ def _fork(
     return child, write_end
 
 
-def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoReturn:
+def _be_child(
+    work: Callable[[], int], alive: int, blocked_signals: set[int]
+) -> NoReturn:
     """Do the work in the child, and exit.
 
     ``alive`` is closed when the parent ends; ``blocked`` are the other signals that the
@@ -347,7 +349,7 @@ def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoRetur
         resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
     threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked_signals)
     obey_signals()
     code = 1
     try:

@@ -97,7 +97,7 @@ class SourceSet:
     def _open_one(
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
-        """Open a source; over a rig, without what joints cannot hold."""
+        """Open a source; over a rig, drop what joints cannot hold."""
         try:
             return self._open_path(path, options, source_progress)
         except FormatError as error:

@@ -148,7 +148,7 @@ def _settings(
 
 
 def _as_conversion(report: OutputReport, output: Path) -> ConvertReport:
-    """Return the report of a bake as that of a conversion."""
+    """Return the report of a bake as a conversion report."""
     if isinstance(report, ConvertReport):
         return report
     return ConvertReport(

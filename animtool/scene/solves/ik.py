@@ -139,7 +139,7 @@ class IkReport:
 
     @property
     def span(self) -> FrameSpan:
-        """Written frames, or solved frames where nothing was written."""
+        """Written frames, or solved frames if nothing was written."""
         return (
             self.solved.take.clock.span if self.written is None else self.written.span
         )
@@ -299,7 +299,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
 
 
 def _as_fine(job: IkJob) -> TakeOptions:
-    """Return options whose tolerances are as strict as those of missed goals."""
+    """Return options with tolerances as strict as those of the missed goals."""
     length, angle = _missed_by(job)
     options = job.options
     return replace(
@@ -353,7 +353,7 @@ def open_start(
 
 
 def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
-    """Return the samples between which the frames of a shot lie."""
+    """Return the samples that enclose the frames of a shot."""
     if shot is None:
         return take
     clock = take.clock

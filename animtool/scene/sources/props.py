@@ -112,7 +112,7 @@ def _metered_track(
     meter: Meter,
     notices: list[Fault],
 ) -> Track:
-    """Return a track whose reading is measured, and whose shear is reported."""
+    """Return a track that measures its read time and reports shear."""
     shear_reported = False
 
     def sample(times: FloatArray) -> Transforms:
@@ -145,7 +145,7 @@ class _Prop:
     def track(
         self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
     ) -> Track:
-        """Return its track, transformed with a take whose placement is dropped."""
+        """Return its track; follows the take if the placement is dropped."""
         track = self.opened.track
         if dropped is None or not track.follows_placement:
             return track

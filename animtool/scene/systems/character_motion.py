@@ -232,7 +232,7 @@ class CharacterWatch:
         return np.concatenate(self._codes)
 
     def read(self, stream: TakeStream) -> TakeStream:
-        """Return a take whose frames are recorded as they are read."""
+        """Return a take that records its frames while it is read."""
         if not self.records_motion:
             return stream
         self._stream = stream

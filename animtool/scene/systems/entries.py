@@ -95,7 +95,7 @@ class EntryReader:
         code: str | None = None,
         kind: type[AnimtoolError] = AnimtoolError,
     ) -> Kind | None:
-        """Return what a function reads; None with recorded faults if it raises.
+        """Return the result of a function; None if it raises, with its faults recorded.
 
         With a code, only the first fault is recorded, with that code.
         """

@@ -94,14 +94,14 @@ def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
     return _has_names_of((path.parent / rig_name).resolve(), rig)
 
 
-def _has_names_of(other: Path, rig: Path) -> bool:
+def _has_names_of(other_path: Path, rig: Path) -> bool:
     """Return whether a rig is the given one, or a sidecar."""
-    if other == rig:
+    if other_path == rig:
         return True
-    if READERS.get(other.suffix.lower()) is not DOCUMENT:
+    if READERS.get(other_path.suffix.lower()) is not DOCUMENT:
         return False
     try:
-        return "from" in read_document(other).value
+        return "from" in read_document(other_path).value
     except AnimtoolError:
         return True
 
@@ -150,9 +150,17 @@ def distinct(checked: CheckedFile, fault: Fault) -> Mend:
     entry = rig.written(str(key))[number]
     names = names_in(rig, key)
     for name in (entry["name"], entry.get("mirror")):
-        equal_names = [other for other in names if name and legal(other) == legal(name)]
+        equal_names = [
+            other_name
+            for other_name in names
+            if name and legal(other_name) == legal(name)
+        ]
         if len(equal_names) > 1:
-            forbidden = [other for other in equal_names if legal(other) != other]
+            forbidden = [
+                other_name
+                for other_name in equal_names
+                if legal(other_name) != other_name
+            ]
             return _rename(rig, str(key), forbidden[-1:])
     raise NotMendedError(f"renames {entry['name']!r} to make it unique")
 

@@ -131,17 +131,19 @@ def _plan(path: Path, options: ValidateOptions) -> FileMend:
 def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
     """Return files, or packages, with fixable findings."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
-    fixable = (path for path in report.files if str(path) in named_paths)
-    return [path for path in fixable if has_fixes(path) and is_package(path) is packed]
+    fixable_files = (path for path in report.files if str(path) in named_paths)
+    return [
+        path for path in fixable_files if has_fixes(path) and is_package(path) is packed
+    ]
 
 
 def _unfixed_findings(report: Report, paths: Sequence[Path]) -> Iterator[str]:
     """Yield fixable findings of USD files that stay unchanged."""
     if not paths:
         return
-    fixable = with_fixable(report).fixable
+    fixable_faults = with_fixable(report).fixable
     for path in paths:
-        count = sum(fault.path == str(path) for fault in fixable)
+        count = sum(fault.path == str(path) for fault in fixable_faults)
         if count:
             findings = counted(count, "finding")
             yield (

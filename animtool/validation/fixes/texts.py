@@ -163,7 +163,7 @@ class TextDraft:
 
     def finish(self, cases: Sequence[Fault]) -> FixStep:
         """Return the text with those findings fixed that need new arrays."""
-        text, fixed = self.text, []
+        text, fixes = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in cases:
             try:
@@ -173,12 +173,12 @@ class TextDraft:
                 text = edited(text, self.path, mend.edits)
             except (NotMendedError, EditError):
                 continue
-            fixed.append((fault, mend.remedy))
+            fixes.append((fault, mend.remedy))
             for path, arrays in mend.arrays.items():
                 new_arrays.setdefault(path, {}).update(arrays)
-        codes = frozenset(fault.code for fault, _ in fixed)
+        codes = frozenset(fault.code for fault, _ in fixes)
         return FixStep(
-            replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes), fixed
+            replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes), fixes
         )
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:

@@ -93,7 +93,7 @@ def _pop_fault(
         f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
         f"to {subject.at(step + 1)}, unlike the motion around it"
     )
-    other_names = [other for other in names if other != name]
+    other_names = [other_name for other_name in names if other_name != name]
     if often > 1:
         message += f"; there are {often} such steps in total"
     if other_names:

@@ -233,32 +233,32 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
         & is_moving[:, None]
     )
     limits = _range_of(channel, rig)
-    wrapping = [
+    wrapping_axes = [
         k
         for k, axis in np.argwhere(is_wrap).tolist()
         if _wraps_after(channel, k, axis, float(short_path[k, axis]), limits)
     ]
     # Necessary condition of `_flipped`, which is too slow for every key.
     is_twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR_ANGLE
-    flipping = [
+    flipping_axes = [
         k
         for k in np.flatnonzero(is_moving & is_twisted).tolist()
         if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
-    return np.unique(np.array([*wrapping, *flipping], np.int64))
+    return np.unique(np.array([*wrapping_axes, *flipping_axes], np.int64))
 
 
 def _wraps_after(
     channel: ClipChannel,
     k: int,
     axis: int,
-    short: float,
+    short_path: float,
     limits: RangeLimit | None,
 ) -> bool:
     """Return whether an axis wraps after a key; ``short`` is the short path."""
     values = channel.values[:, axis]
     first_value, second_value = float(values[k]), float(values[k + 1])
-    if limits is not None and not limits.low <= first_value + short <= limits.high:
+    if limits is not None and not limits.low <= first_value + short_path <= limits.high:
         return False
     rates_around = np.diff(values) / np.diff(channel.times)
     neighbours = [
@@ -273,7 +273,7 @@ def _wraps_after(
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(neighbours) == 2 and all(rate * short > 0 for rate in neighbours)
+    return len(neighbours) == 2 and all(rate * short_path > 0 for rate in neighbours)
 
 
 def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:

@@ -194,10 +194,10 @@ LIMIT_EQUALITY = 1e-6
 
 def other_position(rig: RigSubject) -> Iterator[Fault]:
     """Yield paired bones that are not mirror images at rest (RIG212)."""
-    pairs, mirrored = _mirror_pairs(rig)
-    if not _symmetric(mirrored):
+    pairs, are_mirrored = _mirror_pairs(rig)
+    if not _symmetric(are_mirrored):
         return
-    for (left, right), is_mirrored in zip(pairs, mirrored.tolist(), strict=True):
+    for (left, right), is_mirrored in zip(pairs, are_mirrored.tolist(), strict=True):
         if not is_mirrored:
             location = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
@@ -207,8 +207,8 @@ def other_position(rig: RigSubject) -> Iterator[Fault]:
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield paired joints with different types or limits (RIG213)."""
-    pairs, mirrored = _mirror_pairs(rig)
-    if not _symmetric(mirrored):
+    pairs, are_mirrored = _mirror_pairs(rig)
+    if not _symmetric(are_mirrored):
         return
     for left, right in pairs:
         key = "limits"
@@ -226,7 +226,7 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _mirror_pairs(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
-    """Return the pairs of a rig, and which are mirror images."""
+    """Return the left/right pairs of a rig, and a mask of mirror images."""
     pairs = _pairs(rig)
     return pairs, _are_mirror_images(rig, pairs)
 
@@ -264,9 +264,11 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
     return is_mirrored_best
 
 
-def _symmetric(mirrored: BoolArray) -> bool:
+def _symmetric(are_mirrored: BoolArray) -> bool:
     """Return whether a rig is intended to be symmetric."""
-    return len(mirrored) > 1 and 2 * int(np.count_nonzero(mirrored)) >= len(mirrored)
+    return len(are_mirrored) > 1 and 2 * int(np.count_nonzero(are_mirrored)) >= len(
+        are_mirrored
+    )
 
 
 def _same_limits(left: Joint, right: Joint) -> bool:

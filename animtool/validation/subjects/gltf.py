@@ -63,21 +63,21 @@ def _takes(gltf: Gltf, built_rig: GltfRig, faults: list[Fault]) -> list[MotionSu
     for animation in gltf.animations:
         if not animates_rig(built_rig, animation):
             continue
-        moving = sampler_of(gltf, built_rig, animation)
+        sampler = sampler_of(gltf, built_rig, animation)
         try:
-            frames = frames_of(animation, None, str(gltf.path), moving.numbers)
+            frames = frames_of(animation, None, str(gltf.path), sampler.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take = clip_stream(built_rig, moving, frames).collect()
+        take = clip_stream(built_rig, sampler, frames).collect()
         subject = clip_subject(gltf.path, built_rig.rig, take, animation.where)
-        subjects.append(_at_keys(subject, moving, animation, frames))
+        subjects.append(_at_keys(subject, sampler, animation, frames))
     return subjects
 
 
 def _at_keys(
     subject: MotionSubject,
-    moving: GltfSampler,
+    sampler: GltfSampler,
     animation: Animation,
     frames: GltfFrames,
 ) -> MotionSubject:
@@ -98,7 +98,7 @@ def _at_keys(
     ):
         if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
-        motion = moving.at(frames.seconds(codes))
+        motion = sampler.at(frames.seconds(codes))
     else:
         first_kept = int(np.searchsorted(clock.times, codes[0]))
         if not 0 < first_kept < clock.count:

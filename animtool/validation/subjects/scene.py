@@ -50,8 +50,10 @@ class SceneSubject(DocumentSubject):
         """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
-        for i, solved in self.solved.items():
-            take, tracks = rig_and_tracks(solved, self.scene.passes[i].options, folder)
+        for i, solved_take in self.solved.items():
+            take, tracks = rig_and_tracks(
+                solved_take, self.scene.passes[i].options, folder
+            )
             takes.append((take, tracks.placed(take.clock)))
         return takes
 
@@ -148,14 +150,14 @@ def _seconds(scene: Scene, take: Take | None) -> float:
 def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
     """Return a scene with its passes run, and their notices."""
     idle: list[int] = []
-    solved: dict[int, Take] = {}
+    solved_takes: dict[int, Take] = {}
     with recorded_inputs() as inputs:
         steps = scene.steps()
         take, stream = next(steps)
         for i, step in enumerate(steps):
             result, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
-                solved[i] = take
+                solved_takes[i] = take
             if _equal_sources(take, result):
                 idle.append(i)
             take = result
@@ -166,7 +168,7 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
         stream.start,
         bool(stream.control_curves),
         tuple(idle),
-        solved,
+        solved_takes,
         frozenset(inputs.opened),
     )
     return subject, stream.notices
@@ -192,7 +194,7 @@ def _equal_sources(before: Take, after: Take) -> bool:
     )
 
 
-def _is_same_channel(one: Channel | None, two: Channel | None) -> bool:
-    if one is None or two is None:
-        return one is two
-    return np.allclose(one.dense(), two.dense(), rtol=0.0, atol=EQUAL_VALUES)
+def _is_same_channel(first: Channel | None, second: Channel | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return np.allclose(first.dense(), second.dense(), rtol=0.0, atol=EQUAL_VALUES)
