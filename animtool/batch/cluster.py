@@ -279,8 +279,8 @@ class _Farm:
             self._had_workers, self._waits = current_time, False
             return threads
         if current_time - self._had_workers > MAX_WORKERLESS:
-            why = f"it has had no worker for {MAX_WORKERLESS:g} s"
-            raise unusable(self.work.argument, why, RESUME)
+            reason = f"it has had no worker for {MAX_WORKERLESS:g} s"
+            raise unusable(self.work.argument, reason, RESUME)
         if not self._waits:
             self._waits = True
             message = f"the cluster at {self.work.argument} has no workers now: "
@@ -369,8 +369,8 @@ class _Farm:
         if not self.workers or any(w.fit is not False for w in self.workers.values()):
             return
         count = counted(len(self.workers), "worker")
-        why = f"{count}, all excluded: the warnings say why"
-        raise unusable(self.work.argument, why, RESUME)
+        reason = f"{count}, all excluded: the warnings say why"
+        raise unusable(self.work.argument, reason, RESUME)
 
     def _handle_answer(
         self, sent: _Sent, value: object
@@ -401,22 +401,22 @@ class _Farm:
 
     def _accept_check(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
         if isinstance(value, tuple):
-            worker.host, code, why = value
+            worker.host, code, reason = value
             worker.fit = not code
         elif worker.address not in self._addresses():
             return
         else:
             worker.fit, code = False, INPUTS
-            why = f"it cannot be checked: {type(value).__name__}: {value}"
+            reason = f"it cannot be checked: {type(value).__name__}: {value}"
         if not worker.fit:
-            yield from self._leave_out(worker, code, why)
+            yield from self._leave_out(worker, code, reason)
 
     def _leave_out(
-        self, worker: _ClusterWorker, code: str, why: str
+        self, worker: _ClusterWorker, code: str, reason: str
     ) -> Iterator[Fault]:
         """Stop sending items to a worker, and warn once."""
         worker.fit = False
-        message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
+        message = f"worker {worker} is excluded: {excerpt(reason, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
     def _accept_outcome(

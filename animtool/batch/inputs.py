@@ -86,18 +86,18 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 def with_timeline(spec: BatchSpec) -> BatchSpec:
     """Return a batch with a timeline among its inputs as its cut list.
 
-    With it goes the frame rate of the command line.
+    The command line's frame rate applies to the cut list.
     """
-    named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
-    if not named:
+    timelines = [text for text in spec.inputs if is_timeline(spec.folder / text)]
+    if not timelines:
         return _with_rate(spec)
-    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]
+    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *timelines]
     if len(cuts) > 1:
         message = f"the inputs contain several timelines: {listed(cuts)}"
         hint = "a batch takes the shots of one timeline"
         raise OptionError(Fault("BAT050", message, hint=hint))
-    inputs = tuple(text for text in spec.inputs if text not in named)
-    return _with_rate(replace(spec, cuts=spec.folder / named[0], inputs=inputs))
+    inputs = tuple(text for text in spec.inputs if text not in timelines)
+    return _with_rate(replace(spec, cuts=spec.folder / timelines[0], inputs=inputs))
 
 
 def _matched_inputs(
@@ -177,7 +177,7 @@ def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
 
 
 def input_suffixes(spec: BatchSpec) -> Sequence[str]:
-    """Return how names end of the files that folders are searched for."""
+    """Return the suffixes of files that folders are searched for."""
     return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
 
 

@@ -202,9 +202,9 @@ class PathRule:
 def read_rules(path: Path) -> list[PathRule]:
     """Return the path rules of a file; empty if it has none (malformed: BAT038)."""
     try:
-        plain = json_of_file(path, MAX_BYTES)
+        record = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
-        rules = list_in(plain, key) if key in plain else ()
+        rules = list_in(record, key) if key in record else ()
         return [_rule(object_of(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"

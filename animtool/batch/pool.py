@@ -209,11 +209,11 @@ class _Pool:
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
-        why = _how_it_ended(worker.process)
+        reason = _how_it_ended(worker.process)
         worker.end(kill=True)
         self.failed_starts += 1
         if self.failed_starts == MAX_FAILED_STARTS:
-            raise _start_error(f"the last {why}")
+            raise _start_error(f"the last {reason}")
 
     def _end_item(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None

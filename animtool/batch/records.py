@@ -229,9 +229,9 @@ class LineReader:
         """Return a warning of damaged lines; None without any."""
         if not self.damaged:
             return None
-        number, why = next(iter(self.damaged.items()))
+        number, reason = next(iter(self.damaged.items()))
         count = counted(len(self.damaged), "line")
-        message = f"{count} of the record cannot be used: line {number} {why}"
+        message = f"{count} of the record cannot be used: line {number} {reason}"
         hint = "the items in them are rebuilt"
         lines = tuple(self.damaged)[:100]
         return Fault("BAT070", message, str(self.path), lines, hint, Severity.WARNING)

@@ -41,8 +41,8 @@ def check_text(path: Path) -> None:
     except FormatError as error:
         raise FormatError(replace(error.faults[0], code="BAT041")) from error
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or excerpt(str(error), 200)
-        problem = f"cannot be read as a timeline: {why}"
+        reason = getattr(error, "strerror", None) or excerpt(str(error), 200)
+        problem = f"cannot be read as a timeline: {reason}"
     if problem is not None:
         raise FormatError(Fault("BAT041", problem, str(path)))
 

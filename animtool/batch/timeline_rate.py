@@ -1,4 +1,4 @@
-"""Frame rates of timelines: stated, asked for, or counted."""
+"""Frame rates of timelines: declared, requested, or inferred from clips."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
 
 
 def _assignment_hint(text: str) -> str:
-    """Return a hint at how to write a text without a sign =.
+    """Return a hint for a text without ``=``.
 
     >>> _assigned("wind 1 2"), _assigned("wind")
     ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')

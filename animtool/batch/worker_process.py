@@ -1,4 +1,4 @@
-"""A program that builds items one after another in a process it may lose.
+"""A program that builds items one by one in a subprocess that may crash.
 
 ``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
 from stdin, and writes the outcome of each to stdout. It serves workers of other

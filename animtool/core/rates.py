@@ -137,7 +137,7 @@ def _adjacent_integers(rate: Fraction) -> list[int]:
 
 
 def _integers_that_print(printed_rate: Fraction, digits: int) -> list[int]:
-    """Integers n in 1..1000 with 1/n, rounded half up to digits, as printed."""
+    """Integers n in 1..1000 whose 1/n, rounded half up, is the printed number."""
     half = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
     lower, upper = printed_rate - half, printed_rate + half
     smallest = int(1 / upper)

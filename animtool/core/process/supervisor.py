@@ -164,7 +164,7 @@ def has_crashed() -> bool:
 
 
 def note_said() -> None:
-    """Record that a result was printed or a file named, which a rerun repeats."""
+    """Record that output was printed or a file named; a rerun would repeat it."""
     notes = _state.notes
     if notes is not None:
         # Buffered output is lost in a crash.

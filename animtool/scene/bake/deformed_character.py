@@ -128,11 +128,11 @@ def pieces(
     """Yield short pieces of a motion, each with a slice of the frames that count."""
     before: tuple[FloatArray, Motion] | None = None
     cut = _cut(blocks)
-    piece = next(cut, None)
-    while piece is not None:
+    frame_piece = next(cut, None)
+    while frame_piece is not None:
         after = next(cut, None)
-        codes, motion = piece
-        parts = [piece]
+        codes, motion = frame_piece
+        parts = [frame_piece]
         if neighbours and before is not None:
             parts.insert(0, before)
         if neighbours and after is not None:
@@ -141,9 +141,9 @@ def pieces(
             codes = np.concatenate([codes for codes, _ in parts])
             motion = Motion.concatenate([motion for _, motion in parts])
         lead = 1 if neighbours and before is not None else 0
-        yield codes, motion, slice(lead, lead + len(piece[0]))
-        before = piece[0][-1:], piece[1].select(slice(-1, None))
-        piece = after
+        yield codes, motion, slice(lead, lead + len(frame_piece[0]))
+        before = frame_piece[0][-1:], frame_piece[1].select(slice(-1, None))
+        frame_piece = after
 
 
 def _cut(blocks: TimedBlocks) -> TimedBlocks:
