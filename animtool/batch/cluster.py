@@ -53,7 +53,7 @@ from animtool.core.errors import (
 from animtool.core.files.reading import FileState, changed_error
 from animtool.core.record import dataclass
 
-# How often workers are counted where nothing ends [s].
+# Interval for counting workers while no item ends [s].
 POLL_INTERVAL = 1.0
 # A nanny restarts a lost worker within seconds, and clusters on demand start machines
 # within minutes; longer waits may never end [s].

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
-# Where records stand, below the folder of all outputs.
+# Folder of the records, in the folder of all outputs.
 RECORDS_FOLDER = ".animtool"
 MAX_FAULTS = 50
 

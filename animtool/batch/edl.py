@@ -340,7 +340,7 @@ def _with_continuation(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
         yield event, is_pair
 
 
-# Channels that stand for several tracks.
+# Channels that mean several tracks.
 TRACKS_OF_CHANNEL = {
     "B": ("V", "A1"),
     "AA": ("A1", "A2"),

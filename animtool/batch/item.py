@@ -321,7 +321,7 @@ class ItemTask:
         """Return the values of the names in a scene."""
         names = input_names(item.file)
         if self.scene is None:
-            # A scene that is an input has no input itself.
+            # A scene used as an input takes no input.
             del names["input"]
         return {**names, **item.names, **self.variables, **item.variables}
 

@@ -286,7 +286,7 @@ def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
         hint = "wait until it ends, or stop it"
         raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
-        # The second error is that of disks without locks.
+        # Disks without locks raise the second error.
         fault = output_error(path, error).faults[0]
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 

@@ -235,7 +235,7 @@ class Console:
         task = bar.add_task(escaped(label), total=1.0)
 
         def show(fraction: float) -> None:
-            # Started late, so that commands that fail at once show no bar.
+            # Delayed start: commands that fail at once show no bar.
             if not bar.live.is_started:
                 bar.start()
             bar.update(task, completed=fraction)

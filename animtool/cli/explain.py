@@ -126,7 +126,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
     rules = []
     listing = not codes
     for code in codes:
-        # RIG2 stands for all codes with that prefix.
+        # RIG2 means all codes with that prefix.
         prefix = code.upper()
         rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
         matching = [

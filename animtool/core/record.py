@@ -319,7 +319,7 @@ def _hasher(names: list[str]) -> Callable[[Any], int]:
 def _shower(names: list[str]) -> Callable[[Any], str]:
     def __repr__(self: Any) -> str:  # noqa: N807
         kind = type(self)
-        # A record that contains itself, through a list, would recurse endlessly.
+        # A record that contains itself through a list would recurse forever.
         if id(self) in _REPR_ACTIVE:
             return "..."
         _REPR_ACTIVE.add(id(self))

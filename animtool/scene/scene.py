@@ -45,7 +45,7 @@ class Scene:
     sources: tuple[SceneSource, ...]
     passes: tuple[ScenePass, ...]  # passes in order
     outputs: tuple[SceneOutput, ...]  # outputs, at least one
-    rig: Path | None = None  # rig of all sources; None is that of the first
+    rig: Path | None = None  # rig of all sources; None uses the first source's rig
     props: tuple[SceneProp, ...] = ()  # props
     # Frame of the shot at the first frame of the sources; None is as they state.
     first: Fraction | None = None

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.joint_map import RigJointMap
     from animtool.usd.rigs.target import RigTarget
 
-# Frames whose joints are held at once: 60 joints take 1.5 MB.
+# Frames of joints in memory at once: 60 joints take 1.5 MB.
 PIECE_FRAMES = 256
 
 
@@ -38,10 +38,10 @@ class DeformedCharacter:
     rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
     strands: tuple[Strands, ...]  # meshes that follow single joints
-    # How the take's joints stand in the rig; None where they are its own.
+    # Maps the take's joints to the rig; None if they are the rig's own.
     mapping: RigJointMap | None
     meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
-    origin: str  # whose meshes they are, for reports
+    origin: str  # source of the meshes, for reports
 
     def only(
         self, surfaces: Sequence[str], strands: Sequence[str]

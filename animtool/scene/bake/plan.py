@@ -111,7 +111,7 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
         layer = entry.options.rig_layer
         entry_inputs = inputs | ({layer.resolve()} if layer else set())
         if not entry_inputs.isdisjoint(path.resolve() for path in entry.files):
-            continue  # it is not even read (OUT003)
+            continue  # never read (OUT003)
         try:
             check_settings(entry)
             if take is None:

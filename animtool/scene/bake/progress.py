@@ -242,7 +242,7 @@ class PeakMemory:
 
     def begin(self) -> None:
         """Reset the base level to the current one."""
-        # What was held before, and is not any more, goes with the first look.
+        # The first sample discards memory that was freed before.
         self._peak_bytes()
         self.base = self._peak_bytes()
 

@@ -108,7 +108,7 @@ class SourceSet:
                 or options.placement is not None
             ):
                 raise
-            # The rig may have the same transform: a layer then lacks nothing.
+            # If the rig has the same transform, the layer loses nothing.
             without_placement = replace(options, placement="drop")
             return self._open_path(path, without_placement, source_progress)
 

@@ -315,7 +315,7 @@ def _head_translations(
         return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
     rest_pose = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     at = rest_pose.positions[0, joint]
-    # The head turns about its joint, so that only this is to be moved.
+    # The head rotates about its joint, so only the joint is moved.
     head_offsets = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
     shift = head_offsets + fit.translations - at
     root_translations = rig.rest_translations[root] + shift

@@ -194,7 +194,7 @@ def _retarget(
     start_time = time.perf_counter()
     with protect_inputs(outputs):
         rig, notices = open_rig(job.rig)
-        # The placement is that of the take, not of the stage with the rig.
+        # Placement of the take, not of the rig's stage.
         rig = at_origin(rig)
         reading = replace(job.reading, placement=job.bake.placement)
         stream = open_source(job.source, reading, progress=progress)

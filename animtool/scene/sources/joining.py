@@ -63,7 +63,7 @@ def joined(first: SourcePart, other_sources: Sequence[SourcePart]) -> TakeStream
         except OptionError as error:
             faults += error.faults
     if faults:
-        # Faults of the first source are found with those of the others.
+        # Faults of the first source are collected with those of the others.
         raise OptionError(list(dict.fromkeys(faults)))
     for i, layer in enumerate(layers):
         first.stream.notices += layer.notices

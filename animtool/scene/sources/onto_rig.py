@@ -203,7 +203,7 @@ def on_rig_file(
         return Fault(code, message, str(path), (), hint, severity)
 
     rig, notices = open_rig(rig_path)
-    # The placement is that of the take, not of the stage with the rig.
+    # Placement of the take, not of the rig's stage.
     rig = at_origin(rig)
     reoriented_stream = reorient(stream, rig.up)
     mapped_stream, names = on_rig(reoriented_stream, rig, note)

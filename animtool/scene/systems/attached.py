@@ -80,7 +80,7 @@ def _turned(colliders: Colliders, rotation: FloatArray) -> Colliders:
             replace(collider, motion=_TurnedMotion(collider.motion, rotation))
             for collider in colliders.sheets
         ],
-        # Nothing pushes them, so that only their motion needs rotating.
+        # No forces act on them, so only their motion is rotated.
         [
             cast("MovingBodies", _TurnedBodies(collider, rotation))
             for collider in colliders.bodies

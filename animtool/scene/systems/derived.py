@@ -355,7 +355,7 @@ def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     return [*marks, *metadata, *(mark for alternative in inner for mark in alternative)]
 
 
-# Keys of systems whose sizes are looked at, and what these are compared with.
+# Keys of system sizes to check, and the values to compare them with.
 SIZES = {"stretch", "bodies"}
 OF_SIZES = {"radius", "self_contact", "springs", "mass", "start", "end", "across", "up"}
 

@@ -106,7 +106,7 @@ class SystemRun:
         self._character = character
         self._phases: ProgressPhases | None = None
         self._frames: Progress = None
-        # Time codes and states of systems whose states are saved.
+        # Time codes and states of systems with saved states.
         self._saving: dict[int, float | None] = {
             i: system.setup.spec.save_at
             for i, system in enumerate(systems)

@@ -40,7 +40,7 @@ from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
 from animtool.systems.framework.spec import SystemSpec
 
-# Step of the exact method over that of the file, if the file's step is too long.
+# Ratio of the exact method's step to the file's, if the file's is too long.
 FINE_STEP_RATIO = 1 / 8
 # Tolerances over the default one; and the maximum step of adaptive methods over the
 # file's step.
