@@ -134,7 +134,7 @@ def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
                 )
 
 
-def _asking(
+def _check_task(
     name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
     """Return a task that checks a worker: its host, and code and reason if unfit.
@@ -201,7 +201,7 @@ class _ClusterWorker:
 
 
 @dataclass(slots=True)
-class _Sent:
+class _SentItem:
     """A running task: building an item, or checking a worker if the item is None."""
 
     worker: _ClusterWorker  # receiving worker
@@ -217,7 +217,7 @@ class _Farm:
     work: Work  # input of the executor
     tokens: Mapping[str, str]  # files by which workers recognise the output disks
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
-    sent: dict[Any, _Sent] = field(default_factory=dict)  # running tasks by future
+    sent: dict[Any, _SentItem] = field(default_factory=dict)  # running tasks by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
     ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
     again: list[Item] = field(default_factory=list)  # items to send to another worker
@@ -306,7 +306,7 @@ class _Farm:
             self.workers[address] = _ClusterWorker(address, addresses[address])
             self._ask(self.workers[address])
 
-    def _loss(self, sent_item: _Sent, reason: str) -> Iterator[ItemOutcome]:
+    def _loss(self, sent_item: _SentItem, reason: str) -> Iterator[ItemOutcome]:
         """Send the item of a lost worker again, a limited number of times."""
         sent_item.worker.going -= sent_item.item is not None
         if sent_item.item is None:
@@ -326,10 +326,12 @@ class _Farm:
 
     def _ask(self, worker: _ClusterWorker) -> None:
         self._submit(
-            _asking(self.name, builder_versions()), self.check, _Sent(worker, None)
+            _check_task(self.name, builder_versions()),
+            self.check,
+            _SentItem(worker, None),
         )
 
-    def _submit(self, function: Any, argument: bytes, sent_item: _Sent) -> None:
+    def _submit(self, function: Any, argument: bytes, sent_item: _SentItem) -> None:
         future = self.client.submit(
             function, argument, pure=False, workers=[sent_item.worker.address]
         )
@@ -361,7 +363,7 @@ class _Farm:
             worker = min(idle_workers, key=lambda one: one.going / one.threads)
             worker.going += 1
             running_count += 1
-            self._submit(self.build, pickle.dumps(item), _Sent(worker, item))
+            self._submit(self.build, pickle.dumps(item), _SentItem(worker, item))
         return True
 
     def _refuse_unfit(self) -> None:
@@ -373,7 +375,7 @@ class _Farm:
         raise unusable(self.work.argument, reason, RESUME)
 
     def _handle_answer(
-        self, sent: _Sent, value: object
+        self, sent: _SentItem, value: object
     ) -> Iterator[ItemOutcome | Fault]:
         """Process the answer of a worker: a check or the outcome of an item."""
         worker, item = sent.worker, sent.item

@@ -68,7 +68,7 @@ def joined(first: SourcePart, other_sources: Sequence[SourcePart]) -> TakeStream
     for i, layer in enumerate(layers):
         first.stream.notices += layer.notices
         first.stream.notices += _duplicate_tracks(layer, layers[:i])
-    return _Joining(first.stream, layers).stream()
+    return _JoinedTake(first.stream, layers).stream()
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +214,7 @@ def _duplicate_tracks(layer: _Layer, earlier: Sequence[_Layer]) -> list[Fault]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Joining:
+class _JoinedTake:
     """The first source and the layers over it."""
 
     base: TakeStream

@@ -84,7 +84,7 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     weights = skin.weights
     if not isinstance(weights, ArrayRef):
         raise NotMendedError("the weights are not in an npz file")
-    path = _free(weights.path, weights.key)
+    path = _unused_path(weights.path, weights.key)
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
@@ -92,7 +92,7 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     return Mend(remedy, (Replace(pointer, text),), arrays)
 
 
-def _free(path: Path, key: str) -> Path:
+def _unused_path(path: Path, key: str) -> Path:
     """Return an unused path next to a file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:

@@ -184,7 +184,7 @@ def _unwrapping_hint(channel: ClipChannel, k: int, unit: float) -> str:
     """
     first, second = channel.values[k], channel.values[k + 1]
     nearer_angles = first + np.remainder(second - first + math.pi, math.tau) - math.pi
-    equivalent = _flipped(channel, first, second)
+    equivalent = _nearer_angles(channel, first, second)
     if equivalent is not None and _distance(first, equivalent) < _distance(
         first, nearer_angles
     ):
@@ -238,12 +238,12 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
         for k, axis in np.argwhere(is_wrap).tolist()
         if _wraps_after(channel, k, axis, float(short_path[k, axis]), limits)
     ]
-    # Necessary condition of `_flipped`, which is too slow for every key.
+    # Necessary condition of `_nearer_angles`, which is too slow for every key.
     is_twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR_ANGLE
     flipping_axes = [
         k
         for k in np.flatnonzero(is_moving & is_twisted).tolist()
-        if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
+        if _nearer_angles(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
     return np.unique(np.array([*wrapping_axes, *flipping_axes], np.int64))
 
@@ -285,7 +285,7 @@ def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
     return limits if isinstance(limits, RangeLimit) else None
 
 
-def _flipped(
+def _nearer_angles(
     channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
     """Return the equivalent Euler angles of a rotation, if much nearer to another.
