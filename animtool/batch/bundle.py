@@ -134,7 +134,7 @@ def chunk_size(
 
 def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> Bundle:
     """Return the bundle of a batch, with shot options."""
-    more = _cut_words(cuts)
+    cut_words = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
@@ -153,13 +153,13 @@ def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> 
                     ]
                 },
                 "script": _script(
-                    "--items", "{{Task.Param.First}}+{{Param.ChunkSize}}", *more
+                    "--items", "{{Task.Param.First}}+{{Param.ChunkSize}}", *cut_words
                 ),
             },
             {
                 "name": "Settle",
                 "dependencies": [{"dependsOn": "Bake"}],
-                "script": _script(*more),
+                "script": _script(*cut_words),
             },
         ],
     }

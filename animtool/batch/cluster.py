@@ -53,7 +53,7 @@ from animtool.core.errors import (
 from animtool.core.files.reading import FileState, changed_error
 from animtool.core.record import dataclass
 
-# How often workers are counted where nothing ends [s].
+# Interval for counting workers while no item ends [s].
 POLL_INTERVAL = 1.0
 # A nanny restarts a lost worker within seconds, and clusters on demand start machines
 # within minutes; longer waits may never end [s].
@@ -109,14 +109,16 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
         leave_cluster(client, name)
 
 
-def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
+def _fetch_results(
+    finished_futures: SimpleQueue[Any], results: SimpleQueue[Any]
+) -> None:
     """Fetch results while others are sent, until the queue holds None."""
-    while (future := finished.get()) is not None:
+    while (future := finished_futures.get()) is not None:
         try:
             value = future.result()
         except BaseException as error:
             value = error
-        ended.put((future, value))
+        results.put((future, value))
 
 
 def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
@@ -132,7 +134,7 @@ def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
                 )
 
 
-def _asking(
+def _check_task(
     name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
     """Return a task that checks a worker: its host, and code and reason if unfit.
@@ -158,13 +160,13 @@ def _asking(
                 actual = f"animtool {version('animtool')}"
             except PackageNotFoundError:
                 actual = "no animtool"
-            why = f"it has {actual} instead of {versions['animtool']}: "
-            return host, "BAT036", f"{why}{type(error).__name__}: {error}"
+            reason = f"it has {actual} instead of {versions['animtool']}: "
+            return host, "BAT036", f"{reason}{type(error).__name__}: {error}"
 
     return ask
 
 
-def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
+def _build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
     """Return a task that builds an item on a checked worker, sent as code."""
 
     def build(pickled: bytes) -> ItemOutcome | None:
@@ -199,8 +201,8 @@ class _ClusterWorker:
 
 
 @dataclass(slots=True)
-class _Sent:
-    """A running task: an item, or the check of a worker if there is no item."""
+class _SentItem:
+    """A running task: building an item, or checking a worker if the item is None."""
 
     worker: _ClusterWorker  # receiving worker
     item: Item | None = None
@@ -215,7 +217,7 @@ class _Farm:
     work: Work  # input of the executor
     tokens: Mapping[str, str]  # files by which workers recognise the output disks
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
-    sent: dict[Any, _Sent] = field(default_factory=dict)  # running tasks by future
+    sent: dict[Any, _SentItem] = field(default_factory=dict)  # running tasks by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
     ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
     again: list[Item] = field(default_factory=list)  # items to send to another worker
@@ -235,7 +237,7 @@ class _Farm:
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
-        self.build = _building(self.name)  # pickled only once
+        self.build = _build_task(self.name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
         inputs = tuple(_inputs(self.work, self.delivery))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
@@ -245,10 +247,10 @@ class _Farm:
         counted_at = -POLL_INTERVAL
         while True:
             if time.monotonic() - counted_at >= POLL_INTERVAL:
-                yield from self._lost(self._addresses())
+                yield from self._reclaim_lost_items(self._addresses())
                 counted_at = time.monotonic()
             has_more = self._send()
-            yield from self._said()
+            yield from self._pop_faults()
             if has_more and not self.unseen:
                 self._refuse_unfit()
             if not (has_more or self.unseen or any(s.item for s in self.sent.values())):
@@ -257,9 +259,9 @@ class _Farm:
                 future, value = self.ended.get(timeout=POLL_INTERVAL)
                 if future in self.sent:
                     yield from self._handle_answer(self.sent.pop(future), value)
-            yield from self._delivered()
+            yield from self._delivered_outcomes()
 
-    def _said(self) -> Iterator[Fault]:
+    def _pop_faults(self) -> Iterator[Fault]:
         while self.said:
             yield self.said.pop(0)
 
@@ -277,8 +279,8 @@ class _Farm:
             self._had_workers, self._waits = current_time, False
             return threads
         if current_time - self._had_workers > MAX_WORKERLESS:
-            why = f"it has had no worker for {MAX_WORKERLESS:g} s"
-            raise unusable(self.work.argument, why, RESUME)
+            reason = f"it has had no worker for {MAX_WORKERLESS:g} s"
+            raise unusable(self.work.argument, reason, RESUME)
         if not self._waits:
             self._waits = True
             message = f"the cluster at {self.work.argument} has no workers now: "
@@ -287,14 +289,16 @@ class _Farm:
             self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
         return threads
 
-    def _lost(self, addresses: Mapping[str, int]) -> Iterator[ItemOutcome]:
+    def _reclaim_lost_items(
+        self, addresses: Mapping[str, int]
+    ) -> Iterator[ItemOutcome]:
         """Take back items of lost workers, and check new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
             for future in [
                 lost_future
-                for lost_future, sent in self.sent.items()
-                if sent.worker is worker
+                for lost_future, sent_item in self.sent.items()
+                if sent_item.worker is worker
             ]:
                 future.cancel()
                 yield from self._loss(self.sent.pop(future), "the worker has stopped")
@@ -302,34 +306,36 @@ class _Farm:
             self.workers[address] = _ClusterWorker(address, addresses[address])
             self._ask(self.workers[address])
 
-    def _loss(self, sent: _Sent, why: str) -> Iterator[ItemOutcome]:
+    def _loss(self, sent_item: _SentItem, reason: str) -> Iterator[ItemOutcome]:
         """Send the item of a lost worker again, a limited number of times."""
-        sent.worker.going -= sent.item is not None
-        if sent.item is None:
+        sent_item.worker.going -= sent_item.item is not None
+        if sent_item.item is None:
             return
-        number = sent.item.number
+        number = sent_item.item.number
         self.losses[number] = self.losses.get(number, 0) + 1
         if self.losses[number] < MAX_LOSSES:
-            self.again.append(sent.item)
+            self.again.append(sent_item.item)
             return
         message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
-        message += f"{sent.worker}: {why}"
+        message += f"{sent_item.worker}: {reason}"
         hint = (
             "out of memory or over a time limit of the cluster; see the workers' logs"
         )
-        fault = Fault("BAT020", message, str(sent.item.file.path), (), hint)
-        yield ItemOutcome.failed(sent.item, fault)
+        fault = Fault("BAT020", message, str(sent_item.item.file.path), (), hint)
+        yield ItemOutcome.failed(sent_item.item, fault)
 
     def _ask(self, worker: _ClusterWorker) -> None:
         self._submit(
-            _asking(self.name, builder_versions()), self.check, _Sent(worker, None)
+            _check_task(self.name, builder_versions()),
+            self.check,
+            _SentItem(worker, None),
         )
 
-    def _submit(self, function: Any, argument: bytes, sent: _Sent) -> None:
+    def _submit(self, function: Any, argument: bytes, sent_item: _SentItem) -> None:
         future = self.client.submit(
-            function, argument, pure=False, workers=[sent.worker.address]
+            function, argument, pure=False, workers=[sent_item.worker.address]
         )
-        self.sent[future] = sent
+        self.sent[future] = sent_item
         future.add_done_callback(self.finished.put)
 
     def _send(self) -> bool:
@@ -357,7 +363,7 @@ class _Farm:
             worker = min(idle_workers, key=lambda one: one.going / one.threads)
             worker.going += 1
             running_count += 1
-            self._submit(self.build, pickle.dumps(item), _Sent(worker, item))
+            self._submit(self.build, pickle.dumps(item), _SentItem(worker, item))
         return True
 
     def _refuse_unfit(self) -> None:
@@ -365,16 +371,16 @@ class _Farm:
         if not self.workers or any(w.fit is not False for w in self.workers.values()):
             return
         count = counted(len(self.workers), "worker")
-        why = f"{count}, all excluded: the warnings say why"
-        raise unusable(self.work.argument, why, RESUME)
+        reason = f"{count}, all excluded: the warnings say why"
+        raise unusable(self.work.argument, reason, RESUME)
 
     def _handle_answer(
-        self, sent: _Sent, value: object
+        self, sent: _SentItem, value: object
     ) -> Iterator[ItemOutcome | Fault]:
         """Process the answer of a worker: a check or the outcome of an item."""
         worker, item = sent.worker, sent.item
         if item is None:
-            yield from self._checked(worker, value)
+            yield from self._accept_check(worker, value)
             return
         if isinstance(value, BaseException):
             # A lost worker is detected in the next count.
@@ -391,44 +397,44 @@ class _Farm:
             fault = Fault("BAT020", message, str(item.file.path))
             yield ItemOutcome.failed(item, fault)
         elif value.status is ItemStatus.DONE:
-            yield from self._built(worker, item, value)
+            yield from self._accept_outcome(worker, item, value)
         else:
-            yield from self._failed(worker, item, value)
+            yield from self._accept_failure(worker, item, value)
 
-    def _checked(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
+    def _accept_check(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
         if isinstance(value, tuple):
-            worker.host, code, why = value
+            worker.host, code, reason = value
             worker.fit = not code
         elif worker.address not in self._addresses():
             return
         else:
             worker.fit, code = False, INPUTS
-            why = f"it cannot be checked: {type(value).__name__}: {value}"
+            reason = f"it cannot be checked: {type(value).__name__}: {value}"
         if not worker.fit:
-            yield from self._leave_out(worker, code, why)
+            yield from self._leave_out(worker, code, reason)
 
     def _leave_out(
-        self, worker: _ClusterWorker, code: str, why: str
+        self, worker: _ClusterWorker, code: str, reason: str
     ) -> Iterator[Fault]:
         """Stop sending items to a worker, and warn once."""
         worker.fit = False
-        message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
+        message = f"worker {worker} is excluded: {excerpt(reason, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
-    def _built(
+    def _accept_outcome(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
         """Accept an outcome with this machine's inputs; wait for its files.
 
         If the worker's inputs differ, another worker builds the item.
         """
-        differing = self.delivery.other_inputs(outcome)
-        changed_inputs = self.delivery.changed(differing)
+        other_inputs = self.delivery.other_inputs(outcome)
+        changed_inputs = self.delivery.changed(other_inputs)
         if changed_inputs:
             yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
-        elif differing:
+        elif other_inputs:
             reason = (
-                f"it has different files with the same names: {listed(differing, 2)}"
+                f"it has different files with the same names: {listed(other_inputs, 2)}"
             )
             yield from self._leave_out(worker, INPUTS, reason)
             self.again.append(item)
@@ -436,42 +442,42 @@ class _Farm:
             until = time.monotonic() + MAX_UNSEEN
             self.unseen.append((until, item, worker, outcome))
 
-    def _delivered(self) -> Iterator[ItemOutcome | Fault]:
+    def _delivered_outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcomes whose files have arrived with the written content."""
         time_and_unseen, unseen = time.monotonic(), self.unseen
         self.unseen = []
         for until, item, worker, outcome in unseen:
-            delivered = self.delivery.delivered(outcome)
-            if delivered is not None:
+            delivered_outcome = self.delivery.delivered(outcome)
+            if delivered_outcome is not None:
                 worker.built += 1
-                yield delivered
+                yield delivered_outcome
             elif time_and_unseen < until and worker.fit:
                 self.unseen.append((until, item, worker, outcome))
             else:
                 self.again.append(item)
                 if worker.fit:
-                    why = (
+                    reason = (
                         f"its {str(item.output.parent)!r} is not the folder of this "
                         "machine"
                     )
-                    yield from self._leave_out(worker, DISK, why)
+                    yield from self._leave_out(worker, DISK, reason)
 
-    def _failed(
+    def _accept_failure(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
         """Accept a failure, unless another worker may be able to build the item."""
-        unreadable = [
+        unreadable_inputs = [
             fault.path
             for fault in outcome.faults
             if fault.code == "IO001" and fault.path and os.access(fault.path, os.R_OK)
         ]
-        if not unreadable or FileState.of(Path(unreadable[0])) is None:
+        if not unreadable_inputs or FileState.of(Path(unreadable_inputs[0])) is None:
             yield outcome
             return
         self.again.append(item)
         if worker.fit:
-            why = f"it cannot read {listed(unreadable, 2)}"
-            yield from self._leave_out(worker, INPUTS, why)
+            reason = f"it cannot read {listed(unreadable_inputs, 2)}"
+            yield from self._leave_out(worker, INPUTS, reason)
 
 
 _HINTS = {

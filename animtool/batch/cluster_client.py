@@ -30,9 +30,9 @@ def scheduler_address(path: Path) -> str:
     try:
         address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
     except RecordError as error:
-        raise _unreachable(str(path), error) from error
+        raise _unreachable_error(str(path), error) from error
     if not ADDRESS.fullmatch(address):
-        raise _unreachable(
+        raise _unreachable_error(
             str(path), RecordError(f"{excerpt(address)} is not an address")
         )
     return address
@@ -60,19 +60,19 @@ def connected_client(address: str) -> Any:
         except Empty:
             client = TimeoutError(f"no answer within {TIMEOUT:g} s")
     if isinstance(client, Exception):
-        raise _unreachable(address, client) from client
+        raise _unreachable_error(address, client) from client
     return client
 
 
-def _unreachable(about: str, error: Exception) -> OutputError:
-    why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
+def _unreachable_error(scheduler_text: str, error: Exception) -> OutputError:
+    reason = f"{type(error).__name__}: {excerpt(str(error), 200)}"
     if not isinstance(error, OSError | ValueError):
-        why = f"the scheduler there runs another version of dask ({why})"
+        reason = f"the scheduler there runs another version of dask ({reason})"
     hint = (
         "check that the scheduler runs, at this address, with the same version of "
         "distributed"
     )
-    return unusable(about, why, hint)
+    return unusable(scheduler_text, reason, hint)
 
 
 def unusable(about: str, why: str, hint: str) -> OutputError:

@@ -135,12 +135,12 @@ def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
             yield DISK, f"it has no permission to write to {str(folder)!r}"
 
 
-def _is_same(expected: InputCheck) -> bool:
+def _is_same(expected_check: InputCheck) -> bool:
     try:
-        path = Path(expected.path)
-        if path.stat().st_size != expected.size:
+        path = Path(expected_check.path)
+        if path.stat().st_size != expected_check.size:
             return False
-        return not expected.sha256 or file_digest(path) == expected.sha256
+        return not expected_check.sha256 or file_digest(path) == expected_check.sha256
     except (OSError, AnimtoolError):
         return False
 

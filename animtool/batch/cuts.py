@@ -105,7 +105,7 @@ def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
     return _CutReader(path, (), options).read_one(name)
 
 
-def _named(
+def _shot_clips(
     entries: Sequence[ShownClip],
     name: str | None,
     path: Path,
@@ -163,7 +163,7 @@ class _CutReader:
     def read_one(self, name: str | None) -> CutList:
         """Return a named shot."""
         walk = self.clips()
-        return self.cuts_of(_named(walk.clips, name, self.path, walk.skipped))
+        return self.cuts_of(_shot_clips(walk.clips, name, self.path, walk.skipped))
 
     def clips(self) -> Walk:
         """Return the visible clips with the names of their shots."""
@@ -369,7 +369,7 @@ class _CutReader:
 
 
 def _is_file(path: Path) -> bool | None:
-    """Return whether a path is a file; None if nothing is there."""
+    """Return whether a path is a file; None if it does not exist."""
     try:
         return path.is_file() or (False if path.exists() else None)
     except (OSError, ValueError):

@@ -33,7 +33,7 @@ class Delivery:
         return self._states[absolute_path]
 
     def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
-        """Return the inputs whose local content differs from an item's."""
+        """Return inputs whose local content differs from the item's."""
         paths = [
             (path_of_name(record.path, self.root), record) for record in outcome.inputs
         ]
@@ -74,10 +74,10 @@ class Delivery:
         return not record.sha256 or self._digest(path, state) == record.sha256
 
     def _digest(self, path: Path, state: FileState) -> str:
-        cached = self._digests.get(path)
-        if cached is None or cached[0] != state:
+        cached_digest = self._digests.get(path)
+        if cached_digest is None or cached_digest[0] != state:
             try:
-                self._digests[path] = cached = state, file_digest(path)
+                self._digests[path] = cached_digest = state, file_digest(path)
             except (AnimtoolError, OSError):
                 return "unreadable"
-        return cached[1]
+        return cached_digest[1]

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
-# Where records stand, below the folder of all outputs.
+# Folder of the records, in the folder of all outputs.
 RECORDS_FOLDER = ".animtool"
 MAX_FAULTS = 50
 
@@ -102,7 +102,7 @@ def check_effects(
         scene = cast("Scene", sample_source(spec, item_task, shot, values))
         inputs = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
         if spec.scene is not None and not scene.effective_variables & inputs:
-            faults.append(_unused(scene, len(shots)))
+            faults.append(_unused_inputs_fault(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
             names_text = ", ".join(f"${{{name}}}" for name in names)
             message = f"the scene uses none of the variables that vary: {names_text}"
@@ -114,7 +114,7 @@ def check_effects(
         raise OptionError(faults[:MAX_FAULTS])
 
 
-def _unused(scene: Scene, count: int) -> Fault:
+def _unused_inputs_fault(scene: Scene, count: int) -> Fault:
     """Return the fault of a scene that ignores its inputs."""
     message = "the scene does not use its input"
     if count > 1:

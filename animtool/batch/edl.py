@@ -35,7 +35,9 @@ _EVENT = re.compile(
     rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_LABEL})\s+){{3}}(?:{_LABEL}))\s*",
     re.IGNORECASE,
 )
-_SPEED = re.compile(r"M2\s+.*?\s*(?P<speed>[-+]?\d+(?:\.\d+)?)\s+\d\d:\d\d:\d\d\S*\s*")
+_SPEED_LINE = re.compile(
+    r"M2\s+.*?\s*(?P<speed>[-+]?\d+(?:\.\d+)?)\s+\d\d:\d\d:\d\d\S*\s*"
+)
 _RATE = re.compile(r"\*?\s*(?:FPS|FRAME\s?RATE)\s*[:=]?\s*(?P<rate>[\d./]+)", re.I)
 _COMMENTS = {
     name: re.compile(rf"\*?\s*{text}\s*:\s*(?P<value>.*\S)", re.I)
@@ -113,7 +115,7 @@ def read_edl(path: Path) -> Edl:
             else:
                 edl.events.append(_event(match, number, drop=drop))
         elif (stated_rate := _RATE.fullmatch(line)) is not None and edl.fps is None:
-            edl.fps = _stated(stated_rate["rate"])
+            edl.fps = _rate_or_none(stated_rate["rate"])
         elif edl.events:
             _comment(edl.events[-1], line)
     if not rate_known and not edl.events and not faults:
@@ -147,7 +149,7 @@ def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
     )
 
 
-def _stated(text: str) -> Fraction | None:
+def _rate_or_none(text: str) -> Fraction | None:
     try:
         return parse_rate(text)
     except ValueError:
@@ -156,7 +158,7 @@ def _stated(text: str) -> Fraction | None:
 
 def _comment(event: Event, line: str) -> None:
     """Apply a comment after an event to that event."""
-    if (speed := _SPEED.fullmatch(line)) is not None:
+    if (speed := _SPEED_LINE.fullmatch(line)) is not None:
         event.speed = speed["speed"]
     elif _FREEZE.match(line) is not None:
         event.freeze = True
@@ -198,7 +200,7 @@ class _TimelineBuilder:
     def built(self) -> tuple[Any, list[Fault]]:
         """Return the timeline."""
         timeline = self.otio.schema.Timeline(self.edl.title)
-        for event, belongs_to_next in _paired(self.edl.events):
+        for event, belongs_to_next in _with_continuation(self.edl.events):
             times = self.times(event)
             if times is not None:
                 self.add(timeline, event, times, belongs_to_next)
@@ -221,7 +223,7 @@ class _TimelineBuilder:
             return None
         # For backward motion some systems write the last frame first.
         first_frame, last_frame = (
-            sorted(frames[:2]) if _speed(event) < 0 else frames[:2]
+            sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
         )
         return _Times(
             first_frame, last_frame - first_frame, frames[2], frames[3] - frames[2]
@@ -292,7 +294,7 @@ class _TimelineBuilder:
         if event.freeze:
             return Fraction(0), record_frames or source
         if event.speed is not None:
-            speed = _speed(event) / count_rate(self.rate)
+            speed = _event_speed(event) / count_rate(self.rate)
             if not record_frames or not source:
                 return speed, record_frames or source
             # The printed speed has a tenth of a frame; source and record are exact.
@@ -318,11 +320,11 @@ class _TimelineBuilder:
         return self.otio.opentime.TimeRange(time(first, rate), time(count, rate))
 
 
-def _speed(event: Event) -> Fraction:
+def _event_speed(event: Event) -> Fraction:
     return Fraction(1) if event.speed is None else Fraction(event.speed)
 
 
-def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
+def _with_continuation(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
     """Yield events, and whether the next one belongs to the same edit.
 
     Comments follow the second event and belong to both.
@@ -338,7 +340,7 @@ def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
         yield event, is_pair
 
 
-# Channels that stand for several tracks.
+# Channels that mean several tracks.
 TRACKS_OF_CHANNEL = {
     "B": ("V", "A1"),
     "AA": ("A1", "A2"),

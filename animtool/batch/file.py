@@ -403,14 +403,14 @@ class _BatchReader:
             variants,
             self.keys.roots,
             overrides_of_document(
-                self.document, model.overrides, {*self._taken(), *columns}
+                self.document, model.overrides, {*self._reserved_names(), *columns}
             ),
             None,
             None if model.cut_start is None else int(model.cut_start),
             self._first_timecode(),
         )
 
-    def _taken(self) -> set[str]:
+    def _reserved_names(self) -> set[str]:
         """Return the names that an input or shot defines."""
         return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
 
@@ -435,7 +435,7 @@ class _BatchReader:
                 self.document, ("variants",), variants, self.keys.roots
             )
             return None if path is None else read_variants(path)
-        taken = {*self._taken(), *self.model.variables}
+        taken = {*self._reserved_names(), *self.model.variables}
         return rows_of_document(self.document, variants, taken)
 
     def _names(self, columns: Sequence[str]) -> None:

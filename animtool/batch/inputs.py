@@ -86,18 +86,18 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 def with_timeline(spec: BatchSpec) -> BatchSpec:
     """Return a batch with a timeline among its inputs as its cut list.
 
-    With it goes the frame rate of the command line.
+    The command line's frame rate applies to the cut list.
     """
-    named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
-    if not named:
+    timelines = [text for text in spec.inputs if is_timeline(spec.folder / text)]
+    if not timelines:
         return _with_rate(spec)
-    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]
+    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *timelines]
     if len(cuts) > 1:
         message = f"the inputs contain several timelines: {listed(cuts)}"
         hint = "a batch takes the shots of one timeline"
         raise OptionError(Fault("BAT050", message, hint=hint))
-    inputs = tuple(text for text in spec.inputs if text not in named)
-    return _with_rate(replace(spec, cuts=spec.folder / named[0], inputs=inputs))
+    inputs = tuple(text for text in spec.inputs if text not in timelines)
+    return _with_rate(replace(spec, cuts=spec.folder / timelines[0], inputs=inputs))
 
 
 def _matched_inputs(
@@ -115,16 +115,18 @@ def _matched_inputs(
         for file in _meant(spec.folder, text, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
-    unmatched = []
+    unmatched_patterns = []
     for i, text in enumerate(spec.inputs):
         meant = _meant(spec.folder, text, suffixes)
-        remaining = {resolve(file.path): file for file in meant}
-        remaining = {at: f for at, f in remaining.items() if at not in left_out}
-        if not meant or _is_missing(text, remaining):
-            unmatched.append(_unmatched(spec, i, suffixes))
-        files = {**remaining, **files}
-    ordered = [files[path] for path in sorted(files, key=os.fspath)]
-    return ordered, lambda path: resolve(path) in left_out, unmatched
+        remaining_files = {resolve(file.path): file for file in meant}
+        remaining_files = {
+            at: f for at, f in remaining_files.items() if at not in left_out
+        }
+        if not meant or _is_missing(text, remaining_files):
+            unmatched_patterns.append(_unmatched_fault(spec, i, suffixes))
+        files = {**remaining_files, **files}
+    ordered_files = [files[path] for path in sorted(files, key=os.fspath)]
+    return ordered_files, lambda path: resolve(path) in left_out, unmatched_patterns
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
@@ -137,7 +139,7 @@ def _is_missing(text: str, meant: Mapping[Path, MatchedFile]) -> bool:
     return "://" not in text and len(meant) == 1 and not exists(next(iter(meant)))
 
 
-def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
+def _unmatched_fault(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
     text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
@@ -164,7 +166,7 @@ def no_input(spec: BatchSpec) -> NoMatchError:
 
 
 def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
-    """Return a hint for a pattern whose suffix files have in the other case."""
+    """Return a hint if files match a pattern except for the case of its suffix."""
     for text in spec.inputs:
         stem, dot, suffix = text.rpartition(".")
         for other in (suffix.lower(), suffix.upper()):
@@ -175,7 +177,7 @@ def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
 
 
 def input_suffixes(spec: BatchSpec) -> Sequence[str]:
-    """Return how names end of the files that folders are searched for."""
+    """Return the suffixes of files that folders are searched for."""
     return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
 
 

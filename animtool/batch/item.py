@@ -202,21 +202,21 @@ class PathRule:
 def read_rules(path: Path) -> list[PathRule]:
     """Return the path rules of a file; empty if it has none (malformed: BAT038)."""
     try:
-        plain = json_of_file(path, MAX_BYTES)
+        record = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
-        rules = list_in(plain, key) if key in plain else ()
+        rules = list_in(record, key) if key in record else ()
         return [_rule(object_of(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
 
 
-def _rule(plain: Mapping[str, Any]) -> PathRule:
-    kind = text_in(plain, "source_path_format")
+def _rule(record: Mapping[str, Any]) -> PathRule:
+    kind = text_in(record, "source_path_format")
     if kind not in _KINDS:
         raise RecordError(f"unknown 'source_path_format' {excerpt(kind)}")
-    source = _KINDS[kind](text_in(plain, "source_path"))
-    return PathRule(source, text_in(plain, "destination_path"))
+    source = _KINDS[kind](text_in(record, "source_path"))
+    return PathRule(source, text_in(record, "destination_path"))
 
 
 def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
@@ -321,7 +321,7 @@ class ItemTask:
         """Return the values of the names in a scene."""
         names = input_names(item.file)
         if self.scene is None:
-            # A scene that is an input has no input itself.
+            # A scene used as an input takes no input.
             del names["input"]
         return {**names, **item.names, **self.variables, **item.variables}
 
@@ -426,19 +426,19 @@ class ItemTask:
     def _digest(self, path: Path, root: Path) -> str:
         kind = path.suffix.lower()
         if kind not in self._digests:
-            self._digests[kind] = digest_of(_plain(self._options(path), root))
+            self._digests[kind] = digest_of(_to_json(self._options(path), root))
         return self._digests[kind]
 
 
-def _plain(value: object, root: Path) -> object:
+def _to_json(value: object, root: Path) -> object:
     """Return options as JSON values."""
     if is_dataclass(value):
         return {
-            entry.name: _plain(getattr(value, entry.name), root)
+            entry.name: _to_json(getattr(value, entry.name), root)
             for entry in fields(value)
         }
     if isinstance(value, tuple):
-        return [_plain(part, root) for part in value]
+        return [_to_json(part, root) for part in value]
     if isinstance(value, Path):
         return relative_name(value, root)
     if value is None or isinstance(value, bool | int | float | str):

@@ -89,8 +89,8 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
         writer.write(_line(key, why) for key, why in failures.items())
 
 
-def _line(key: str, why: str) -> dict[str, str]:
-    return {"item": key, "why": why.replace("\0", "\\0")[:MAX_MESSAGE]}
+def _line(key: str, reason: str) -> dict[str, str]:
+    return {"item": key, "why": reason.replace("\0", "\\0")[:MAX_MESSAGE]}
 
 
 # A run of some items briefly takes the batch's lock to check that it is free.
@@ -286,7 +286,7 @@ def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
         hint = "wait until it ends, or stop it"
         raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
-        # The second error is that of disks without locks.
+        # Disks without locks raise the second error.
         fault = output_error(path, error).faults[0]
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 

@@ -294,30 +294,33 @@ def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
     return tuple(_pass_scores(object_of(one)) for one in list_in(record, key))
 
 
-def _pass_scores(plain: Mapping[str, Any]) -> PassScores:
-    names = object_of(plain.get("names"))
+def _pass_scores(record: Mapping[str, Any]) -> PassScores:
+    names = object_of(record.get("names"))
     return PassScores(
-        tuple(_score(object_of(score_entry)) for score_entry in _some(plain, "scores")),
+        tuple(
+            _score(object_of(score_entry))
+            for score_entry in _nonempty_list(record, "scores")
+        ),
         {score_name: tuple(texts_in(names, score_name)) for score_name in names},
-        text_in(plain, "pass"),
-        text_in(plain, "where"),
+        text_in(record, "pass"),
+        text_in(record, "where"),
     )
 
 
-def _some(plain: Mapping[str, Any], key: str) -> Sequence[Any]:
-    entries = list_in(plain, key)
+def _nonempty_list(record: Mapping[str, Any], key: str) -> Sequence[Any]:
+    entries = list_in(record, key)
     if not entries:
         raise RecordError(f"{key!r} is empty")
     return entries
 
 
-def _score(plain: Mapping[str, Any]) -> Score:
-    unit = text_in(plain, "unit")
+def _score(record: Mapping[str, Any]) -> Score:
+    unit = text_in(record, "unit")
     if unit not in {*ScoreUnit}:
         raise RecordError(f"unknown unit of a score: {unit!r}")
     value, typical, ideal = (
-        number_in(plain, key, -math.inf) for key in ("value", "usual", "ideal")
+        number_in(record, key, -math.inf) for key in ("value", "usual", "ideal")
     )
     if typical <= ideal:
         raise RecordError("'usual' is not above 'ideal'")
-    return Score(text_in(plain, "name"), value, ScoreUnit(unit), typical, ideal)
+    return Score(text_in(record, "name"), value, ScoreUnit(unit), typical, ideal)

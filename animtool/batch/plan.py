@@ -110,12 +110,12 @@ class Planner:
             if failed is not None:
                 return Decision(item, BuildReason.FAILED, failed)
             return Decision(item, BuildReason.NEW)
-        decision = self._compared(item, record)
+        decision = self._decide(item, record)
         if decision.due and failed is not None:
             return Decision(item, BuildReason.FAILED, failed)
         return decision
 
-    def _compared(self, item: Item, record: ItemRecord) -> Decision:
+    def _decide(self, item: Item, record: ItemRecord) -> Decision:
         if record.how != self.how(item):
             return Decision(item, BuildReason.OPTIONS)
         if record.versions != self.versions:
@@ -131,7 +131,7 @@ class Planner:
                 # different state.
                 state = file.state if reason is BuildReason.INPUT else None
                 is_young = state is not None and state.changed >= record.at
-                current = self._same(file, young=is_young)
+                current = self._unchanged_record(file, young=is_young)
                 if current is None:
                     return Decision(item, reason, file.path)
                 current_records.append(current)
@@ -144,7 +144,7 @@ class Planner:
             item, BuildReason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
         )
 
-    def _same(self, file: FileRecord, *, young: bool) -> FileRecord | None:
+    def _unchanged_record(self, file: FileRecord, *, young: bool) -> FileRecord | None:
         """Return the current record of a file; None if its content differs."""
         if file.path not in self._states:
             self._states[file.path] = FileState.of(
@@ -184,7 +184,7 @@ def check_output_files(batch: Batch) -> None:
     faults = list(_clashes(batch, resolve, inputs))
     _refuse(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
-    _refuse(list(_closed(folders)), OutputError)
+    _refuse(list(_unwritable_folders(folders)), OutputError)
 
 
 def _clashes(
@@ -216,23 +216,25 @@ def _clashes(
             yield Fault("OUT007", message, str(path), (), hint)
 
 
-def _separating_hint(item: Item, other: Item) -> str:
+def _separating_hint(item: Item, other_item: Item) -> str:
     """Return a hint at the name that separates the outputs of two items."""
-    if item.shot is not None and item.shot != other.shot:
+    if item.shot is not None and item.shot != other_item.shot:
         return "use {shot} in the output to keep the shots separate"
-    if item.file != other.file:
-        names, other_names = input_names(item.file), input_names(other.file)
+    if item.file != other_item.file:
+        names, other_names = input_names(item.file), input_names(other_item.file)
         for name in ("stem", "parent", "name"):
             if names[name] != other_names[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"
-    differing = [k for k, v in item.values.items() if other.values.get(k) != v]
-    if not differing:
+    differing_values = [
+        k for k, v in item.values.items() if other_item.values.get(k) != v
+    ]
+    if not differing_values:
         return "these values appear twice: remove one"
-    name = differing[0]
+    name = differing_values[0]
     return f"use {{{name}}} in the output to keep the variants separate"
 
 
-def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
+def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
     """Yield faults of folders that cannot be written to."""
     checked_folders: set[Path] = set()
     for folder in folders:

@@ -146,7 +146,7 @@ class _Pool:
             with _environment():
                 process.start()
         except (OSError, EOFError) as error:
-            raise _unstartable(str(error) or type(error).__name__) from error
+            raise _start_error(str(error) or type(error).__name__) from error
         worker_end.close()
         self.workers.append(_Worker(process, connection))
 
@@ -174,7 +174,7 @@ class _Pool:
                 self._failed_to_start(worker)
             fault = self._exceeded_limit(worker)
             if fault is not None:
-                yield self._lost(worker, fault)
+                yield self._fail_item(worker, fault)
 
     def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
         received_message = worker.received()
@@ -185,7 +185,7 @@ class _Pool:
         elif isinstance(
             received_message, ItemOutcome
         ) and received_message.number == _number(worker):
-            yield from self._ended(worker, received_message)
+            yield from self._end_item(worker, received_message)
         elif not worker.ready:
             self._failed_to_start(worker)
         elif worker.item is None:
@@ -196,26 +196,26 @@ class _Pool:
             code = worker.process.exitcode or 0
             # A process killed from outside was not crashed by the file that it read.
             if worker.path and -code in CRASHES and code != -9:
-                yield self._lost(worker, crash_fault(worker.path, -code))
+                yield self._fail_item(worker, crash_fault(worker.path, -code))
                 return
             message = f"the process that built it {_how_it_ended(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
                 hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
-            yield self._lost(worker, Fault("BAT020", message, hint=hint))
+            yield self._fail_item(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
         """End a process that does not accept an item."""
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
-        why = _how_it_ended(worker.process)
+        reason = _how_it_ended(worker.process)
         worker.end(kill=True)
         self.failed_starts += 1
         if self.failed_starts == MAX_FAILED_STARTS:
-            raise _unstartable(f"the last {why}")
+            raise _start_error(f"the last {reason}")
 
-    def _ended(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
+    def _end_item(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
         retired = outcome.retired or self._leaks_memory(worker)
         # The failure may be the last allowed one, which is known only after reporting
@@ -246,7 +246,7 @@ class _Pool:
             )
         return None
 
-    def _lost(self, worker: _Worker, fault: Fault) -> ItemOutcome:
+    def _fail_item(self, worker: _Worker, fault: Fault) -> ItemOutcome:
         """End a process, and return the failure of its item."""
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.began
@@ -363,8 +363,8 @@ def _number(worker: _Worker) -> int | None:
     return None if worker.item is None else worker.item.number
 
 
-def _unstartable(why: str) -> OutputError:
-    message = f"worker processes cannot be started: {why}"
+def _start_error(reason: str) -> OutputError:
+    message = f"worker processes cannot be started: {reason}"
     hint = (
         f"allow more memory, or lower {argument('jobs')}; finished items are "
         "recorded and will be skipped"

@@ -37,7 +37,7 @@ class RecordError(ValueError):
     """A plain value has the wrong type or range; the message says which."""
 
 
-def _refused(name: str) -> NoReturn:
+def _refuse_constant(name: str) -> NoReturn:
     raise RecordError(f"{name} is not a number")
 
 
@@ -48,13 +48,13 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return values
 
 
-_PLAIN = json.JSONDecoder(parse_constant=_refused)
-_UNIQUE = json.JSONDecoder(parse_constant=_refused, object_pairs_hook=_unique)
+_STRICT_DECODER = json.JSONDecoder(parse_constant=_refuse_constant)
+_UNIQUE = json.JSONDecoder(parse_constant=_refuse_constant, object_pairs_hook=_unique)
 
 
 def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
     """Return the JSON object in some data."""
-    decoder = _UNIQUE if unique else _PLAIN
+    decoder = _UNIQUE if unique else _STRICT_DECODER
     try:
         return object_of(decoder.decode(data.decode("utf-8")))
     except RecordError:
@@ -175,7 +175,7 @@ class LineReader:
             with BufferedReader(raw) as file:
                 yield from self._lines(file)
         except OSError as error:
-            raise self._unreadable(error.strerror or str(error)) from error
+            raise self._read_error(error.strerror or str(error)) from error
 
     def _lines(self, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         self._head(file)
@@ -190,14 +190,14 @@ class LineReader:
             self.number += 1
             self.length += length
             try:
-                record = self._parsed(line, length)
+                record = self._parse_line(line, length)
             except RecordError as error:
                 self.damaged[self.number] = str(error)
             else:
                 yield record
 
     def _head(self, file: IO[bytes]) -> None:
-        """Read the first line; without one, nothing is read."""
+        """Read the first line, if the file has one."""
         expected = _line_text(self.head).encode()
         line = file.readline(MAX_LINE)
         # The first line may be incomplete after a kill; other files are not
@@ -212,12 +212,12 @@ class LineReader:
             raise self._foreign(head)
         self.length, self.number = len(line), 1
 
-    def _parsed(self, line: bytes, length: int) -> dict[str, Any]:
+    def _parse_line(self, line: bytes, length: int) -> dict[str, Any]:
         """Return a parsed line of a length, without its checksum."""
         if length > MAX_LINE:
             raise RecordError(f"is longer than {MAX_LINE} bytes")
         content, checksum_text = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
-        is_valid = checksum_text == _ending(content)
+        is_valid = checksum_text == _checksum_end(content)
         record = json_object(line, unique=not is_valid)
         self._summed |= is_valid
         if not is_valid and (self._summed or "crc" in record):
@@ -229,15 +229,15 @@ class LineReader:
         """Return a warning of damaged lines; None without any."""
         if not self.damaged:
             return None
-        number, why = next(iter(self.damaged.items()))
+        number, reason = next(iter(self.damaged.items()))
         count = counted(len(self.damaged), "line")
-        message = f"{count} of the record cannot be used: line {number} {why}"
+        message = f"{count} of the record cannot be used: line {number} {reason}"
         hint = "the items in them are rebuilt"
         lines = tuple(self.damaged)[:100]
         return Fault("BAT070", message, str(self.path), lines, hint, Severity.WARNING)
 
-    def _unreadable(self, why: str) -> FormatError:
-        return FormatError(Fault("BAT011", f"cannot be read: {why}", str(self.path)))
+    def _read_error(self, reason: str) -> FormatError:
+        return FormatError(Fault("BAT011", f"cannot be read: {reason}", str(self.path)))
 
     def _foreign(self, line: Line) -> FormatError:
         (kind, version), *_ = self.head.items()
@@ -249,7 +249,7 @@ class LineReader:
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 
 
-def _ending(body: bytes) -> bytes:
+def _checksum_end(body: bytes) -> bytes:
     return f'{_SUM}{zlib.crc32(body):08x}"}}\n'.encode()
 
 
@@ -259,7 +259,7 @@ def _line_text(line: Line) -> str:
 
 def _summed(line: Line) -> bytes:
     body = _line_text(line).encode()[:-2]
-    return body + _ending(body)
+    return body + _checksum_end(body)
 
 
 class LineWriter:
@@ -280,7 +280,7 @@ class LineWriter:
             self._handle = os.open(path, flags, 0o666)
             os.ftruncate(self._handle, length)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._write_error(error) from error
         if not length:
             self._write(_line_text(head).encode())
 
@@ -305,13 +305,13 @@ class LineWriter:
         try:
             written = os.write(self._handle, data)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._write_error(error) from error
         if written < len(data):
             os.ftruncate(self._handle, self.length)
-            raise self._unwritable("the disk is full")
+            raise self._write_error("the disk is full")
         self.length += written
 
-    def _unwritable(self, error: OSError | str) -> OutputError:
+    def _write_error(self, error: OSError | str) -> OutputError:
         fault = output_error(self.path, error).faults[0]
         hint = fault.hint or "finished items are recorded"
         return OutputError(Fault("BAT012", fault.message, fault.path, (), hint))

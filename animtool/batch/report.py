@@ -77,7 +77,7 @@ class ItemReport:
 
     @property
     def failed(self) -> bool:
-        """Whether it failed."""
+        """Whether the item failed."""
         return self.status is ItemStatus.FAILED
 
     @property

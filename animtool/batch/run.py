@@ -105,9 +105,9 @@ def run_batch(
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
-        selected = _retried(items, options, planner, history)
+        selected_items = _items_to_consider(items, options, planner, history)
         planned_reports = [
-            _planned(decision) for decision in planner.decisions(selected)
+            _planned_report(decision) for decision in planner.decisions(selected_items)
         ]
         seconds = time.perf_counter() - start_time
         return BatchReport(
@@ -137,7 +137,7 @@ def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
     return batch.items[first_number - 1 : last_number]
 
 
-def _retried(
+def _items_to_consider(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
 ) -> Sequence[Item]:
     """Return the considered items: all, or those that failed last time."""
@@ -146,7 +146,7 @@ def _retried(
     return [item for item in items if planner.key(item) in history.failed]
 
 
-def _planned(decision: Decision) -> ItemReport:
+def _planned_report(decision: Decision) -> ItemReport:
     status = ItemStatus.NOT_RUN if decision.due else ItemStatus.SKIPPED
     return ItemReport(
         decision.item,
@@ -181,7 +181,9 @@ class _BatchRun:
     def plan(self, items: Sequence[Item]) -> None:
         """Decide which items to build, and check their outputs."""
         due: list[Item] = []
-        selected = _retried(items, self.options, self.planner, self.ledger.history)
+        selected = _items_to_consider(
+            items, self.options, self.planner, self.ledger.history
+        )
         for decision in self.planner.decisions(selected):
             item = decision.item
             self.decisions[item.number] = decision
@@ -224,7 +226,7 @@ class _BatchRun:
         builder = ItemBuilder(self.batch.item_task, self.batch.root)
         requested_jobs = self.options.jobs or self.batch.jobs
         jobs = min(requested_jobs or _processors(), len(due))
-        items = self._begun(due)
+        items = self._start_items(due)
         work = Work(
             builder,
             items,
@@ -242,7 +244,7 @@ class _BatchRun:
             for outcome in outcomes:
                 # Executors of plug-ins may yield anything.
                 if isinstance(outcome, ItemOutcome):
-                    self._ended(outcome)
+                    self._record_outcome(outcome)
                 elif isinstance(outcome, Fault):
                     self.notices.append(outcome)
                     self.listener.warned(outcome)
@@ -252,11 +254,11 @@ class _BatchRun:
             item = self.decisions[number].item
             message = "the process that built it did not report a result"
             fault = Fault("BAT020", message, str(item.file.path))
-            self._ended(ItemOutcome.failed(item, fault))
+            self._record_outcome(ItemOutcome.failed(item, fault))
         # A process of a killed run may have lived a moment longer.
         self._tidy()
 
-    def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
+    def _start_items(self, due: Sequence[Item]) -> Iterator[Item]:
         """Yield items as they are started, until too many have failed."""
         max_failures = self.options.max_failures
         for item in due:
@@ -269,13 +271,13 @@ class _BatchRun:
                 try:
                     check_overwrites(self.batch, [item], self._is_known)
                 except OptionError as error:
-                    self._ended(ItemOutcome.failed(item, *error.faults))
+                    self._record_outcome(ItemOutcome.failed(item, *error.faults))
                     continue
             self.ledger.claim([relative_name(path, self.batch.root) for path in paths])
             self.listener.began(item)
             yield item
 
-    def _ended(self, outcome: ItemOutcome) -> None:
+    def _record_outcome(self, outcome: ItemOutcome) -> None:
         if outcome.number not in self.begun or outcome.number in self.ended:
             # A plug-in's executor reported it twice, or reported an unknown item.
             return
@@ -310,7 +312,7 @@ class _BatchRun:
     def reports(self) -> Iterator[ItemReport]:
         """Yield the report of every considered item, in order."""
         for number, decision in self.decisions.items():
-            yield self.ended.get(number) or _planned(decision)
+            yield self.ended.get(number) or _planned_report(decision)
 
 
 def _processors() -> int:

@@ -169,7 +169,7 @@ class Walk:
         if self._is_disabled(tracks, "the timeline's stack"):
             return
         try:
-            window, speed_and_window = _inside(tracks, None)
+            window, speed_and_window = _content_window(tracks, None)
         except UnsupportedTimeError as error:
             self.leave_out(tracks, "BAT044", f"the timeline's stack: {error}")
             return
@@ -221,7 +221,7 @@ class Walk:
             self.clips.append(ShownClip(item, path, named, visible_part, speed))
             return
         try:
-            inner_window, inner_speed = _inside(item, visible_part)
+            inner_window, inner_speed = _content_window(item, visible_part)
         except UnsupportedTimeError as error:
             self.leave_out(item, "BAT044", f"{named}: {error}")
             return
@@ -258,7 +258,7 @@ class Walk:
                     self._item(child, inner, inner, window, begun, speed)
 
 
-def _inside(item: Any, part: Window) -> tuple[Window, Fraction]:
+def _content_window(item: Any, part: Window) -> tuple[Window, Fraction]:
     """Return the content time that a track or stack shows, and its speed.
 
     part: visible range since its begin; None for all.

@@ -111,7 +111,7 @@ def path_of_name(name: str, root: Path) -> Path:
     steps = 0
     while steps < len(path.parts) and path.parts[steps] == PARENT_FOLDER:
         steps += 1
-    # The parent of the topmost folder is itself.
+    # The topmost folder is its own parent.
     ancestor = (root, *root.parents)[min(steps, len(root.parents))]
     return ancestor.joinpath(*path.parts[steps:])
 

@@ -27,9 +27,9 @@ MAX_BYTES = 100_000_000
 MAX_NESTING = 300
 CONTENT = "content.otio"
 
-_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
+_JSON_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
 # Non-finite numbers, which the library writes and reads.
-_INFINITE = re.compile(_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
+_INFINITE = re.compile(_JSON_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
 _BRACKETS = b"[]{}"
 _NO_BRACKETS = bytes(set(range(256)) - set(_BRACKETS))
 
@@ -41,8 +41,8 @@ def check_text(path: Path) -> None:
     except FormatError as error:
         raise FormatError(replace(error.faults[0], code="BAT041")) from error
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or excerpt(str(error), 200)
-        problem = f"cannot be read as a timeline: {why}"
+        reason = getattr(error, "strerror", None) or excerpt(str(error), 200)
+        problem = f"cannot be read as a timeline: {reason}"
     if problem is not None:
         raise FormatError(Fault("BAT041", problem, str(path)))
 
@@ -80,7 +80,7 @@ def nesting(text: bytes) -> int:
     >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
     3
     """
-    brackets = _STRING.sub(b"", text).translate(None, _NO_BRACKETS)
+    brackets = _JSON_STRING.sub(b"", text).translate(None, _NO_BRACKETS)
     return max(accumulate(1 if b in b"[{" else -1 for b in brackets), default=0)
 
 
@@ -152,14 +152,14 @@ def media_path(url: str, folder: Path) -> Path:
         from urllib.request import url2pathname
 
         host = "" if url_parts.netloc in LOCAL_HOSTS else f"//{url_parts.netloc}"
-        return Path(_named(url2pathname(host + url_parts.path)))
+        return Path(_escape_null(url2pathname(host + url_parts.path)))
     if len(url_parts.scheme) > 1:
         return Path(url)
     exists = FileState.of(folder / url) is not None
-    return folder / (url if exists else _named(unquote(url)))
+    return folder / (url if exists else _escape_null(unquote(url)))
 
 
-def _named(path: str) -> str:
+def _escape_null(path: str) -> str:
     return path.replace("\0", "%00")
 
 

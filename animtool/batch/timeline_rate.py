@@ -1,4 +1,4 @@
-"""Frame rates of timelines: stated, asked for, or counted."""
+"""Frame rates of timelines: declared, requested, or inferred from clips."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     """
     path = str(edl.path)
     if edl.fps is not None:
-        return _agreed(edl.fps, asked, path)
+        return _checked_rate(edl.fps, asked, path)
     configured = asked or find_config(edl.path).timeline.fps
     if configured is not None:
         return configured
@@ -75,7 +75,7 @@ def timeline_rate(
             message = f"invalid global start time: {error}"
             raise FormatError(Fault("BAT041", message, path_text)) from error
     if stated is not None:
-        return _agreed(stated, requested_fps, path_text), []
+        return _checked_rate(stated, requested_fps, path_text), []
     configured = requested_fps or find_config(path).timeline.fps
     if configured is not None:
         return configured, []
@@ -97,13 +97,18 @@ def timeline_rate(
     ]
 
 
-def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
+def _checked_rate(
+    stated_rate: Fraction, requested_rate: Fraction | None, path: str
+) -> Fraction:
     """Return a stated rate (BAT051 if another one is requested)."""
-    if asked is not None and asked != stated:
-        message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
+    if requested_rate is not None and requested_rate != stated_rate:
+        message = (
+            f"has {rate_label(stated_rate)}, "
+            f"but {rate_label(requested_rate)} was requested"
+        )
         hint = "shots are written at the rate of their timeline"
         raise OptionError(Fault("BAT051", message, path, (), hint))
-    return stated
+    return stated_rate
 
 
 def picture_rates(composition: Any) -> Iterator[Fraction]:

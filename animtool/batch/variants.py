@@ -81,7 +81,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     for i, (name, text) in enumerate(zip(names, texts, strict=True)):
         marker = argument("vary", text)
         if "=" not in text:
-            message, form = f"{marker}: the sign = is missing", _assigned(text)
+            message, form = f"{marker}: the sign = is missing", _assignment_hint(text)
             faults.append(Fault("BAT064", message, hint=form))
         elif i in problems:
             faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
@@ -98,8 +98,8 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     raise OptionError(faults)
 
 
-def _assigned(text: str) -> str:
-    """Return a hint at how to write a text without a sign =.
+def _assignment_hint(text: str) -> str:
+    """Return a hint for a text without ``=``.
 
     >>> _assigned("wind 1 2"), _assigned("wind")
     ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')

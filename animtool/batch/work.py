@@ -86,13 +86,13 @@ class ItemBuilder:
         try:
             return self._build(item, start_time)
         except AnimtoolError as error:
-            faults = tuple(fault.in_file(_named(item)) for fault in error.faults)
+            faults = tuple(fault.in_file(_item_path(item)) for fault in error.faults)
         except MemoryError:
             is_retired = True
-            faults = (Fault("BAT022", "out of memory", _named(item)),)
+            faults = (Fault("BAT022", "out of memory", _item_path(item)),)
         except OSError as error:
             message = f"cannot be read or written: {error.strerror or error}"
-            faults = (Fault("BAT023", message, error.filename or _named(item)),)
+            faults = (Fault("BAT023", message, error.filename or _item_path(item)),)
         except Exception as error:
             kind, is_retired = type(error).__name__, True
             message = f"internal error: {kind}: {excerpt(str(error), 200)}"
@@ -100,7 +100,7 @@ class ItemBuilder:
                 f"please report it; {argument('executor', 'serial')} "
                 f"{argument('debug', True)} shows where"
             )
-            faults = (Fault("BAT023", message, _named(item), (), hint),)
+            faults = (Fault("BAT023", message, _item_path(item), (), hint),)
         finally:
             _forget_layers()
         seconds = time.perf_counter() - start_time
@@ -131,7 +131,7 @@ class ItemBuilder:
             time.perf_counter() - began,
             (),
             tuple(dict.fromkeys(n for report in reports for n in report.notices)),
-            _measured(reports),
+            _measurements(reports),
             tuple(reports[0].scores),
             self._inputs(inputs, written_at),
             outputs,
@@ -158,7 +158,7 @@ class ItemBuilder:
         return record_of(path, relative_name(path, self.root), FileState.of(path))
 
 
-def _measured(reports: Sequence[OutputReport]) -> Measured:
+def _measurements(reports: Sequence[OutputReport]) -> Measured:
     """Return the measurements of all outputs: total samples, largest error."""
     measurements = [_one_measured(report) for report in reports]
     largest = max(measurements, key=lambda measurement: measurement.error)
@@ -181,7 +181,7 @@ def _one_measured(report: OutputReport) -> Measured:
     return Measured(report.frames, report.reduction.error, report.reduction.joint)
 
 
-def _named(item: Item) -> str:
+def _item_path(item: Item) -> str:
     return str(item.file.path)
 
 

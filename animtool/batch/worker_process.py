@@ -1,4 +1,4 @@
-"""A program that builds items one after another in a process it may lose.
+"""A program that builds items one by one in a subprocess that may crash.
 
 ``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
 from stdin, and writes the outcome of each to stdout. It serves workers of other
@@ -43,7 +43,7 @@ class WorkerProcess:
         """Return the outcome of an item."""
         try:
             if self._process is None:
-                self._process = self._started()
+                self._process = self._start_process()
             self._send(item)
             return cast(ItemOutcome, pickle.load(self._pipe(self._process.stdout)))
         except OSError:
@@ -59,7 +59,7 @@ class WorkerProcess:
             self._process.communicate()
             self._process = None
 
-    def _started(self) -> Popen[bytes]:
+    def _start_process(self) -> Popen[bytes]:
         command = [sys.executable, "-P", "-m", "animtool.batch.worker_process"]
         self._process = Popen(command, stdin=PIPE, stdout=PIPE, cwd=self.task.folder)
         self._send(self.task)

@@ -180,7 +180,7 @@ def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
 
 
 def _refuse_capture(source: Path, output: Path) -> None:
-    """Refuse to replace a capture by what may be its bake, and name both ways."""
+    """Refuse to overwrite a capture with its bake; the hint names both options."""
     is_stage = source.suffix in USD_SUFFIXES and source.exists()
     if is_stage and output.suffix == ".bvh" and output.is_file():
         text = f"{output} already exists: to bake it, write animtool bake {output} -o "
@@ -240,7 +240,7 @@ def _bake(
 
 @dataclass(frozen=True, slots=True)
 class BakeResult:
-    """Reports of all outputs; that of a single one takes their place."""
+    """Reports of all outputs; for a single output, its report alone."""
 
     reports: Sequence[BakeReport | ConvertReport]
     several: bool

@@ -78,8 +78,8 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             output, count = report.item.output, f"{self.ended_items} of {self.total}"
             if report.failed:
                 self.failed += 1
-                why = report.worded(calling).why
-                _say("fail", f"{self.failed} failed, the last is {output}: {why}")
+                reason = report.worded(calling).why
+                _say("fail", f"{self.failed} failed, the last is {output}: {reason}")
             _say("progress", f"{100 * self.ended_items / self.total:.1f}")
             _say("status", f"{count}: {report.status} {output}")
             other.ended(report)

@@ -46,7 +46,7 @@ def as_flag(argument: Argument) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FlagCalling:
-    """How a command spells arguments: its flags, None for what it lacks."""
+    """Map arguments to the flags of a command; None if it has no such flag."""
 
     command: click.Command
 
@@ -66,7 +66,7 @@ class FlagCalling:
         return f"{option.opts[0]} {value}".rstrip()
 
     def elsewhere(self, argument: Argument) -> str:
-        """Return what an argument that the command lacks is called elsewhere.
+        """Return the name in other commands of an argument that this command lacks.
 
         In `animtool bake`, such as ``bake --up Z``, or else in files.
         """
@@ -124,7 +124,7 @@ class Console:
     def result_json(self, value: object, *, line: bool = False) -> None:
         """Write a record or plain values as JSON to stdout, or as one ASCII line."""
         indent = None if line else 2
-        value = self._worded(plain_value(value))
+        value = self._with_flags(plain_value(value))
         self.document(json_printed(value, indent=indent, ascii_only=line))
         sys.stdout.flush()
 
@@ -235,7 +235,7 @@ class Console:
         task = bar.add_task(escaped(label), total=1.0)
 
         def show(fraction: float) -> None:
-            # Started late, so that commands that fail at once show no bar.
+            # Delayed start: commands that fail at once show no bar.
             if not bar.live.is_started:
                 bar.start()
             bar.update(task, completed=fraction)
@@ -245,14 +245,14 @@ class Console:
         finally:
             bar.stop()
 
-    def _worded(self, value: object) -> object:
+    def _with_flags(self, value: object) -> object:
         """Return plain values whose texts name arguments by their flags."""
         if isinstance(value, str):
             return worded(value, self.calling)
         if isinstance(value, Mapping):
-            return {key: self._worded(item) for key, item in value.items()}
+            return {key: self._with_flags(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return [self._worded(item) for item in value]
+            return [self._with_flags(item) for item in value]
         return value
 
     def _line(self, level: str, text: str) -> None:

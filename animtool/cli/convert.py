@@ -180,7 +180,7 @@ def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Converted:
+class _ConvertedFile:
     """Result of a marker conversion."""
 
     frames: int
@@ -207,7 +207,7 @@ def _markers(
         raise click.UsageError(f"{option} does not apply to markers.")
 
     def work(read: Any) -> tuple[Any, Any]:
-        return read, _Converted(len(read), len(read.names))
+        return read, _ConvertedFile(len(read), len(read.names))
 
     run_on_markers(console, "convert", (source,), output, params, work)
 

@@ -55,8 +55,19 @@ class Pages:
 
 
 # Families of warnings about files with a key `ignore`, and about other files.
-_NOTED = ("BAT", "CAM", "CLIP", "DOC", "FAC", "MAP", "MKT", "RIG", "SCN", "TGT")
-_CHECKED = (
+_NOTICE_PREFIXES = (
+    "BAT",
+    "CAM",
+    "CLIP",
+    "DOC",
+    "FAC",
+    "MAP",
+    "MKT",
+    "RIG",
+    "SCN",
+    "TGT",
+)
+_CHECK_PREFIXES = (
     "BVH",
     "FBX",
     "GLT",
@@ -74,10 +85,10 @@ _CHECKED = (
 def ignoring(rule: Rule) -> str:
     """Return the part of a page on how to accept a warning; empty for others."""
     family, head = rule.code.rstrip("0123456789"), "\n## How to ignore it\n\n"
-    if rule.severity != "warning" or family not in _NOTED + _CHECKED:
+    if rule.severity != "warning" or family not in _NOTICE_PREFIXES + _CHECK_PREFIXES:
         return ""
     option = f"`animtool validate --ignore {rule.code}` leaves it out of one run."
-    if family in _CHECKED:
+    if family in _CHECK_PREFIXES:
         return f"{head}{option}\n"
     entry = f"ignore: [{{code: {rule.code}, why: it is meant}}]"
     return (
@@ -115,7 +126,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
     rules = []
     listing = not codes
     for code in codes:
-        # RIG2 stands for all codes with that prefix.
+        # RIG2 means all codes with that prefix.
         prefix = code.upper()
         rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
         matching = [

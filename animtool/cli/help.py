@@ -148,7 +148,7 @@ class Command(click.Command):
             word for word in records if _GROUP_OF[word] != "Report"
         ]
         first_sentences = [
-            (records[w][0], _first(records[w][1]))
+            (records[w][0], _first_sentence(records[w][1]))
             for w in shown_options
             if w in records
         ]
@@ -234,7 +234,7 @@ def _word(option: click.Option) -> str:
     return max(option.opts, key=len).removeprefix("--").removeprefix("-")
 
 
-def _first(text: str) -> str:
+def _first_sentence(text: str) -> str:
     """Return the first sentence of a text, without its default."""
     text = text.partition("  [")[0].partition(". ")[0]
     return f"{text.rstrip('.')}."

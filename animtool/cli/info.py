@@ -177,7 +177,7 @@ def _range(ends: tuple[int, int], noun: str, plural: str = "") -> str:
     return text if ends[0] == ends[1] else f"{ends[0]} to {text}"
 
 
-def _pieces(prim: PointPrim) -> str:
+def _pieces_text(prim: PointPrim) -> str:
     if not prim.pieces:
         return ""
     noun = "mesh" if prim.pieces == "meshes" else prim.pieces.removesuffix("s")
@@ -208,14 +208,14 @@ def _system_counts(counts: dict[str, int]) -> str:
     )
 
 
-def _met(system: SystemDescription) -> str:
+def _colliders_text(system: SystemDescription) -> str:
     return listed([*system.meets, *(["the character"] if system.character else [])])
 
 
 # Formatters in addition to `animtool.report.text.PRINTED`.
 PRINTERS: dict[str, Callable[..., str]] = {
     "range": _range,
-    "pieces": _pieces,
+    "pieces": _pieces_text,
     "has": _has,
     "kind": lambda kind: f"{_TYPE_LABELS.get(kind, kind.lower()):<9}",
     "types": lambda types, most: listed(
@@ -231,7 +231,7 @@ PRINTERS: dict[str, Callable[..., str]] = {
     "extreme": _extreme,
     "named": lambda named, most: listed([entry.name for entry in named], int(most)),
     "made": _system_counts,
-    "met": _met,
+    "met": _colliders_text,
 }
 
 
@@ -290,7 +290,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     used_variables: set[str] = set()
     for path in files:
         try:
-            descriptions.append(_described(path, params, used_variables))
+            descriptions.append(_describe(path, params, used_variables))
         except AnimtoolError as error:
             if console.debug:
                 raise
@@ -309,7 +309,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     click.get_current_context().exit(code)
 
 
-def _described(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
+def _describe(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
     """Describe a file."""
     from animtool.core.readers import is_rig_only
     from animtool.formats.marker_files import is_marker_file

@@ -82,13 +82,13 @@ def fill(
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
-        loaded = load_template(template)
-        wearer, notices = open_rig(named_rig(loaded, rig, template))
-        subject = MarkerSubject(wearer, loaded, static)
+        loaded_template = load_template(template)
+        wearer, notices = open_rig(named_rig(loaded_template, rig, template))
+        subject = MarkerSubject(wearer, loaded_template, static)
         with faults_in(markers):
-            filled, report = run_fill(read, options, subject)
+            filled_markers, report = run_fill(read, options, subject)
         report.notices[:0] = notices
-        return filled, report
+        return filled_markers, report
 
     sources = (markers,) if static is None else (markers, static)
     run_on_markers(console, "mocap fill", sources, output, params, work, _TEMPLATE)

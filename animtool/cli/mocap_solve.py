@@ -131,7 +131,7 @@ def _bones(calibration: Calibration) -> str:
     return f"{bones.min(initial=1.0):.3g} to {bones.max(initial=1.0):.3g}"
 
 
-def _worst(markers: Sequence[MarkerScore]) -> list[str]:
+def _worst_markers(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers with the largest residuals."""
     worst_markers = sorted(
         markers, key=lambda marker: -marker.rms if marker.seen else 1.0
@@ -146,7 +146,7 @@ def _strays(markers: Sequence[MarkerScore]) -> list[str]:
     return [f"{marker.name} ({percent(marker.outliers)})" for marker in strays]
 
 
-def _exchanged(solve: MarkerSolve) -> list[str]:
+def _swapped_markers(solve: MarkerSolve) -> list[str]:
     frames = solve.markers.clock.times
     return [
         f"{exchange.marker} is {exchange.label} in {frames[exchange.first]:g} to "
@@ -171,6 +171,11 @@ _TEMPLATE = Template(
         "[  not in the template: {solve.match.unused:names}]",
         "[  written: {outputs:join}]",
     ),
-    {"bones": _bones, "worst": _worst, "strays": _strays, "exchanged": _exchanged},
+    {
+        "bones": _bones,
+        "worst": _worst_markers,
+        "strays": _strays,
+        "exchanged": _swapped_markers,
+    },
     (SECONDS,),
 )

@@ -126,7 +126,7 @@ def _joint_length(text: str) -> tuple[str, float]:
     return name, parse_length(length)
 
 
-def _variable(text: str) -> tuple[str, str]:
+def _parse_variable(text: str) -> tuple[str, str]:
     from animtool.core.names import is_variable_name
 
     name, equals, value = text.partition("=")
@@ -261,7 +261,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "processes": (Parsed("processes", _processes), "N"),
 }
 # Kinds whose options can be repeated.
-_REPEATABLE = {"lengths", "codes", "severities", "texts"}
+_REPEATABLE_TYPES = {"lengths", "codes", "severities", "texts"}
 
 
 class _OneOf(click.ParamType[Any]):
@@ -338,7 +338,7 @@ def declared(
         metavar=flag_and_metavar,
         default=default,
         show_default=default not in {None, ()} and "[default: " not in text,
-        multiple=option.kind in _REPEATABLE,
+        multiple=option.kind in _REPEATABLE_TYPES,
         help=text,
     )
 
@@ -425,7 +425,7 @@ stage_option = click.option(
 set_option = click.option(
     "--set",
     "variables",
-    type=Parsed("variable", _variable),
+    type=Parsed("variable", _parse_variable),
     metavar="NAME=VALUE",
     multiple=True,
     help="Value of ${NAME} in a scene, such as shot=sh020; repeatable.",

@@ -89,7 +89,7 @@ def report(
     if output is not None and output.suffix.lower() != ".html":
         raise click.UsageError(f"The page is HTML: name it {output.stem}.html.")
     with tempfile.TemporaryDirectory() as folder:
-        tradeoffs = _measured(console, source, output, params, Path(folder))
+        tradeoffs = _measure_tradeoffs(console, source, output, params, Path(folder))
         print_tradeoffs(console, tradeoffs, params["report_format"])
         if output is None:
             return
@@ -103,7 +103,7 @@ def report(
         console.say(f"{output}: {tables}, {written_size / 1e3:.0f} kB")
 
 
-def _measured(
+def _measure_tradeoffs(
     console: Console,
     source: Path | None,
     output: Path | None,

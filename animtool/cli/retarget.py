@@ -66,14 +66,14 @@ def _angle(radians: float) -> str:
     return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
 
 
-def _stopped_joints(clamped: Mapping[str, float]) -> list[str]:
-    most_clamped = sorted(clamped.items(), key=lambda item: -item[1])
+def _stopped_joints(clamped_joints: Mapping[str, float]) -> list[str]:
+    most_clamped = sorted(clamped_joints.items(), key=lambda item: -item[1])
     return [
         f"{name} ({percent(fraction)} of frames)" for name, fraction in most_clamped
     ]
 
 
-def _scored(value: float, printer: str) -> str:
+def _score_text(value: float, printer: str) -> str:
     """Format a score; empty for a missing one."""
     if math.isnan(value):
         return ""
@@ -109,7 +109,7 @@ _TEMPLATE = Template(
         "verdict": _verdict,
         "metres": _length,
         "held": _stopped_joints,
-        "scored": _scored,
+        "scored": _score_text,
     },
     (SECONDS,),
 )

@@ -134,7 +134,7 @@ _MESHES = Each(
 _PROPS = "  beside: {props:list}]"
 
 
-def _speed(report: BakeReport) -> str:
+def _speed_text(report: BakeReport) -> str:
     return size_text(report.source_bytes / report.seconds["total"])
 
 
@@ -145,7 +145,7 @@ def _files(files: Sequence[Path]) -> str:
     return f"{files[-1]} and {len(files) - 1} more files"
 
 
-def _beyond(notices: Sequence[Fault]) -> str:
+def _beyond_limits_text(notices: Sequence[Fault]) -> str:
     has_beyond = any(notice.code == "BVH104" for notice in notices)
     return " (without values beyond it)" if has_beyond else ""
 
@@ -157,21 +157,21 @@ def _difference(curves: Sequence[CurveReport]) -> str:
     return f"{plain(largest.difference, 2)}{curve_text}"
 
 
-def _rounded(take: TakeReport) -> str:
+def _precision_text(take: TakeReport) -> str:
     return "float32 and half scales" if take.written.rounding.scales else "float32"
 
 
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
     """Group meshes into deformed and simulated ones, with titles."""
     groups = []
-    for is_simulated, print_title in ((False, _deformed), (True, _simulated)):
+    for is_simulated, print_title in ((False, _deformed_text), (True, _simulated_text)):
         group_meshes = [mesh for mesh in meshes if mesh.simulated is is_simulated]
         if group_meshes:
             groups.append({"title": print_title(group_meshes), "meshes": group_meshes})
     return groups
 
 
-def _deformed(meshes: list[MeshReport]) -> str:
+def _deformed_text(meshes: list[MeshReport]) -> str:
     strands = sum(mesh.kind == "strands" for mesh in meshes)
     meshes_text = counted(len(meshes) - strands, "mesh", "meshes")
     if strands:
@@ -179,7 +179,7 @@ def _deformed(meshes: list[MeshReport]) -> str:
     return f"{meshes_text} of {meshes[0].of}, deformed"
 
 
-def _simulated(meshes: list[MeshReport]) -> str:
+def _simulated_text(meshes: list[MeshReport]) -> str:
     return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
@@ -202,7 +202,7 @@ def _worst_point(written: Any) -> str:
     )
 
 
-def _kept(characters: Any) -> str:
+def _kept_text(characters: Any) -> str:
     frames = characters.frames
     return f"{characters.samples / frames:.0%}" if frames else "none"
 
@@ -248,10 +248,10 @@ BAKED = Template(
         "ms": lambda spent: duration_text(spent / 1e3),
         "points": _points,
         "worst_point": _worst_point,
-        "kept": _kept,
-        "speed": _speed,
-        "rounded": _rounded,
-        "beyond": _beyond,
+        "kept": _kept_text,
+        "speed": _speed_text,
+        "rounded": _precision_text,
+        "beyond": _beyond_limits_text,
         "posed": lambda take: [take] if take.posed else [],
         "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
         "difference": _difference,
@@ -281,7 +281,7 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
     return _OUTPUTS[type(report).__name__]
 
 
-def _others(step: PlanStep, name: str) -> str:
+def _other_prims_text(step: PlanStep, name: str) -> str:
     """Return the other prims that a step reads or writes."""
     entries = getattr(step, name)
     return "" if entries == (step.name,) else ", ".join(entries)
@@ -300,7 +300,7 @@ PLAN = Template(
             ),
         ),
     ),
-    {"others": _others},
+    {"others": _other_prims_text},
     is_result=True,
 )
 STATS = Template(

@@ -1,4 +1,4 @@
-"""Usage errors that say what the command line was meant to be."""
+"""Usage errors that suggest the intended command line."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ _TAKEN_BY = {
     "remap": "--remap",
 }
 # What most users of an option want: the first of these commands that has it.
-_OFFERED = ("bake", "retarget", "ik", "batch", "validate", "preview", "info")
+_SUGGESTED_COMMANDS = ("bake", "retarget", "ik", "batch", "validate", "preview", "info")
 _CHOICE = re.compile(r": '([^']*)' is not one of ('.*')\.")
-_EXTRA = re.compile(r"unexpected extra arguments? \((.*)\)")
+_EXTRA_ARGUMENTS = re.compile(r"unexpected extra arguments? \((.*)\)")
 
 
 def explained(error: click.ClickException) -> click.ClickException:
-    """Return a usage error with what was likely meant."""
+    """Return a usage error with a suggestion."""
     context = getattr(error, "ctx", None)
     if context is None:
         return error
@@ -74,19 +74,25 @@ def explained(error: click.ClickException) -> click.ClickException:
         hint = next(_option_hints(error.option_name, context), None)
         hint = hint or f"{context.command_path} -h lists the options"
         text = f"No such option {error.option_name!r}; {hint}"
-    elif extra := _EXTRA.search(error.message):
-        first = extra[1].split()[0]
+    elif extra_match := _EXTRA_ARGUMENTS.search(error.message):
+        first = extra_match[1].split()[0]
         hint = _argument_hint(first, context)
         if hint is None:
             hint = f"{context.command_path} -h shows what it takes"
         text = f"Unexpected argument {first!r}; {hint}"
     elif choice := _CHOICE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
-        other = OTHER_VALUES.get(choice[1].lower())
-        near = [other] if other in names else get_close_matches(choice[1], names, 1)
-        if not near:
+        other_value = OTHER_VALUES.get(choice[1].lower())
+        close_matches = (
+            [other_value]
+            if other_value in names
+            else get_close_matches(choice[1], names, 1)
+        )
+        if not close_matches:
             return error
-        text = f"{error.format_message().rstrip('.')}; did you mean {near[0]!r}?"
+        text = (
+            f"{error.format_message().rstrip('.')}; did you mean {close_matches[0]!r}?"
+        )
     else:
         return error
     return click.UsageError(text if text.endswith("?") else f"{text}.", context)
@@ -111,26 +117,26 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
 def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     """Yield hints for an option that a command does not have, the best one first."""
     command, path = context.command, context.command_path
-    bare = name.lstrip("-")
-    if isinstance(command, LazyGroup) and bare in command.table:
-        yield f"write {path} {bare}"
+    bare_name = name.lstrip("-")
+    if isinstance(command, LazyGroup) and bare_name in command.table:
+        yield f"write {path} {bare_name}"
     flags = [flag for param in _options(command) for flag in param.opts]
     meant = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
     if meant:
         yield f"did you mean {meant[0]!r}?"
-    argument = _argument_named(bare, command)
+    argument = _argument_named(bare_name, command)
     if argument is not None:
         yield f"{argument} is an argument: {path} {argument}"
     owner = next(_owners(name, context), None)
-    near = get_close_matches(name, flags, 1, SURE if owner else CUTOFF)
-    if near:
-        yield f"did you mean {near[0]!r}?"
-    if bare in {"o", "output"}:
+    close_matches = get_close_matches(name, flags, 1, SURE if owner else CUTOFF)
+    if close_matches:
+        yield f"did you mean {close_matches[0]!r}?"
+    if bare_name in {"o", "output"}:
         yield "the result goes to stdout; add > FILE"
     if owner is not None:
         yield f"{owner} has it, {path} does not"
     if "--set" in flags and name.startswith("--"):
-        yield f"to set a variable of a scene, write --set {bare}=VALUE"
+        yield f"to set a variable of a scene, write --set {bare_name}=VALUE"
 
 
 def _owners(name: str, context: click.Context) -> Iterator[str]:
@@ -139,12 +145,12 @@ def _owners(name: str, context: click.Context) -> Iterator[str]:
     group = root.command
     if not isinstance(group, LazyGroup):
         return
-    for other in dict.fromkeys((*_OFFERED, *group.table)):
-        command = group.get_command(root, other)
+    for command_name in dict.fromkeys((*_SUGGESTED_COMMANDS, *group.table)):
+        command = group.get_command(root, command_name)
         if command is None or isinstance(command, click.Group):
             continue
         if any(name in param.opts for param in _options(command)):
-            yield f"{root.command_path} {other}"
+            yield f"{root.command_path} {command_name}"
 
 
 def _options(command: click.Command) -> list[click.Option]:
@@ -153,7 +159,11 @@ def _options(command: click.Command) -> list[click.Option]:
 
 def _argument_named(name: str, command: click.Command) -> str | None:
     """Return the argument of a command that an option was taken for."""
-    arguments = [one for one in command.params if isinstance(one, click.Argument)]
+    arguments = [
+        parameter
+        for parameter in command.params
+        if isinstance(parameter, click.Argument)
+    ]
     for i, argument in enumerate(arguments):
         shown = (argument.metavar or argument.human_readable_name).rstrip(".")
         names = {str(argument.name).lower(), *re.findall(r"[a-z]+", shown.lower())}
@@ -166,8 +176,8 @@ def _argument_hint(text: str, context: click.Context) -> str | None:
     """Return a hint for an argument that a command does not take."""
     flags = {flag for param in _options(context.command) for flag in param.opts}
     path = Path(text)
-    stated = [suffix[1:] for suffix in path.suffixes]
-    taken = [flag for kind, flag in _TAKEN_BY.items() if kind in stated]
+    suffixes = [suffix[1:] for suffix in path.suffixes]
+    taken = [flag for kind, flag in _TAKEN_BY.items() if kind in suffixes]
     for flag in taken:
         if flag in flags:
             return f"write {flag} {text}"

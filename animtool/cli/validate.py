@@ -71,13 +71,13 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
 
         check_outputs([choices.output_file], files, overwrite=True)
     if choices.fix:
-        report = _fixed(console, files, options, choices)
+        report = _fix_files(console, files, options, choices)
     else:
-        report = _checked(files, options)
+        report = _validate(files, options)
     _say(console, report, choices, missing)
 
 
-def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
+def _validate(files: Sequence[Path], options: ValidateOptions) -> Report:
     from animtool.validation.run import validate_files
 
     report = validate_files(files, options)
@@ -88,7 +88,7 @@ def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
     return with_fixable(report)
 
 
-def _fixed(
+def _fix_files(
     console: Console,
     files: Sequence[Path],
     options: ValidateOptions,

@@ -106,7 +106,7 @@ class Text(str):
 
     def __new__(cls, parts: tuple[Part, ...]) -> Text:
         """Join parts, with arguments named as in Python."""
-        text = super().__new__(cls, _joined(parts, in_python))
+        text = super().__new__(cls, _join_parts(parts, in_python))
         text.parts = parts
         return text
 
@@ -172,14 +172,14 @@ def worded(text: str, calling: Calling) -> str:
     'up: Z says it'
     """
     text = marked(text)
-    return _joined(text.parts, calling) if isinstance(text, Text) else text
+    return _join_parts(text.parts, calling) if isinstance(text, Text) else text
 
 
-def _joined(parts: tuple[Part, ...], calling: Calling) -> str:
-    return "".join(_worded(part, calling) for part in parts)
+def _join_parts(parts: tuple[Part, ...], calling: Calling) -> str:
+    return "".join(_part_text(part, calling) for part in parts)
 
 
-def _worded(part: Part, calling: Calling) -> str:
+def _part_text(part: Part, calling: Calling) -> str:
     if isinstance(part, Argument):
         return calling(part) or getattr(calling, "elsewhere", in_file)(part)
     if isinstance(part, Clause):
@@ -188,7 +188,7 @@ def _worded(part: Part, calling: Calling) -> str:
             for argument_part in part.parts
             if isinstance(argument_part, Argument)
         ]
-        return _joined(part.parts, calling) if all(map(calling, arguments)) else ""
+        return _join_parts(part.parts, calling) if all(map(calling, arguments)) else ""
     return part
 
 

@@ -41,7 +41,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise _too_deep() from error
     level: list[Any] = [tables]
     for _ in range(MAX_DEPTH):
-        level = [inner for value in level for inner in _inside(value)]
+        level = [inner for value in level for inner in _nested_values(value)]
         if not level:
             return tables
     raise _too_deep()
@@ -51,7 +51,7 @@ def _too_deep(position: str = "") -> ValueError:
     return ValueError(f"it is nested deeper than {MAX_DEPTH}{position}")
 
 
-def _inside(value: Any) -> Iterable[Any]:
+def _nested_values(value: Any) -> Iterable[Any]:
     """Return the values of a table or a list."""
     if isinstance(value, dict):
         return value.values()
@@ -113,7 +113,7 @@ def find_config(path: Path) -> Config:
 
 def _table(path: Path) -> dict[str, Any]:
     try:
-        return _parsed(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
+        return _parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
         fault = replace(error.faults[0], code="CFG001")
         raise OptionError(fault) from error
@@ -126,19 +126,19 @@ def _toml_fault(problem: str, path: str) -> Fault:
     match = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", problem)
     if match is None:
         problem = problem.removesuffix(" (at end of document)")
-        return Fault("CFG001", f"invalid TOML: {_lowered(problem)}", path)
+        return Fault("CFG001", f"invalid TOML: {_lower_first(problem)}", path)
     lines, column = (int(match[2]),), int(match[3])
     return Fault(
-        "CFG001", f"invalid TOML: {_lowered(match[1])}", path, lines, column=column
+        "CFG001", f"invalid TOML: {_lower_first(match[1])}", path, lines, column=column
     )
 
 
-def _lowered(text: str) -> str:
+def _lower_first(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
 @lru_cache(maxsize=8)
-def _parsed(text: str) -> dict[str, Any]:
+def _parse_toml(text: str) -> dict[str, Any]:
     """Return parsed TOML, cached for files of one project."""
     return parse_toml(text)
 
@@ -150,9 +150,11 @@ def _config(path: Path, table: Any) -> Config:
     names = [entry.name for entry in fields(Config) if entry.name != "path"]
     for name in table:
         if name not in names:
-            allowed = f"allowed: {', '.join(names)}"
+            allowed_names = f"allowed: {', '.join(names)}"
             raise OptionError(
-                Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed)
+                Fault(
+                    "CFG002", f"unknown setting {name!r}", str(path), (), allowed_names
+                )
             )
     stated_start = table.get("start")
     frame = isinstance(stated_start, int) and not isinstance(stated_start, bool)

@@ -271,7 +271,7 @@ def naming(
     hint: str | None = None,
     severity: Severity = Severity.ERROR,
 ) -> Fault:
-    """Return a fault whose message lists all names; its brief form the first few.
+    """Return a fault that lists all names; its brief form lists the first few.
 
     >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
     'missing: a, b, c, d, e, f, g, h, i, j, k, l …'

@@ -103,7 +103,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
 def check_unused(
     stated: Iterable[str], used: Iterable[str], path: Path | None = None
 ) -> None:
-    """Refuse variables that nothing uses; ``path`` is the file that states them.
+    """Refuse unused variables; ``path`` is the file that defines them.
 
     Raises:
         OptionError: Has a fault for each of them (SCN031).
@@ -127,7 +127,7 @@ def check_unused(
 # Digits that a float64 needs at most, and that most need.
 MAX_DIGITS, DEFAULT_DIGITS = 17, 15
 # Control characters except line ends and tabs.
-_UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
+_UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
 def number(value: float) -> str:
@@ -195,7 +195,7 @@ def unreadable(value: str) -> str:
     >>> unreadable("a\x1bb"), unreadable("a\n")
     ('\x1b', '')
     """
-    match = _UNREADABLE.search(value)
+    match = _UNREADABLE_CHARACTERS.search(value)
     return match[0] if match else ""
 
 

@@ -137,5 +137,5 @@ def _warn(old: str, new: str) -> None:
     warnings.warn(f"{old} is now called {new}", DeprecationWarning, stacklevel=3)
 
 
-# Last: nothing is looked up until an old name is imported.
+# Added last: used only when an old name is imported.
 sys.meta_path.append(cast(Any, _OldNames()))

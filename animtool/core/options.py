@@ -133,7 +133,7 @@ class Option:
 
     @property
     def about(self) -> str:
-        """Description for Python: that of files, else the help text.
+        """Description for Python: the one used in files, else the help text.
 
         Empty if its command-line values are not values in Python.
         """

@@ -106,14 +106,14 @@ def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
     try:
         plugin: object = point.load()
     except Exception as error:
-        raise _broken(point, kind, str(error)) from error
+        raise _plugin_error(point, kind, str(error)) from error
     if not isinstance(plugin, kind):
         reason = f"a {type(plugin).__name__}, no {kind.__name__}"
-        raise _broken(point, kind, reason)
+        raise _plugin_error(point, kind, reason)
     return plugin
 
 
-def _broken(point: EntryPoint, kind: type[object], reason: str) -> OptionError:
+def _plugin_error(point: EntryPoint, kind: type[object], reason: str) -> OptionError:
     description = (
         f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
     )

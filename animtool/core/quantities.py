@@ -26,7 +26,7 @@ _UNSEEN = (
 )
 _JOINER = "(?<![^\x00-\x7f])[\u200c\u200d]|[\u200c\u200d](?![^\x00-\x7f])"
 _COMMAND = r"#(?=#\w{0,9}\[)"
-_ESCAPED = re.compile(f"[{_UNSEEN}]|{_JOINER}|{_COMMAND}")
+_CHARACTERS_TO_ESCAPE = re.compile(f"[{_UNSEEN}]|{_JOINER}|{_COMMAND}")
 _LEADING_COLON = re.compile(r"\A(\s*):(?=:)")
 _SHORT_ESCAPES = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
@@ -41,7 +41,7 @@ def escaped(text: str) -> str:
     """
     if text.isascii() and text.isprintable() and ":" not in text and "#" not in text:
         return text
-    return _LEADING_COLON.sub(r"\1\\x3a", _ESCAPED.sub(_escape, text))
+    return _LEADING_COLON.sub(r"\1\\x3a", _CHARACTERS_TO_ESCAPE.sub(_escape, text))
 
 
 def escaped_lines(text: str) -> str:
@@ -63,7 +63,7 @@ def json_printed(
     """
     text = json.dumps(value, indent=indent, ensure_ascii=ascii_only, allow_nan=False)
     # Line ends are only between values; json escapes all others.
-    return _ESCAPED.sub(_escape_json, text)
+    return _CHARACTERS_TO_ESCAPE.sub(_escape_json, text)
 
 
 def _escape(match: re.Match[str]) -> str:

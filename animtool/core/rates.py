@@ -121,8 +121,10 @@ def rate_from_frame_time(text: str) -> RateChoice:
         )
         return RateChoice(Fraction(best_integer), RateKind.REPRINTED, rivals)
 
-    candidates = [Fraction(n) for n in _around(exact_rate)]
-    candidates += [Fraction(n * 1000, 1001) for n in _around(exact_rate * 1001 / 1000)]
+    candidates = [Fraction(n) for n in _adjacent_integers(exact_rate)]
+    candidates += [
+        Fraction(n * 1000, 1001) for n in _adjacent_integers(exact_rate * 1001 / 1000)
+    ]
     if candidates:
         best_rate = min(candidates, key=lambda rate: abs(rate - exact_rate))
         if abs(best_rate - exact_rate) <= NEAREST_RATE_TOLERANCE * best_rate:
@@ -130,14 +132,14 @@ def rate_from_frame_time(text: str) -> RateChoice:
     return RateChoice(exact_rate, RateKind.PRINTED)
 
 
-def _around(rate: Fraction) -> list[int]:
+def _adjacent_integers(rate: Fraction) -> list[int]:
     return [n for n in (int(rate), int(rate) + 1) if 1 <= n <= HIGHEST_RATE]
 
 
-def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
-    """Integers n in 1..1000 with 1/n, rounded half up to digits, as printed."""
+def _integers_that_print(printed_rate: Fraction, digits: int) -> list[int]:
+    """Integers n in 1..1000 whose 1/n, rounded half up, is the printed number."""
     half = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
-    lower, upper = printed - half, printed + half
+    lower, upper = printed_rate - half, printed_rate + half
     smallest = int(1 / upper)
     largest = int(1 / lower) + 1 if lower > 0 else HIGHEST_RATE
     return [

@@ -79,7 +79,7 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
     methods_to_add["__dataclass_fields__"] = declared_fields
     methods_to_add["__dataclass_params__"] = flags
     if flags.slots:
-        return _slotted(cls, declared_fields, methods_to_add)
+        return _class_with_slots(cls, declared_fields, methods_to_add)
     for name, method in methods_to_add.items():
         setattr(cls, name, method)
     return cls
@@ -168,7 +168,7 @@ def _methods(
             frozenset(declared_fields)
         )
     if flags.frozen and flags.slots:
-        methods["__getstate__"], methods["__setstate__"] = _pickled(
+        methods["__getstate__"], methods["__setstate__"] = _pickle_methods(
             tuple(declared_fields)
         )
     return methods
@@ -218,7 +218,9 @@ def _initializer(
                 or values.keys() != settable_names
                 or (
                     (positional or unset_names)
-                    and _taken(named, positional_names[: len(positional)], unset_names)
+                    and _is_repeated_or_unknown(
+                        named, positional_names[: len(positional)], unset_names
+                    )
                 )
             ):
                 _refuse(self, positional, named)
@@ -230,16 +232,20 @@ def _initializer(
     return __init__
 
 
-def _taken(named: Mapping[str, Any], *known_names: Iterable[str]) -> bool:
+def _is_repeated_or_unknown(
+    keyword_arguments: Mapping[str, Any], *known_names: Iterable[str]
+) -> bool:
     """Return whether an argument is repeated or unknown."""
-    return any(name in named for names in known_names for name in names)
+    return any(name in keyword_arguments for names in known_names for name in names)
 
 
-def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) -> None:
+def _refuse(
+    record: Any, positional: tuple[Any, ...], keyword_arguments: Mapping[str, Any]
+) -> None:
     """Raise Python's error for arguments that do not fit."""
     kind = type(record)
     try:
-        _signature(kind).bind(*positional, **named)
+        _signature(kind).bind(*positional, **keyword_arguments)
     except TypeError as error:
         raise TypeError(f"{kind.__qualname__}.__init__(): {error}") from None
 
@@ -313,7 +319,7 @@ def _hasher(names: list[str]) -> Callable[[Any], int]:
 def _shower(names: list[str]) -> Callable[[Any], str]:
     def __repr__(self: Any) -> str:  # noqa: N807
         kind = type(self)
-        # A record that contains itself, through a list, would recurse endlessly.
+        # A record that contains itself through a list would recurse forever.
         if id(self) in _REPR_ACTIVE:
             return "..."
         _REPR_ACTIVE.add(id(self))
@@ -347,7 +353,7 @@ def _frozen_methods(
     return __setattr__, __delattr__
 
 
-def _pickled(
+def _pickle_methods(
     names: tuple[str, ...],
 ) -> tuple[Callable[[Any], list[Any]], Callable[[Any, list[Any]], None]]:
     """Return the pickle methods of a frozen record with slots."""
@@ -362,7 +368,7 @@ def _pickled(
     return __getstate__, __setstate__
 
 
-def _slotted(
+def _class_with_slots(
     cls: type[Any], declared_fields: Iterable[str], methods_to_add: Mapping[str, Any]
 ) -> type[Any]:
     """Return a class with slots for fields that its bases have no slots for."""

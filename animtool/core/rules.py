@@ -95,7 +95,7 @@ class Rule:
 def read_page(code: str) -> tuple[Rule, str] | None:
     """Return a code and the Markdown of its page; None if there is none."""
     file = _PAGES / f"{code}.md"
-    return _parsed(file.read_text("utf-8")) if file.is_file() else None
+    return _parse_page(file.read_text("utf-8")) if file.is_file() else None
 
 
 def page_text(code: str) -> str | None:
@@ -111,7 +111,7 @@ def builtin_rules() -> Mapping[str, Rule]:
     for file in _PAGES.iterdir():
         # For 800 files, text buffers and decoders would take half of the time.
         with cast(Path, file).open("rb", buffering=0) as page:
-            rules.append(_parsed(page.read().decode())[0])
+            rules.append(_parse_page(page.read().decode())[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 
 
@@ -149,7 +149,7 @@ def _builtin_rule(code: str) -> Rule:
     return page[0]
 
 
-def _parsed(text: str) -> tuple[Rule, str]:
+def _parse_page(text: str) -> tuple[Rule, str]:
     """Return the code that a page's front matter declares, and the text of the page."""
     _, front_matter, page_body = text.split("---\n", 2)
     values = dict(line.split(": ", 1) for line in front_matter.splitlines())
@@ -184,7 +184,7 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     rules = dict(builtin_rules())
     failed: list[Fault] = []
     for entry_point in _points():
-        rule_or_fault = _loaded(entry_point)
+        rule_or_fault = _load_rule(entry_point)
         if isinstance(rule_or_fault, Rule):
             rules[rule_or_fault.code] = rule_or_fault
         else:
@@ -196,7 +196,7 @@ def listed_rules() -> list[ListedEntry]:
     """Return the rules of plug-ins, loaded, and the kinds of files that they check."""
     listed = []
     for point in _points():
-        loaded = _loaded(point)
+        loaded = _load_rule(point)
         if isinstance(loaded, Rule):
             kind, about = ", ".join(sorted(loaded.kinds)), loaded.title
         else:
@@ -251,7 +251,7 @@ def _points() -> list[EntryPoint]:
     return [point for _, point in sorted(plugin_points(PLUGIN_GROUP).items())]
 
 
-def _loaded(point: EntryPoint) -> Rule | Fault:
+def _load_rule(point: EntryPoint) -> Rule | Fault:
     """Return the rule of a plug-in, or its fault."""
     description = f"the plug-in rule {point.name!r} ({point.value})"
     try:
@@ -264,11 +264,11 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
         hint = "repair or remove the plug-in"
         message = f"{description} has a check that cannot be loaded: {error}"
         return Fault("IO003", message, hint=hint)
-    fault = _wrong(point.name, rule)
+    fault = _rule_fault(point.name, rule)
     return Fault("IO003", f"{description} {fault}") if fault else rule
 
 
-def _wrong(name: str, rule: Rule) -> str:
+def _rule_fault(name: str, rule: Rule) -> str:
     """Return the fault of a plug-in's rule, or None."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"

@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 
 # Line ends according to YAML.
 _LINE_ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-# Longer files are arrays, whose lines nobody reads.
+# Longer files are arrays; their lines are not shown.
 MAX_BYTES = 4_000_000
 MAX_WIDTH = 96
 # Number of characters shown before the fault's column in a shortened line.

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 # Labelled frame rates with drop-frame, and the labels skipped per minute except every
 # tenth.
-_DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
+_DROPPED_LABELS = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
@@ -39,7 +39,9 @@ def day_frames(rate: Fraction, *, drop: bool = False) -> int:
     >>> day_frames(Fraction(30000, 1001), drop=True)
     2589408
     """
-    return 24 * 3600 * count_rate(rate) - (24 * 54 * _dropped(rate) if drop else 0)
+    return 24 * 3600 * count_rate(rate) - (
+        24 * 54 * _labels_dropped_per_minute(rate) if drop else 0
+    )
 
 
 def parse_timecode(text: str, rate: Fraction) -> Fraction:
@@ -65,7 +67,7 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
                 f"{text!r} has {component} {value:02d}; the largest is {limit - 1:02d}"
             )
             raise ValueError(message)
-    left_out = _dropped(rate) if is_drop else 0
+    left_out = _labels_dropped_per_minute(rate) if is_drop else 0
     if minutes % 10 and not seconds and frames < left_out:
         first_label = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
         message = f"drop-frame has no {text!r}: this minute starts at {first_label}"
@@ -89,7 +91,10 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
     >>> timecode_label(61, Fraction(24)), timecode_label(-1, Fraction(24))
     ('00:00:02:13', '23:59:59:23')
     """
-    labels_per_second, left_out = count_rate(rate), _dropped(rate) if drop else 0
+    labels_per_second, left_out = (
+        count_rate(rate),
+        _labels_dropped_per_minute(rate) if drop else 0,
+    )
     frame %= day_frames(rate, drop=drop)
     if left_out:
         tens, frame_in_tens = divmod(frame, 600 * labels_per_second - 9 * left_out)
@@ -119,9 +124,9 @@ def seconds_between(
     return (gap + day / 2) % day - day / 2
 
 
-def _dropped(rate: Fraction) -> int:
+def _labels_dropped_per_minute(rate: Fraction) -> int:
     """Return the number of labels that a drop-frame rate skips per minute."""
-    if rate not in _DROPPED:
+    if rate not in _DROPPED_LABELS:
         message = f"drop-frame (;) does not apply to {float(rate):g} frames per second"
         raise ValueError(f"{message}, only to 30000/1001 and 60000/1001")
-    return _DROPPED[rate]
+    return _DROPPED_LABELS[rate]

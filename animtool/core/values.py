@@ -72,7 +72,7 @@ def picked(record: Any, keys: str) -> dict[str, Any]:
     >>> picked(Fraction(1, 3), "over=denominator numerator one=denominator{real}")
     {'over': 3, 'numerator': 1, 'one': {'real': 3}}
     """
-    return _filled(record, parsed(keys))
+    return _values_of(record, parsed(keys))
 
 
 def at_path(value: Any, path: str) -> Any:
@@ -108,7 +108,7 @@ def parsed(template: str) -> tuple[JsonKey, ...]:
     Raises:
         ValueError: It is malformed.
     """
-    return tuple(_parsed(_tokens(template)))
+    return tuple(_parse_keys(_tokens(template)))
 
 
 def _tokens(template: str) -> Iterator[re.Match[str]]:
@@ -121,7 +121,7 @@ def _tokens(template: str) -> Iterator[re.Match[str]]:
         yield token
 
 
-def _parsed(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
+def _parse_keys(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
     for token in tokens:
         closes, token_parts, star, key, path, signs, opens = token.groups()
         if closes:
@@ -129,11 +129,11 @@ def _parsed(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
         if token_parts:
             yield JsonKey(token_parts, "", "'")
             continue
-        inner = tuple(_parsed(tokens)) if opens else None
+        inner = tuple(_parse_keys(tokens)) if opens else None
         yield JsonKey("" if star else key or path, path.strip("."), signs, inner)
 
 
-def _filled(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
+def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for json_key in keys:
         value = at_path(record, json_key.path)
@@ -142,7 +142,7 @@ def _filled(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
         elif not json_key.key:
             values |= _spread(record, value, json_key)
         elif not _is_left_out(value, json_key.sign):
-            values[json_key.key] = _keyed(value, json_key)
+            values[json_key.key] = _value_of_key(value, json_key)
     return values
 
 
@@ -151,7 +151,7 @@ def _spread(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
     if value is None:
         return {}
     if key.keys is not None:
-        return _filled(value, key.keys)
+        return _values_of(value, key.keys)
     if value is record:
         return _fields_of(record)
     plain_values: dict[str, Any] = plain_value(value)
@@ -166,22 +166,22 @@ def _is_left_out(value: Any, sign: str) -> bool:
     return ("?" in sign and value is None) or ("+" in sign and _is_empty(value))
 
 
-def _keyed(value: Any, key: JsonKey) -> Any:
+def _value_of_key(value: Any, key: JsonKey) -> Any:
     """Return the value of a key."""
     if value is None:
         return None
     if "#" in key.sign:
         return str(value)
     if "~" in key.sign:
-        return _rounded(value)
+        return _round_values(value)
     if key.keys is None:
         return plain_value(value)
     if isinstance(value, list | tuple):
-        return [_filled(element, key.keys) for element in value]
-    return _filled(value, key.keys)
+        return [_values_of(element, key.keys) for element in value]
+    return _values_of(value, key.keys)
 
 
-def _rounded(value: Any) -> Any:
+def _round_values(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _rounded(part) for name, part in value.items()}
+        return {name: _round_values(part) for name, part in value.items()}
     return round(value, 6)

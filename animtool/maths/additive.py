@@ -37,8 +37,8 @@ def add_rotation(
     """
     if weight is None:
         return so3.multiply(base, delta)
-    weighted = so3.slerp(so3.IDENTITY, delta, weight[..., 0])
-    return so3.multiply(base, np.where(weight == 1, delta, weighted))
+    weighted_delta = so3.slerp(so3.IDENTITY, delta, weight[..., 0])
+    return so3.multiply(base, np.where(weight == 1, delta, weighted_delta))
 
 
 def add_offset(

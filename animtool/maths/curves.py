@@ -69,25 +69,25 @@ def fold(
     >>> fold(np.array([-1.0, 4.0, 5.0]), 0.0, 4.0, post=Extrapolation.CYCLE).times
     array([0., 4., 1.])
     """
-    inside = np.clip(times, start, end)
-    beyond, cycles = np.zeros(times.shape), np.zeros(times.shape)
+    clamped_times = np.clip(times, start, end)
+    overshoot, cycles = np.zeros(times.shape), np.zeros(times.shape)
     length = end - start
     for before, mode, edge in ((True, pre, start), (False, post, end)):
-        outside = times < start if before else times > end
-        if mode is Extrapolation.HOLD or not outside.any():
+        is_outside = times < start if before else times > end
+        if mode is Extrapolation.HOLD or not is_outside.any():
             continue
-        distance = np.abs(times[outside] - edge)
+        distance = np.abs(times[is_outside] - edge)
         if mode is Extrapolation.LINEAR:
-            beyond[outside] = -distance if before else distance
+            overshoot[is_outside] = -distance if before else distance
         elif length > 0:
             cycles_away = np.ceil(distance / length)
             remainder = cycles_away * length - distance  # to the far edge of that cycle
-            mirrored = (mode is Extrapolation.OSCILLATE) & (cycles_away % 2 == 1)
-            from_start = np.where(mirrored ^ before, remainder, length - remainder)
-            inside[outside] = np.clip(start + from_start, start, end)
+            is_mirrored = (mode is Extrapolation.OSCILLATE) & (cycles_away % 2 == 1)
+            from_start = np.where(is_mirrored ^ before, remainder, length - remainder)
+            clamped_times[is_outside] = np.clip(start + from_start, start, end)
             if mode is Extrapolation.CYCLE_OFFSET:
-                cycles[outside] = -cycles_away if before else cycles_away
-    return Folded(inside, beyond, cycles)
+                cycles[is_outside] = -cycles_away if before else cycles_away
+    return Folded(clamped_times, overshoot, cycles)
 
 
 class SegmentKind(IntEnum):
@@ -208,7 +208,7 @@ def _groups(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
         return
     for value in dict.fromkeys(values):
         matches = np.fromiter(
-            (other == value for other in values), np.bool_, len(values)
+            (other_value == value for other_value in values), np.bool_, len(values)
         )
         yield value, np.flatnonzero(matches)
 
@@ -296,20 +296,24 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
     at = as_floats(times, ("F",), "times")
     if not np.isfinite(at).all():
         raise ValueError("times must be finite")
-    extrapolated = _extrapolated_curves(curves, at)
-    if not len(extrapolated):
+    extrapolated_curves = _extrapolated_curves(curves, at)
+    if not len(extrapolated_curves):
         return _clamped_values(curves, at[None])
     starts, ends = _end_keys(curves)
     rows = np.tile(at, (len(curves.pre), 1))
-    beyond, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
-    for c in extrapolated:
+    overshoot, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
+    for c in extrapolated_curves:
         start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
-        folded = fold(at, start, end, curves.pre[c], curves.post[c])
-        rows[c], beyond[c], cycles[c] = folded.times, folded.beyond, folded.cycles
+        folded_times = fold(at, start, end, curves.pre[c], curves.post[c])
+        rows[c], overshoot[c], cycles[c] = (
+            folded_times.times,
+            folded_times.beyond,
+            folded_times.cycles,
+        )
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
     values = _clamped_values(curves, rows)
-    values += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
+    values += overshoot * np.where(overshoot < 0, slopes[:, :1], slopes[:, 1:])
     values += cycles * rises[:, None]
     return values
 

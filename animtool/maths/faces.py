@@ -78,8 +78,8 @@ def closed(counts: IntArray, indices: IntArray) -> bool:
     low, high = np.sort(directed_edges(counts, indices), axis=1).astype(np.int64).T
     ends = np.sort(low * (high.max(initial=0) + 1) + high).reshape(-1)
     duplicates = ends[: len(ends) // 2 * 2].reshape(-1, 2)
-    even = len(ends) % 2 == 0 and bool((duplicates[:, 0] == duplicates[:, 1]).all())
-    return even and bool((np.diff(duplicates[:, 0]) > 0).all())
+    is_even = len(ends) % 2 == 0 and bool((duplicates[:, 0] == duplicates[:, 1]).all())
+    return is_even and bool((np.diff(duplicates[:, 0]) > 0).all())
 
 
 def coincident_edges(pairs: IntArray) -> tuple[IntArray, IntArray]:
@@ -142,9 +142,9 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
         [np.bincount(corners, areas[:, axis], count) for axis in range(3)], axis=1
     )
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    undefined = lengths[:, 0] <= np.finfo(np.float64).tiny
-    normals: FloatArray = sums / np.where(undefined[:, None], 1.0, lengths)
-    normals[undefined] = (0.0, 0.0, 1.0)
+    is_undefined = lengths[:, 0] <= np.finfo(np.float64).tiny
+    normals: FloatArray = sums / np.where(is_undefined[:, None], 1.0, lengths)
+    normals[is_undefined] = (0.0, 0.0, 1.0)
     return normals
 
 

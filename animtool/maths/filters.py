@@ -61,8 +61,8 @@ def lowpass(
     bands[0] += weights
     origin = values[:1] if valid is None else values[int(np.argmax(valid))][None]
     columns = ((values - origin).T * weights).T.reshape(count, -1)
-    smooth = solveh_banded(bands, columns, lower=True, check_finite=False)
-    return np.asarray(smooth.reshape(values.shape) + origin)
+    smoothed = solveh_banded(bands, columns, lower=True, check_finite=False)
+    return np.asarray(smoothed.reshape(values.shape) + origin)
 
 
 def lowpass_rotations(
@@ -160,13 +160,15 @@ def best_cutoff(
     frequencies = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
     errors = []
     for fraction in fractions.tolist():
-        removed = values - lowpass(values, fraction * rate, rate)
+        residual = values - lowpass(values, fraction * rate, rate)
         gains = 1 / (1 + (frequencies / math.sin(math.pi * fraction)) ** 4)
-        removed_power = float((removed * removed).sum()) / len(values)
+        removed_power = float((residual * residual).sum()) / len(values)
         errors.append(removed_power + (2 * float(gains.mean()) - 1) * noise)
-    best = int(np.argmin(errors))
+    best_index = int(np.argmin(errors))
     return (
-        float(fractions[best] * rate) if errors[best] < MAX_KEPT_NOISE * noise else None
+        float(fractions[best_index] * rate)
+        if errors[best_index] < MAX_KEPT_NOISE * noise
+        else None
     )
 
 
@@ -175,12 +177,12 @@ def fill_gaps(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
 
     ``times`` ``(N,)`` ascend. The first and last values are held to the ends.
     """
-    filled = values.copy()
-    for column in filled.T:
+    filled_values = values.copy()
+    for column in filled_values.T:
         valid = np.isfinite(column)
         if not valid.all():
             any_valid = valid.any()
             column[:] = (
                 np.interp(times, times[valid], column[valid]) if any_valid else 0.0
             )
-    return filled
+    return filled_values

@@ -35,16 +35,16 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
     halvings = max(math.ceil(math.log2(norm / _NORM)), 0) if norm > 0 else 0
-    scaled, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
+    scaled_matrices, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
     scaled_norm = norm / 2.0**halvings
     terms = next(
         (n for max_norm, n in _TERMS if scaled_norm <= max_norm), _TERMS[-1][1]
     )
     phi2 = np.broadcast_to(identity / math.factorial(terms + 2), matrices.shape)
     for k in range(terms - 1, -1, -1):
-        phi2 = scaled @ phi2 + identity / math.factorial(k + 2)
-    phi1 = identity + scaled @ phi2
-    exponential = identity + scaled @ phi1
+        phi2 = scaled_matrices @ phi2 + identity / math.factorial(k + 2)
+    phi1 = identity + scaled_matrices @ phi2
+    exponential = identity + scaled_matrices @ phi1
     for _ in range(halvings):
         phi2 = (exponential @ phi2 + phi1 + phi2) / 4
         phi1 = (exponential @ phi1 + phi1) / 2

@@ -48,8 +48,8 @@ def rotation_pops(
     Fewer than 8 frames have no pops.
     """
     if len(rotations) + 1 < MIN_FRAMES or not rotations.shape[1]:
-        empty = np.zeros(rotations.shape[:2])
-        return empty.astype(bool), empty
+        no_pops = np.zeros(rotations.shape[:2])
+        return no_pops.astype(bool), no_pops
     deviations = prediction_errors(rotations, cuts)
     mask = outliers(rotations, deviations, cuts, MIN_ROTATION, ROTATION_NOISE, interval)
     # If every second step is a flip, none exceeds its surrounding motion.
@@ -67,8 +67,8 @@ def translation_pops(
     the smallest pop and ``noise`` the noise of the motion [m].
     """
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
-        empty = np.zeros(shifts.shape[:2])
-        return empty.astype(bool), empty
+        no_pops = np.zeros(shifts.shape[:2])
+        return no_pops.astype(bool), no_pops
     deviations = prediction_errors(shifts, cuts)
     mask = outliers(shifts, deviations, cuts, smallest, noise, interval)
     return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(shifts)), deviations
@@ -94,7 +94,7 @@ def outliers(
     steps = _without_cuts(steps[:, candidates], cuts)
     # Overflowing steps stay unexplained.
     with np.errstate(over="ignore", invalid="ignore"):
-        residuals, near_pop_residuals = _unexplained(steps, deviations)
+        residuals, near_pop_residuals = _unexplained_deviations(steps, deviations)
         reach = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
         typical = noise + mean_around(residuals, reach, NEIGHBOURHOOD_GAP)
     mask[:, candidates] = (
@@ -117,13 +117,13 @@ def prediction_errors(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
     steps = _without_cuts(steps, cuts)
-    a, b, c, d = (_shifted(steps, offset) for offset in (-2, -1, 1, 2))
+    a, b, c, d = (_shift_steps(steps, offset) for offset in (-2, -1, 1, 2))
     largest = np.maximum(np.maximum(a, b), np.maximum(c, d))
     smallest = np.minimum(np.minimum(a, b), np.minimum(c, d))
     return _lengths(steps - 0.5 * (a + b + c + d - largest - smallest))
 
 
-def _unexplained(
+def _unexplained_deviations(
     steps: FloatArray, deviations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return two arrays of deviations unexplained by smooth fast motion ``(S, N)``.
@@ -134,7 +134,7 @@ def _unexplained(
     accelerates until it ends. The second array applies the lines to all steps: it is
     for steps next to a pop, which lines on their far sides do not contain.
     """
-    a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
+    a, b, c, d, e, f = (_shift_steps(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
     residuals = deviations
     for cubic in (
         (4.0 * (c + d) - b - e) / 6.0,
@@ -154,7 +154,7 @@ def _unexplained(
     return residuals, line_residuals
 
 
-def _shifted(steps: FloatArray, offset: int) -> FloatArray:
+def _shift_steps(steps: FloatArray, offset: int) -> FloatArray:
     """Return the steps shifted by an offset, held at the ends ``(S, N, 3)``."""
     rows = np.arange(len(steps)) + offset
     return np.asarray(steps[rows.clip(0, len(steps) - 1)])
@@ -168,9 +168,11 @@ def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     """Return steps with cuts replaced by the nearest other step."""
     if not cuts.any() or cuts.all():
         return steps
-    kept = np.flatnonzero(~cuts)
-    nearest = np.searchsorted(kept, np.arange(len(steps))).clip(0, len(kept) - 1)
-    return np.asarray(steps[kept[nearest]])
+    kept_steps = np.flatnonzero(~cuts)
+    nearest = np.searchsorted(kept_steps, np.arange(len(steps))).clip(
+        0, len(kept_steps) - 1
+    )
+    return np.asarray(steps[kept_steps[nearest]])
 
 
 def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
@@ -216,5 +218,11 @@ def velocity_changes(steps: FloatArray) -> FloatArray:
     before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
     pairs = ((before, after), (before, after2), (before2, after))
     return np.asarray(
-        np.min([np.linalg.norm(late - early, axis=2) for early, late in pairs], axis=0)
+        np.min(
+            [
+                np.linalg.norm(after_velocity - before_velocity, axis=2)
+                for before_velocity, after_velocity in pairs
+            ],
+            axis=0,
+        )
     )

@@ -31,8 +31,8 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     >>> aligned_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
     [[0.0, 0.0, 0.0, 1.0], [-0.0, -0.0, -0.0, 1.0]]
     """
-    batched = np.ndim(keys) == 3
-    q = as_floats(keys, (count, "C", 4) if batched else (count, 4), "keys")
+    is_batched = np.ndim(keys) == 3
+    q = as_floats(keys, (count, "C", 4) if is_batched else (count, 4), "keys")
     for fault, rows in (
         ("is not finite", ~np.isfinite(q).all(axis=-1)),
         ("is zero, not a rotation", ~q.any(axis=-1)),
@@ -111,10 +111,10 @@ def squad_by_velocities(
     True
     """
     start, end = np.asarray(ends, np.float64)
-    leaving, arriving = np.asarray(velocities, np.float64)
+    out_velocities, in_velocities = np.asarray(velocities, np.float64)
     step = rotation_between(start, end)
-    outer = so3.multiply(start, so3.exp((leaving - step) / 2))
-    inner = so3.multiply(end, so3.exp((step - arriving) / 2))
+    outer = so3.multiply(start, so3.exp((out_velocities - step) / 2))
+    inner = so3.multiply(end, so3.exp((step - in_velocities) / 2))
     u = np.asarray(u, np.float64)
     direct_arc = so3.multiply(start, so3.exp(u[..., None] * step))
     inner_arc = _arc(outer, inner, u)
@@ -287,8 +287,8 @@ def evaluate_rotations(
     if (np.diff(times) <= 0).any():
         key = int((np.diff(times) <= 0).argmax()) + 1
         raise ValueError(f"times must ascend; that of key {key} is {times[key]}")
-    batched = np.ndim(keys) == 3
-    shape = (len(times), "C", 4) if batched else (len(times), 4)
+    is_batched = np.ndim(keys) == 3
+    shape = (len(times), "C", 4) if is_batched else (len(times), 4)
     rows = as_floats(keys, shape, "keys")
     kinds = np.asarray(kinds)
     if kinds.shape not in {(), times.shape}:
@@ -296,16 +296,16 @@ def evaluate_rotations(
     if not np.isin(kinds, list(RotationKind)).all():
         raise ValueError(f"kinds must be of {[int(kind) for kind in RotationKind]}")
     at = _finite(at, ("F",), "at")
-    folded = fold(at, times[0], times[-1], pre, post)
+    folded_times = fold(at, times[0], times[-1], pre, post)
     rotations = _kernels.evaluate_rotations(
         times,
-        rows if batched else rows[:, None],
+        rows if is_batched else rows[:, None],
         np.broadcast_to(kinds, times.shape).astype(np.int64),
-        folded.times,
-        folded.beyond,
-        folded.cycles,
+        folded_times.times,
+        folded_times.beyond,
+        folded_times.cycles,
     )
-    return rotations if batched else rotations[:, 0]
+    return rotations if is_batched else rotations[:, 0]
 
 
 def _finite(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:

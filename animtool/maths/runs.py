@@ -25,10 +25,10 @@ def merge_runs(spans: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, in
     >>> merge_runs([(0, 1), (2, 4), (9, 10)], 3)
     [(0, 4), (9, 10)]
     """
-    merged: list[tuple[int, int]] = []
+    merged_runs: list[tuple[int, int]] = []
     for first, end in spans:
-        if merged and first - merged[-1][1] < gap:
-            merged[-1] = (merged[-1][0], end)
+        if merged_runs and first - merged_runs[-1][1] < gap:
+            merged_runs[-1] = (merged_runs[-1][0], end)
         else:
-            merged.append((first, end))
-    return merged
+            merged_runs.append((first, end))
+    return merged_runs

@@ -59,9 +59,9 @@ def normalize(q: ArrayLike) -> FloatArray:
     q = np.asarray(q, np.float64)
     # Scaled first, so that tiny and huge values neither underflow nor overflow.
     scale = np.abs(q).max(axis=-1, keepdims=True)
-    scaled = q / np.where(scale > 0, scale, 1.0)
-    length = np.linalg.norm(scaled, axis=-1, keepdims=True)
-    return np.where(scale > 0, scaled / np.where(length > 0, length, 1.0), IDENTITY)
+    scaled_q = q / np.where(scale > 0, scale, 1.0)
+    length = np.linalg.norm(scaled_q, axis=-1, keepdims=True)
+    return np.where(scale > 0, scaled_q / np.where(length > 0, length, 1.0), IDENTITY)
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> FloatArray:
@@ -125,9 +125,11 @@ def exp(vector: ArrayLike) -> FloatArray:
     """
     vector = np.asarray(vector, np.float64)
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
-    small = angle < SMALL_ANGLE
+    is_small = angle < SMALL_ANGLE
     factor = np.where(
-        small, 0.5 - angle**2 / 48, np.sin(angle / 2) / np.where(small, 1.0, angle)
+        is_small,
+        0.5 - angle**2 / 48,
+        np.sin(angle / 2) / np.where(is_small, 1.0, angle),
     )
     return np.concatenate([vector * factor, np.cos(angle / 2)], axis=-1)
 
@@ -144,11 +146,11 @@ def log(q: ArrayLike) -> FloatArray:
     q = np.where(q[..., 3:] < 0, -q, q)
     length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     w = q[..., 3:]
-    small = length < SMALL_ANGLE
+    is_small = length < SMALL_ANGLE
     factor = np.where(
-        small,
+        is_small,
         2.0 / w.clip(min=0.5) * (1 - (length / w.clip(min=0.5)) ** 2 / 3),
-        2.0 * np.arctan2(length, w) / np.where(small, 1.0, length),
+        2.0 * np.arctan2(length, w) / np.where(is_small, 1.0, length),
     )
     return np.asarray(q[..., :3] * factor + 0.0)
 
@@ -307,7 +309,7 @@ def split_scale(linear: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """
     linear = np.asarray(linear, np.float64)
     scales = np.linalg.norm(linear, axis=-2)
-    mirrored = np.linalg.det(linear) < 0
-    scales = np.where(mirrored[..., None], -scales, scales)
+    is_mirrored = np.linalg.det(linear) < 0
+    scales = np.where(is_mirrored[..., None], -scales, scales)
     divisor = np.where(scales == 0, 1.0, scales)[..., None, :]
     return from_matrix(linear / divisor), scales

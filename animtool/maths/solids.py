@@ -61,7 +61,7 @@ def sphere(radius: float) -> Solid:
 
 
 def capsule(radius: float, height: float) -> Solid:
-    """Return a capsule; ``height`` is that of its straight part."""
+    """Return a capsule; ``height`` is the height of its cylinder."""
     angles = np.linspace(-math.pi / 2, math.pi / 2, RINGS + 1)
     z = radius * np.sin(angles)
     z += np.where(angles > 1e-9, height / 2, -height / 2)

@@ -115,9 +115,9 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     clamped = nonuniform(times, values)
     if len(values) < 3:
         return clamped
-    for end, near, far in ((0, 0, 1), (-1, -1, -2)):
-        weight = spans[near] / (spans[near] + spans[far])
-        clamped[end] = slopes[near] + weight * (slopes[near] - slopes[far])
+    for end, end_key, inner_key in ((0, 0, 1), (-1, -1, -2)):
+        weight = spans[end_key] / (spans[end_key] + spans[inner_key])
+        clamped[end] = slopes[end_key] + weight * (slopes[end_key] - slopes[inner_key])
     before = np.concatenate([slopes[:1], slopes])
     after = np.concatenate([slopes, slopes[-1:]])
     monotone = np.sign(before) == np.sign(after)
@@ -149,10 +149,10 @@ def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatA
     start, end = points[1], points[2]
     w = 1.0 - u
     # Computed from the nearer point, so that both ends are exact.
-    early = start + u * u * (3 * w + u) * (end - start)
-    late = end + w * w * (3 * u + w) * (start - end)
+    start_handle = start + u * u * (3 * w + u) * (end - start)
+    end_handle = end + w * w * (3 * u + w) * (start - end)
     handles = 3 * u * w * (w * outs[0] + u * ins[0])
-    return np.asarray(np.where(u <= 0.5, early, late) + handles)
+    return np.asarray(np.where(u <= 0.5, start_handle, end_handle) + handles)
 
 
 def catmull_rom_controls(
@@ -202,8 +202,8 @@ def _handle(
     A third of the parabola's slope there times the knot interval h of the step:
     (h² adjacent / a + a step) / (a + h) / 3. Steps of length 0 have no direction.
     """
-    defined = (a > 0) & (h > 0)
-    ratio = np.where(defined, h, 1.0) / np.where(defined, a, 1.0)
+    is_defined = (a > 0) & (h > 0)
+    ratio = np.where(is_defined, h, 1.0) / np.where(is_defined, a, 1.0)
     parabola = (ratio * adjacent + step / ratio) / (1.0 + 1.0 / ratio)
     return np.where(h > 0, np.where(a > 0, parabola, step), 0.0) / 3
 

@@ -42,7 +42,7 @@ class FootContacts:
 
     @property
     def any(self) -> BoolArray:
-        """Mask of frames in which ankle or toe stands ``(F,)``."""
+        """Mask of frames in which ankle or toe is planted ``(F,)``."""
         return self.ankle | self.toe
 
 
@@ -57,16 +57,16 @@ def gaussian_smoothed(values: FloatArray, width: float) -> FloatArray:
     # Mirrored at the ends, so that straight lines stay straight.
     count = len(values)
     indices = np.arange(-reach, count + reach)
-    inside = np.clip(indices, 0, count - 1)
-    beyond = np.clip(2 * inside - indices, 0, count - 1)
-    padded = np.where(
-        (indices == inside).reshape(-1, *[1] * (values.ndim - 1)),
-        values[inside],
-        2 * values[inside] - values[beyond],
+    clamped_indices = np.clip(indices, 0, count - 1)
+    mirrored_indices = np.clip(2 * clamped_indices - indices, 0, count - 1)
+    padded_values = np.where(
+        (indices == clamped_indices).reshape(-1, *[1] * (values.ndim - 1)),
+        values[clamped_indices],
+        2 * values[clamped_indices] - values[mirrored_indices],
     )
-    columns = padded.reshape(len(padded), -1)
-    smooth = [np.convolve(column, weights, "valid") for column in columns.T]
-    return np.stack(smooth, axis=1).reshape(values.shape)
+    columns = padded_values.reshape(len(padded_values), -1)
+    smoothed_columns = [np.convolve(column, weights, "valid") for column in columns.T]
+    return np.stack(smoothed_columns, axis=1).reshape(values.shape)
 
 
 def find_contacts(
@@ -84,7 +84,7 @@ def find_contacts(
         leg: Length of thigh plus shin [m].
         up: Index of the up axis.
     """
-    slow = MAX_STANDING_SPEED * leg
+    max_speed = MAX_STANDING_SPEED * leg
     points = [ankle] if toe is None else [ankle, toe]
     if len(ankle) < MIN_FRAMES or leg <= 0:
         no_contacts = np.zeros(len(ankle), np.bool_)
@@ -96,12 +96,12 @@ def find_contacts(
     if noise > 0:
         # A Gaussian reduces the speed of white noise by width^1.5.
         noise_left = noise / max(width, 1.0) ** 1.5
-        width *= max(1.0, (NOISE_MARGIN * noise_left / slow) ** (2 / 3))
+        width *= max(1.0, (NOISE_MARGIN * noise_left / max_speed) ** (2 / 3))
     part_motions = []
     for point in points:
-        smooth = gaussian_smoothed(point, width)
-        speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * fps
-        part_motions.append((speed < slow, smooth[:, up]))
+        smoothed_point = gaussian_smoothed(point, width)
+        speed = np.linalg.norm(np.gradient(smoothed_point, axis=0), axis=1) * fps
+        part_motions.append((speed < max_speed, smoothed_point[:, up]))
     masks = []
     for k, (slow_frames, height) in enumerate(part_motions):
         slow_heights = height[slow_frames] if slow_frames.any() else height

@@ -41,10 +41,10 @@ class LargestAmount:
         """Update from amounts ``(F,)`` or ``(1,)`` at times ``(F,)``."""
         if not len(times) or not len(amounts):
             return
-        worst = int(np.argmax(amounts))
-        if amounts[worst] > self.amount:
-            self.amount = float(amounts[worst])
-            self.frame = float(times[worst if len(amounts) > 1 else 0])
+        worst_index = int(np.argmax(amounts))
+        if amounts[worst_index] > self.amount:
+            self.amount = float(amounts[worst_index])
+            self.frame = float(times[worst_index if len(amounts) > 1 else 0])
 
 
 @dataclass(slots=True)
@@ -90,8 +90,8 @@ class DriverRun:
         """
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.
-            doubled = motion.select(np.zeros(2, np.int64))
-            return self.drive(doubled, np.repeat(times, 2), coordinates).select(
+            two_samples = motion.select(np.zeros(2, np.int64))
+            return self.drive(two_samples, np.repeat(times, 2), coordinates).select(
                 slice(1)
             )
         rig = self.rig
@@ -164,9 +164,9 @@ class DriverRun:
     def unwrap(self, j: int, angles: FloatArray) -> FloatArray:
         """Return the unwrapped angles ``(F,)`` of an unlimited pin."""
         before = self._angles.get(j, 0.0)
-        out = np.unwrap(np.concatenate([[before], angles]))[1:]
-        self._angles[j] = float(out[-1]) if len(out) else before
-        return out
+        unwrapped = np.unwrap(np.concatenate([[before], angles]))[1:]
+        self._angles[j] = float(unwrapped[-1]) if len(unwrapped) else before
+        return unwrapped
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
         """Record the first frame at which a twist wraps."""
@@ -185,20 +185,20 @@ class DriverRun:
         Those values were driven by controls when the motion was made, so they are
         better than values from default controls.
         """
-        kept = set()
+        kept_targets = set()
         for target in self.plan.by_control:
             kind, _, name = target.partition("/")
             if kind == "joint":
-                posed = self._is_posed_joint(motion, self.rig.index(name))
+                is_posed = self._is_posed_joint(motion, self.rig.index(name))
             elif kind == "shape" and motion.weights is not None:
                 names = [shape.name for shape in self.rig.shapes]
-                posed = _is_posed(motion.weights, names.index(name), np.zeros(1))
+                is_posed = _is_posed(motion.weights, names.index(name), np.zeros(1))
             else:
-                posed = False
-            if posed:
-                kept.add(target)
-        self._kept_targets |= kept
-        return kept
+                is_posed = False
+            if is_posed:
+                kept_targets.add(target)
+        self._kept_targets |= kept_targets
+        return kept_targets
 
     def _is_posed_joint(self, motion: Motion, j: int) -> bool:
         rig = self.rig
@@ -215,19 +215,19 @@ class DriverRun:
         }
 
     def _joints(
-        self, motion: Motion, driven: DriverValues, times: FloatArray
+        self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Motion:
         rotations: dict[int, FloatArray] = {}
         translations: dict[int, FloatArray] = {}
-        for j, value in driven.joints.items():
+        for j, value in driver_values.joints.items():
             joint = self.rig.joints[j]
-            rest = np.array(joint.rotation)
+            rest_rotation = np.array(joint.rotation)
             if joint.type is JointType.PRISMATIC:
-                slide = so3.rotate(rest, value[:, None] * np.array(joint.axis))
+                slide = so3.rotate(rest_rotation, value[:, None] * np.array(joint.axis))
                 translations[j] = np.array(joint.translation) + slide
             else:
                 rotation = so3.from_axis_angle(joint.axis, value)
-                rotations[j] = so3.multiply(rest, rotation)
+                rotations[j] = so3.multiply(rest_rotation, rotation)
         for j, driven_values in [*rotations.items(), *translations.items()]:
             rotates = j in rotations
             channel = motion.rotations if rotates else motion.translations
@@ -236,11 +236,11 @@ class DriverRun:
                 self.rig.rest_rotations if rotates else self.rig.rest_translations
             )
             distance = so3.angle_between if rotates else _distance
-            moved = (
+            driven_rotations = (
                 distance(current_values, rest_values[j][None]).max(initial=0.0)
                 > ROUNDING
             )
-            if moved and self.rig.joints[j].driven is not None:
+            if driven_rotations and self.rig.joints[j].driven is not None:
                 self._replace(
                     f"joint/{self.rig.names[j]}",
                     distance(current_values, driven_values),
@@ -254,7 +254,7 @@ class DriverRun:
         )
 
     def _weights(
-        self, motion: Motion, driven: DriverValues, times: FloatArray
+        self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
         plan, shapes = self.plan, self.rig.shapes
         if not plan.shapes:
@@ -264,27 +264,27 @@ class DriverRun:
         if motion.weights is not None:
             channel = motion.weights
             source_weights = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
-        independent = uncombined_weights(shapes, source_weights) | driven.shapes
+        independent = uncombined_weights(shapes, source_weights) | driver_values.shapes
         new_weights = combined_weights(shapes, independent)
         index = {shape.name: i for i, shape in enumerate(shapes)}
-        changed = dict.fromkeys([*driven.shapes, *plan.combined])
-        for name in driven.shapes:
+        changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined])
+        for name in driver_values.shapes:
             if source_weights[name].any():
                 differences = np.abs(new_weights[name] - source_weights[name])
                 self._replace(f"shape/{name}", differences, times, WEIGHT_ROUNDING)
-        rows = {index[name]: new_weights[name][:, None] for name in changed}
+        rows = {index[name]: new_weights[name][:, None] for name in changed_shapes}
         return _with_rows(channel, rows)
 
     def _new_controls(
-        self, motion: Motion, driven: DriverValues, times: FloatArray
+        self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
         controls, channel = self.rig.controls, motion.controls
-        if not driven.controls or channel is None:
+        if not driver_values.controls or channel is None:
             return channel
         rows = {
-            i: driven.controls[control.name][:, None]
+            i: driver_values.controls[control.name][:, None]
             for i, control in enumerate(controls)
-            if control.name in driven.controls
+            if control.name in driver_values.controls
         }
         for i, value in rows.items():
             source_values = _column(channel, i)
@@ -349,21 +349,21 @@ class _CoordinateReader:
         return self.run.unwrap(j, angles)
 
 
-def _refuse_undefined(rig: Rig, driven: DriverValues, times: FloatArray) -> None:
+def _refuse_undefined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> None:
     values_by_target = {
-        f"joint {rig.names[j]!r}": value for j, value in driven.joints.items()
+        f"joint {rig.names[j]!r}": value for j, value in driver_values.joints.items()
     }
     values_by_target |= {
-        f"control {name!r}": value for name, value in driven.controls.items()
+        f"control {name!r}": value for name, value in driver_values.controls.items()
     }
     values_by_target |= {
-        f"shape {name!r}": value for name, value in driven.shapes.items()
+        f"shape {name!r}": value for name, value in driver_values.shapes.items()
     }
     faults = []
     for target, values in values_by_target.items():
-        undefined = np.flatnonzero(~np.isfinite(values))
-        if undefined.size and len(times):
-            frame = times[undefined[0] if len(values) > 1 else 0]
+        undefined_samples = np.flatnonzero(~np.isfinite(values))
+        if undefined_samples.size and len(times):
+            frame = times[undefined_samples[0] if len(values) > 1 else 0]
             message = f"the driver of {target} has no value at frame {frame:g}"
             hint = "an expression divides by zero or overflows"
             faults.append(Fault("CLIP015", message, None, (), hint))
@@ -379,9 +379,11 @@ def _rows(channel: Channel, i: int) -> FloatArray:
     return np.asarray(channel.rest[i][None])
 
 
-def _is_posed(channel: Channel, i: int, rest: FloatArray) -> bool:
+def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
     """Return whether a joint of a channel moves or differs from rest."""
-    difference = min(np.abs(channel.rest[i] + sign * rest).max() for sign in (-1, 1))
+    difference = min(
+        np.abs(channel.rest[i] + sign * rest_value).max() for sign in (-1, 1)
+    )
     return i in channel.animated or bool(difference > ROUNDING)
 
 
@@ -395,18 +397,21 @@ def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
         return channel
     frames = len(channel.values)
     static = [i for i, values in rows.items() if len(values) == 1 != frames]
-    moving = sorted(rows.keys() - static)
-    rest = channel.rest.copy()
+    moving_rows = sorted(rows.keys() - static)
+    rest_values = channel.rest.copy()
     for i in static:
-        rest[i] = rows[i][0]
-    animated = ~np.isin(channel.animated, static)
-    result = Channel(rest, channel.animated[animated], channel.values[:, animated])
-    if not moving:
+        rest_values[i] = rows[i][0]
+    is_animated = ~np.isin(channel.animated, static)
+    result = Channel(
+        rest_values, channel.animated[is_animated], channel.values[:, is_animated]
+    )
+    if not moving_rows:
         return result
     values = np.stack(
-        [np.broadcast_to(rows[i], (frames, rest.shape[1])) for i in moving], axis=1
+        [np.broadcast_to(rows[i], (frames, rest_values.shape[1])) for i in moving_rows],
+        axis=1,
     )
-    return result.put(np.array(moving, np.int64), values)
+    return result.put(np.array(moving_rows, np.int64), values)
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:

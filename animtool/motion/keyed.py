@@ -29,9 +29,11 @@ def parse_choice(choices: type[Choice], word: str, option: str) -> Choice:
     try:
         return choices(word)
     except ValueError as error:
-        allowed = [str(choice) for choice in choices]
-        message = f"{option} is {excerpt(str(word))}; it is one of {', '.join(allowed)}"
-        suggestion = similar(str(word), allowed)
+        allowed_names = [str(choice) for choice in choices]
+        message = (
+            f"{option} is {excerpt(str(word))}; it is one of {', '.join(allowed_names)}"
+        )
+        suggestion = similar(str(word), allowed_names)
         hint = f"did you mean {suggestion}?" if suggestion else None
         raise OptionError(Fault("SCN025", message, hint=hint)) from error
 

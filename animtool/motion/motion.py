@@ -38,8 +38,8 @@ class Channel:
         <Channel: 5 frames, 0 of 2 move, 3 components>
         """
         frames, _, width = self.values.shape
-        moving = f"{len(self.animated)} of {len(self.rest)} move"
-        return f"<Channel: {frames} frames, {moving}, {width} components>"
+        moving_text = f"{len(self.animated)} of {len(self.rest)} move"
+        return f"<Channel: {frames} frames, {moving_text}, {width} components>"
 
     def dense(self) -> FloatArray:
         """Return the value of every joint in every frame ``(F, J, K)``.
@@ -56,9 +56,9 @@ class Channel:
         values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
         columns = np.full(len(self.rest), -1)
         columns[self.animated] = np.arange(len(self.animated))
-        moving = columns[joints] >= 0
-        if moving.any():
-            values[:, moving] = self.values[:, columns[joints[moving]]]
+        is_moving = columns[joints] >= 0
+        if is_moving.any():
+            values[:, is_moving] = self.values[:, columns[joints[is_moving]]]
         return values
 
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
@@ -70,26 +70,28 @@ class Channel:
         """
         is_animated = np.zeros(len(self.rest), np.bool_)
         is_animated[self.animated] = is_animated[joints] = True
-        animated = np.flatnonzero(is_animated)
-        merged = self.gather(animated)
-        merged[:, np.searchsorted(animated, joints)] = values
-        return Channel(self.rest, animated, merged)
+        animated_entries = np.flatnonzero(is_animated)
+        merged_values = self.gather(animated_entries)
+        merged_values[:, np.searchsorted(animated_entries, joints)] = values
+        return Channel(self.rest, animated_entries, merged_values)
 
     def compact(self) -> Channel:
         """Return the channel with animated joints that never move stored as static."""
         if not len(self.values):
             return self
         is_animated = (self.values[-1] != self.values[0]).any(axis=-1)
-        unchanged = np.flatnonzero(~is_animated)
-        if len(unchanged):
-            is_animated[unchanged] = (
-                self.values[:, unchanged] != self.values[:1, unchanged]
+        unchanged_entries = np.flatnonzero(~is_animated)
+        if len(unchanged_entries):
+            is_animated[unchanged_entries] = (
+                self.values[:, unchanged_entries] != self.values[:1, unchanged_entries]
             ).any((0, 2))
-        rest = self.rest.copy()
-        rest[self.animated[~is_animated]] = self.values[0, ~is_animated]
+        rest_values = self.rest.copy()
+        rest_values[self.animated[~is_animated]] = self.values[0, ~is_animated]
         if is_animated.all():
             return self
-        return Channel(rest, self.animated[is_animated], self.values[:, is_animated])
+        return Channel(
+            rest_values, self.animated[is_animated], self.values[:, is_animated]
+        )
 
     def select(self, frames: slice | IntArray) -> Channel:
         """Return the channel at selected frames."""
@@ -207,16 +209,16 @@ class Motion:
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
         """Return the motion with a function applied to each channel it has."""
 
-        def mapped(channel: Channel | None) -> Channel | None:
+        def map_channel(channel: Channel | None) -> Channel | None:
             return None if channel is None else function(channel)
 
         return Motion(
             function(self.translations),
             function(self.rotations),
-            mapped(self.scales),
-            mapped(self.weights),
-            mapped(self.controls),
-            mapped(self.track_times),
+            map_channel(self.scales),
+            map_channel(self.weights),
+            map_channel(self.controls),
+            map_channel(self.track_times),
             {name: function(channel) for name, channel in self.points.items()},
         )
 
@@ -224,17 +226,17 @@ class Motion:
     def concatenate(blocks: list[Motion]) -> Motion:
         """Return one motion of blocks that follow each other."""
 
-        def concatenated(name: str) -> Channel | None:
+        def concatenate_channel(name: str) -> Channel | None:
             channels = [getattr(block, name) for block in blocks]
             return None if channels[0] is None else Channel.concatenate(channels)
 
         return Motion(
             Channel.concatenate([block.translations for block in blocks]),
             Channel.concatenate([block.rotations for block in blocks]),
-            concatenated("scales"),
-            concatenated("weights"),
-            concatenated("controls"),
-            concatenated("track_times"),
+            concatenate_channel("scales"),
+            concatenate_channel("weights"),
+            concatenate_channel("controls"),
+            concatenate_channel("track_times"),
             {
                 name: Channel.concatenate([block.points[name] for block in blocks])
                 for name in blocks[0].points

@@ -203,7 +203,7 @@ class PassContext:
     build_colliders: ColliderBuilder | None = None
 
     def note_once(self, notices: Iterable[Fault]) -> None:
-        """Add notices whose code was not reported yet."""
+        """Add notices with codes that are not yet reported."""
         for notice in notices:
             if notice.code not in self.reported_codes:
                 self.reported_codes.add(notice.code)
@@ -294,10 +294,10 @@ def find_pass(name: str) -> Pass:
     points = plugin_points(PLUGIN_GROUP)
     if name in points:
         return load_plugin(points[name], Pass)
-    allowed = sorted({*PASSES, *points})
-    suggestion = similar(name, allowed)
+    allowed_names = sorted({*PASSES, *points})
+    suggestion = similar(name, allowed_names)
     hint = f"did you mean {suggestion}?" if suggestion else None
-    message = f"unknown pass {excerpt(name)}; allowed: {', '.join(allowed)}"
+    message = f"unknown pass {excerpt(name)}; allowed: {', '.join(allowed_names)}"
     raise OptionError(Fault("SCN010", message, hint=hint))
 
 
@@ -348,10 +348,10 @@ def apply_pass(
         )
         return checked_tracks(result, stream.tracks, pass_.name)
     before = stream.collect()
-    changed = cast(ClipRun, pass_.run)(before, options, context)
-    take = driven_take(changed)
-    context.notices.extend(take.notices[len(changed.notices) :])
-    kept = _kept_curves(stream, before, take, pass_.even(options, before.clock))
+    changed_take = cast(ClipRun, pass_.run)(before, options, context)
+    take = driven_take(changed_take)
+    context.notices.extend(take.notices[len(changed_take.notices) :])
+    kept_curves = _kept_curves(stream, before, take, pass_.even(options, before.clock))
     if not _same_channels(before.rig, take.rig):
         take = replace(take, curve=None)
     result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
@@ -363,22 +363,22 @@ def apply_pass(
         details=stream.details,
         simulated=stream.simulated,
         scores=stream.scores,
-        control_curves=kept,
+        control_curves=kept_curves,
     )
 
 
 def _kept_curves(
-    stream: TakeStream, before: Take, after: Take, even: LinearTime | None
+    stream: TakeStream, before: Take, after: Take, linear_time: LinearTime | None
 ) -> dict[str, Curves]:
     """Return the curves of controls that remain valid, at the times of the result."""
     curves = stream.control_curves
     if not curves:
         return {}
-    if even is None or before.clock == after.clock:
-        kept = _unchanged_controls(before, after)
-        return {name: curve for name, curve in curves.items() if name in kept}
+    if linear_time is None or before.clock == after.clock:
+        kept_controls = _unchanged_controls(before, after)
+        return {name: curve for name, curve in curves.items() if name in kept_controls}
     return {
-        name: curve.retimed(even.start, even.ratio, even.first)
+        name: curve.retimed(linear_time.start, linear_time.ratio, linear_time.first)
         for name, curve in curves.items()
     }
 
@@ -410,8 +410,10 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
 def _unchanged_controls(before: Take, after: Take) -> set[str]:
     """Return the controls with equal values in every frame."""
     before_controls, after_controls = before.motion.controls, after.motion.controls
-    same = before.clock == after.clock and before.rig.controls == after.rig.controls
-    if not same or before_controls is None or after_controls is None:
+    has_same_controls = (
+        before.clock == after.clock and before.rig.controls == after.rig.controls
+    )
+    if not has_same_controls or before_controls is None or after_controls is None:
         return set()
     equal = (before_controls.dense() == after_controls.dense()).all(axis=(0, 2))
     return {before.rig.controls[i].name for i in equal.nonzero()[0].tolist()}

@@ -53,14 +53,16 @@ def at_stage_origin(stream: TakeStream) -> TakeStream:
 
 def _placed_stream(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
     roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
-    placed = replace(
+    placed_stream = replace(
         stream,
         rig=placed_rig(stream.rig, placement, up),
         blocks=_placed_blocks(stream.blocks, roots, placement),
     )
     if curve is not None:
-        placed.curve = lambda times: placed_motion(curve(times), roots, placement)
-    return placed
+        placed_stream.curve = lambda times: placed_motion(
+            curve(times), roots, placement
+        )
+    return placed_stream
 
 
 def _placed_blocks(
@@ -80,15 +82,15 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
 
     ``roots``: joints without a parent ``(R,)``.
     """
-    rotations = _placed(motion.rotations, roots, placement, rotates=True)
+    rotations = _place_roots(motion.rotations, roots, placement, rotates=True)
     if placement.moves:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
     return replace(
         motion,
-        translations=_placed(motion.translations, roots, placement, rotates=False),
+        translations=_place_roots(motion.translations, roots, placement, rotates=False),
         rotations=rotations,
-        scales=_scaled(motion, roots, placement),
+        scales=_scale_roots(motion, roots, placement),
         points={
             name: _placed_points(channel, placement)
             for name, channel in motion.points.items()
@@ -96,35 +98,39 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
     )
 
 
-def _placed(
+def _place_roots(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""
     operation = placement.rotated if rotates else placement.points
-    rest, values = channel.rest.copy(), channel.values.copy()
-    moving = np.isin(channel.animated, roots)
+    rest_values, values = channel.rest.copy(), channel.values.copy()
+    is_root = np.isin(channel.animated, roots)
     if placement.size != 1.0 and not rotates:
-        is_child = np.ones(len(rest), np.bool_)
+        is_child = np.ones(len(rest_values), np.bool_)
         is_child[roots] = False
-        rest[is_child] *= placement.size
-        values[:, ~moving] *= placement.size
+        rest_values[is_child] *= placement.size
+        values[:, ~is_root] *= placement.size
     if placement.moves:
-        placed = operation(channel.gather(roots))
-        return Channel(rest, channel.animated, values).put(roots, placed)
-    rest[roots] = operation(rest[roots])
-    values[:, moving] = operation(values[:, moving])
-    return Channel(rest, channel.animated, values)
+        placed_roots = operation(channel.gather(roots))
+        return Channel(rest_values, channel.animated, values).put(roots, placed_roots)
+    rest_values[roots] = operation(rest_values[roots])
+    values[:, is_root] = operation(values[:, is_root])
+    return Channel(rest_values, channel.animated, values)
 
 
-def _scaled(motion: Motion, roots: IntArray, placement: Placement) -> Channel | None:
+def _scale_roots(
+    motion: Motion, roots: IntArray, placement: Placement
+) -> Channel | None:
     """Return scales multiplied by the varying part of the placement's size."""
-    extra = placement.sizes / placement.size
-    if (extra == 1.0).all():
+    extra_scale = placement.sizes / placement.size
+    if (extra_scale == 1.0).all():
         return motion.scales
     scales = motion.scales
     if scales is None:
-        scales = Channel.static(np.ones((len(motion.translations.rest), 3)), len(extra))
-    return scales.put(roots, scales.gather(roots) * extra[:, None, None])
+        scales = Channel.static(
+            np.ones((len(motion.translations.rest), 3)), len(extra_scale)
+        )
+    return scales.put(roots, scales.gather(roots) * extra_scale[:, None, None])
 
 
 def _placed_points(channel: Channel, placement: Placement) -> Channel:

@@ -65,8 +65,8 @@ class Score:
         """
         if math.isnan(self.value):
             return "none"
-        small = not self.ideal and self.excess < NEGLIGIBLE
-        value = 0.0 if small else self.value
+        is_negligible = not self.ideal and self.excess < NEGLIGIBLE
+        value = 0.0 if is_negligible else self.value
         if self.unit is ScoreUnit.LENGTH:
             return length_text(value)
         if self.unit is ScoreUnit.ANGLE:
@@ -96,10 +96,10 @@ class PassScores:
         return replace(self, pass_name=name, where=where)
 
     @property
-    def worse(self) -> list[Score]:
+    def worse_scores(self) -> list[Score]:
         """The scores worse than a good result, the worst first."""
-        worse = [score for score in self.scores if score.excess > 1.0]
-        return sorted(worse, key=lambda score: -score.excess)
+        worse_scores = [score for score in self.scores if score.excess > 1.0]
+        return sorted(worse_scores, key=lambda score: -score.excess)
 
 
 def badness(scores: Iterable[PassScores]) -> list[float]:

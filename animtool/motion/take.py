@@ -35,7 +35,7 @@ def shape_faults(
 ) -> list[Fault]:
     """Return faults of shapes that do not match the clock, rig and tracks."""
     frames = clock.count
-    expected = [
+    expected_shapes = [
         ("translations", motion.translations, len(rig.joints), 3),
         ("rotations", motion.rotations, len(rig.joints), 4),
         ("scales", motion.scales, len(rig.joints), 3),
@@ -47,14 +47,14 @@ def shape_faults(
     if tracks and motion.track_times is None:
         message = f"track_times are missing of {counted(len(tracks), 'track')}"
         faults.append(Fault("TAKE001", message))
-    for name, channel, count, width in expected:
+    for name, channel, count, width in expected_shapes:
         if channel is None:
             continue
-        moving = len(channel.animated)
+        moving_count = len(channel.animated)
         for part, expected_shape, shape in (
             ("rest", (count, width), channel.rest.shape),
-            ("animated", (moving,), channel.animated.shape),
-            ("values", (frames, moving, width), channel.values.shape),
+            ("animated", (moving_count,), channel.animated.shape),
+            ("values", (frames, moving_count, width), channel.values.shape),
         ):
             if expected_shape != shape:
                 message = f"{name}.{part} must have shape {expected_shape}, not {shape}"
@@ -113,8 +113,8 @@ def _first_non_finite(values: FloatArray) -> tuple[int, ...] | None:
 def _first_non_unit(values: FloatArray) -> tuple[int, ...] | None:
     squares = np.einsum("...k,...k->...", values, values)
     # Twice the tolerance, as the length is squared.
-    wrong = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
-    return tuple(np.argwhere(wrong)[0].tolist()) if wrong.any() else None
+    is_non_unit = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    return tuple(np.argwhere(is_non_unit)[0].tolist()) if is_non_unit.any() else None
 
 
 def _owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
@@ -192,11 +192,11 @@ class Take:
         """Return the rig's name, the frames and the joints."""
         clock, joints = self.clock, counted(len(self.rig.joints), "joint")
         last = clock.start + clock.step * (clock.count - 1)
-        every = "" if clock.step == 1 else f" every {float(clock.step):g}"
+        step_text = "" if clock.step == 1 else f" every {float(clock.step):g}"
         frames = counted(clock.count, "frame")
         return (
             f"<Take of {self.rig.name!r}: {frames} from "
-            f"{float(clock.start):g} to {float(last):g}{every} "
+            f"{float(clock.start):g} to {float(last):g}{step_text} "
             f"at {rate_label(clock.fps)}, {joints}>"
         )
 

@@ -45,7 +45,7 @@ class Scene:
     sources: tuple[SceneSource, ...]
     passes: tuple[ScenePass, ...]  # passes in order
     outputs: tuple[SceneOutput, ...]  # outputs, at least one
-    rig: Path | None = None  # rig of all sources; None is that of the first
+    rig: Path | None = None  # rig of all sources; None uses the first source's rig
     props: tuple[SceneProp, ...] = ()  # props
     # Frame of the shot at the first frame of the sources; None is as they state.
     first: Fraction | None = None
@@ -197,7 +197,7 @@ class Scene:
                     context, progress=block_progress.of_pass(pass_index)
                 )
                 pass_index += 1
-            stream = self._passed(stream, entry, pass_context)
+            stream = self._apply_pass(stream, entry, pass_context)
         stream = self._with_props(stream, props, dropped, retimed=False)
         if block_progress is not None:
             stream.blocks = block_progress.blocks(stream.blocks)
@@ -215,11 +215,11 @@ class Scene:
         source = self._source()
         props = self._open_props(source)
         with_props = self._with_props(source, props, source.dropped, retimed=True)
-        take, stream = _gathered(with_props)
+        take, stream = _collect(with_props)
         yield take, stream
         context = self._context(keeps=False)
         for entry in self.passes:
-            take, stream = _gathered(self._passed(stream, entry, context))
+            take, stream = _collect(self._apply_pass(stream, entry, context))
             yield take, stream
 
     def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
@@ -230,7 +230,7 @@ class Scene:
         Raises:
             FormatError: It cannot be applied to the take; the blocks may raise it too.
         """
-        return self._passed(stream, entry, self._context(keeps=False))
+        return self._apply_pass(stream, entry, self._context(keeps=False))
 
     def _context(self, *, keeps: bool) -> PassContext:
         shot = self.bake.shot
@@ -240,16 +240,16 @@ class Scene:
             writes_files=keeps,
             in_shot=shot is not None and shot.places_media,
             simulate_segments=self._segments,
-            build_colliders=self._around,
+            build_colliders=self._add_colliders,
         )
 
-    def _around(
+    def _add_colliders(
         self, stream: TakeStream, options: object, lead: float
     ) -> tuple[TakeStream, object]:
         # Loaded by name, like all systems.
         with_colliders = load_object("animtool.scene.systems.attached:with_colliders")
-        built = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
-        return built(self.systems, self.path, stream, options, lead)
+        add_colliders = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
+        return add_colliders(self.systems, self.path, stream, options, lead)
 
     def _segments(
         self, take: Take, system: str, particle: str, progress: Progress
@@ -297,12 +297,12 @@ class Scene:
         retimed: bool,
     ) -> TakeStream:
         """Return a take with the props that passes retime, or with the others."""
-        matching = [prop for prop in props if prop.entry.retimed is retimed]
-        if not matching:
+        matching_props = [prop for prop in props if prop.entry.retimed is retimed]
+        if not matching_props:
             return stream
         from animtool.scene.sources.props import with_props
 
-        return with_props(stream, matching, self.first, self.bake.fps, dropped)
+        return with_props(stream, matching_props, self.first, self.bake.fps, dropped)
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
@@ -316,7 +316,7 @@ class Scene:
             faults = [locations[str(f.where)].locate(f) for f in error.faults]
             raise FormatError(faults) from error
 
-    def _passed(
+    def _apply_pass(
         self, stream: TakeStream, entry: ScenePass, context: PassContext
     ) -> TakeStream:
         """Return the result of a pass on a take, charged to the meter.
@@ -443,7 +443,7 @@ def _read(
         after()
 
 
-def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
+def _collect(stream: TakeStream) -> tuple[Take, TakeStream]:
     """Return a take, and its stream as a single block."""
     take = stream.collect()
     return take, replace(stream, blocks=iter([take.motion]))

@@ -65,14 +65,16 @@ class ValidateOptions:
         >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
         False
         """
-        selected = _prefix_length(code, self.select) if self.select else 0
-        if selected < 0 or selected <= _prefix_length(code, self.ignore):
+        selected_length = _prefix_length(code, self.select) if self.select else 0
+        if selected_length < 0 or selected_length <= _prefix_length(code, self.ignore):
             return False
         level = _longest_prefix(code, self.levels)
         if level is None or self.levels[level] is not None:
             return True
         # A more specific selection overrides the profile.
-        return max(selected, _prefix_length(code, self.severity)) >= _length(level)
+        return max(selected_length, _prefix_length(code, self.severity)) >= _length(
+            level
+        )
 
     def of(self, fault: Fault) -> Fault:
         """Return a finding with its configured severity."""
@@ -176,23 +178,21 @@ class ReportOptions:
 
 def _longest_prefix(code: str, beginnings: Iterable[str]) -> str | None:
     """Return the longest matching prefix of a code, in current or old spelling."""
-    matching = [
-        beginning
-        for beginning in beginnings
-        if code.startswith(current_codes(beginning))
+    matching_prefixes = [
+        prefix for prefix in beginnings if code.startswith(current_codes(prefix))
     ]
-    return max(matching, key=_length, default=None)
+    return max(matching_prefixes, key=_length, default=None)
 
 
-def _length(beginning: str) -> int:
+def _length(prefix: str) -> int:
     """Return the length of a prefix in current spelling."""
-    return len(current_codes(beginning)[0])
+    return len(current_codes(prefix)[0])
 
 
 def _prefix_length(code: str, beginnings: Iterable[str]) -> int:
     """Return the length of the longest matching prefix of a code, -1 for none."""
-    best = _longest_prefix(code, beginnings)
-    return -1 if best is None else _length(best)
+    longest_prefix = _longest_prefix(code, beginnings)
+    return -1 if longest_prefix is None else _length(longest_prefix)
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:

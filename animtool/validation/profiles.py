@@ -125,9 +125,9 @@ def _toml(path: Path) -> Mapping[str, Any]:
     try:
         table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
-        raise _malformed(error.faults[0].message, str(path)) from error
+        raise _profile_error(error.faults[0].message, str(path)) from error
     except ValueError as error:
-        raise _malformed(f"cannot be read: {error}", str(path)) from error
+        raise _profile_error(f"cannot be read: {error}", str(path)) from error
     table_of_tool = table.get("validate")
     if isinstance(table_of_tool, dict):
         return {"severity": table_of_tool.get("severity", {})}
@@ -137,20 +137,20 @@ def _toml(path: Path) -> Mapping[str, Any]:
 def _levels(table: Mapping[str, Any], path: str) -> Levels:
     for key in table:
         if key not in _KEYS:
-            raise _malformed(
+            raise _profile_error(
                 f"unknown key {key!r}", path, f"allowed: {', '.join(_KEYS)}"
             )
     version = table.get("profile", _VERSION)
     if version != _VERSION:
-        raise _malformed(f"profile is {version!r}", path, f"write {_VERSION}")
+        raise _profile_error(f"profile is {version!r}", path, f"write {_VERSION}")
     base = table.get("extends", "default")
     if not isinstance(base, str) or base not in PROFILES:
         hint = f"allowed: {', '.join(PROFILES)}"
-        raise _malformed(f"extends is {base!r}", path, hint)
+        raise _profile_error(f"extends is {base!r}", path, hint)
     severities = table.get("severity", {})
     if not isinstance(severities, dict):
         hint = "write codes and severities, such as USD25: note"
-        raise _malformed(
+        raise _profile_error(
             f"severity is {severities!r}, not a table of codes", path, hint
         )
     levels = {
@@ -174,7 +174,7 @@ def _level(code: object, value: object, path: str) -> Severity | None:
         return None
     if value not in list(Severity):
         hint = f"allowed: {', '.join(Severity)}, {OFF}"
-        raise _malformed(f"severity.{code} is {value!r}", path, hint)
+        raise _profile_error(f"severity.{code} is {value!r}", path, hint)
     return Severity(str(value))
 
 
@@ -189,5 +189,5 @@ def _check_codes(levels: Levels, path: str) -> None:
             )
 
 
-def _malformed(message: str, path: str, hint: str | None = None) -> OptionError:
+def _profile_error(message: str, path: str, hint: str | None = None) -> OptionError:
     return OptionError(Fault("VAL008", message, path, (), hint))

@@ -51,20 +51,20 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         if "\0" in text:
             raise unreadable(Path(text), "embedded null byte")
     files: dict[Path, None] = {}
-    unmatched = []
+    unmatched_patterns = []
     for text in texts:
-        matched = [file.path for file in matching_files(text, SUFFIXES)]
-        files.update(dict.fromkeys(matched))
-        if not matched:
+        matching_paths = [file.path for file in matching_files(text, SUFFIXES)]
+        files.update(dict.fromkeys(matching_paths))
+        if not matching_paths:
             message, hint = f"no file to check in {text!r}", nearest_file(Path(text))
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
-            unmatched.append(fault)
+            unmatched_patterns.append(fault)
     if not files:
         shown_paths = ", ".join(texts) or "nothing"
         message = f"no file to check in {shown_paths}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
         raise NoMatchError(Fault("VAL006", message, hint=hint))
-    return list(files), unmatched
+    return list(files), unmatched_patterns
 
 
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
@@ -110,15 +110,15 @@ class Ignores:
         if fault.path != str(self.document.path):
             return False
         spellings = self._spellings(fault.where or "")
-        hidden = False
+        is_hidden = False
         for i, entry in enumerate(_entries(self.document)):
             pattern = entry.get("where")
             if fault.code in current_codes(entry["code"]) and (
                 not pattern or any(_covers(pattern, spelling) for spelling in spellings)
             ):
                 self.used[i] += 1
-                hidden = True
-        return hidden
+                is_hidden = True
+        return is_hidden
 
     def _spellings(self, where: str) -> list[str]:
         """Return a location with list entries by number, and by name."""
@@ -198,7 +198,7 @@ class Report:
     @property
     def repairs(self) -> list[Entry]:
         """Fixed findings, and how."""
-        return [Entry(fault, done=done) for fault, done in self.mended]
+        return [Entry(fault, done=fix_text) for fault, fix_text in self.mended]
 
     @property
     def summary(self) -> dict[str, int]:
@@ -211,7 +211,9 @@ class Report:
             self,
             findings=tuple(fault.worded(calling) for fault in self.findings),
             fixable=frozenset(fault.worded(calling) for fault in self.fixable),
-            mended=tuple((fault.worded(calling), done) for fault, done in self.mended),
+            mended=tuple(
+                (fault.worded(calling), fix_text) for fault, fix_text in self.mended
+            ),
         )
 
     def count(self, severity: Severity) -> int:
@@ -224,7 +226,7 @@ class Report:
         return frozenset(
             fault.path
             for fault in self.findings
-            if fault.path in file_names and _unreadable(fault, fault.path)
+            if fault.path in file_names and _is_unreadable(fault, fault.path)
         )
 
     def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
@@ -251,8 +253,8 @@ def validate(
         OptionError: Unknown code (VAL005), unsupported file type (IO002), or malformed
             project settings.
     """
-    requested = [paths] if isinstance(paths, Path | str) else list(paths)
-    return list(validate_files(find_files(requested), options).findings)
+    requested_paths = [paths] if isinstance(paths, Path | str) else list(paths)
+    return list(validate_files(find_files(requested_paths), options).findings)
 
 
 def validate_files(
@@ -277,7 +279,7 @@ def validate_files(
     )
     by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
-    findings = {_named(fault, names) for faults in by_file for fault in faults}
+    findings = {_with_file_name(fault, names) for faults in by_file for fault in faults}
     return Report(files, tuple(sorted(findings, key=_order)), failed_rules)
 
 
@@ -296,11 +298,11 @@ def _all(
     faults = None
     # Which file crashed before is known only in this process.
     if processes > 1 and not has_crashed():
-        faults = _shared(files, settings, values, processes)
+        faults = _findings_in_processes(files, settings, values, processes)
     yield from map(_check, files, settings, values) if faults is None else faults
 
 
-def _shared(
+def _findings_in_processes(
     files: Sequence[Path],
     settings: Sequence[ValidateOptions],
     values: Sequence[SceneValues | None],
@@ -343,11 +345,11 @@ def _check(
     return [
         options.of(fault)
         for fault in faults
-        if options.counts(fault.code) or _unreadable(fault, str(path))
+        if options.counts(fault.code) or _is_unreadable(fault, str(path))
     ]
 
 
-def _unreadable(fault: Fault, path: str) -> bool:
+def _is_unreadable(fault: Fault, path: str) -> bool:
     """Return whether a finding is an unreadable file, which always counts."""
     return fault.code == "IO001" and fault.path == path
 
@@ -358,7 +360,7 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
     rules, _ = all_rules()
     for rule in rules.values():
         if rule.check and checked.kind in rule.kinds:
-            faults += _run(rule, checked)
+            faults += _run_rule(rule, checked)
     if checked.document is None:
         return faults
     ignores = Ignores.of(checked.document)
@@ -380,11 +382,11 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     return [fault for subject in subjects for fault in _faults_of(rule, subject)]
 
 
-def _subjects(rule: Rule, checked: CheckedFile) -> Sequence[object]:
+def _subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
     """Return a rule's subjects in a file; none if its reader refused it."""
     if rule.takes:
-        return checked.takes
-    return () if checked.subject is None else (checked.subject,)
+        return checked_file.takes
+    return () if checked_file.subject is None else (checked_file.subject,)
 
 
 def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
@@ -394,19 +396,21 @@ def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
         yield fault if is_note else replace(fault, severity=rule.severity)
 
 
-def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
+def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
     """Return the findings of a rule; a crash is a finding, too."""
     try:
-        return [f for s in _subjects(rule, checked) for f in _faults_of(rule, s)]
+        return [f for s in _subjects(rule, checked_file) for f in _faults_of(rule, s)]
     except Exception as error:
-        path = None if checked.document is None else str(checked.document.path)
+        path = (
+            None if checked_file.document is None else str(checked_file.document.path)
+        )
         kind = type(error).__name__
         message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"
         hint = "please report it to the author of the rule"
         return [Fault("VAL003", message, path, (), hint)]
 
 
-def _named(fault: Fault, names: dict[Path, str]) -> Fault:
+def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
     """Return a finding with its file spelled as the user did, or relative."""
     if fault.path is None or fault.path in names.values():
         return fault

@@ -136,12 +136,12 @@ def test_an_interrupt_leaves_whole_files(
         "import os, signal, sys\n"
         "from animtool.batch import run as batch_run\n"
         "from animtool.cli.main import run\n"
-        "ended = batch_run._BatchRun._ended\n"
+        "ended = batch_run._BatchRun._record_outcome\n"
         "def stop(self, outcome):\n"
         "    ended(self, outcome)\n"
         "    if len(self.ended) == 3:\n"
         f"        os.kill(os.getpid(), {int(number)})\n"
-        "batch_run._BatchRun._ended = stop\n"
+        "batch_run._BatchRun._record_outcome = stop\n"
         "sys.exit(run(['batch', 'takes/*', '-o', 'out/{stem}.usdc', '-j', '3']))"
     )
     done = subprocess.run(

@@ -98,7 +98,7 @@ class Journal:
         try:
             for folder in folders:
                 in_folder = [
-                    _plain(file) for file in files if file.final.parent == folder
+                    _entry_of(file) for file in files if file.final.parent == folder
                 ]
                 record = {
                     "folders": [os.fspath(f) for f in folders],
@@ -115,7 +115,7 @@ class Journal:
         handle = os.open(folder / self.name, flags, 0o666)
         # Its lock shows that the process is alive, to other containers too.
         self._handles.append(handle)
-        _locked(handle)
+        _try_lock(handle)
         with os.fdopen(os.dup(handle), "wb") as file:
             file.write(content)
             file.flush()
@@ -142,13 +142,13 @@ class Journal:
         content = read_input(folder / self.name, _MAX_BYTES, recorded=False)
         try:
             entries = json.loads(content)["files"]
-            return [_placed(folder, entry) for entry in entries]
+            return [_placed_file(folder, entry) for entry in entries]
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             # It was incomplete, so that no file had been renamed.
             return []
 
 
-def _placed(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
+def _placed_file(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
     names = [entry[key] for key in ("final", "temporary", "old")]
     # Names in a journal must not lead out of its folder.
     final, temporary, old = (folder / Path(name).name for name in names)
@@ -158,7 +158,7 @@ def _placed(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
     return PlacedFile(final, temporary, (inode, size, changed), old)
 
 
-def _plain(file: PlacedFile) -> Mapping[str, Any]:
+def _entry_of(file: PlacedFile) -> Mapping[str, Any]:
     return {
         "final": file.final.name,
         "temporary": file.temporary.name,
@@ -189,12 +189,12 @@ def _taken_back(folder: str, process: int) -> None:
 
 
 def _undo(path: Path) -> bool:
-    """Roll back the set of a journal; return whether nothing of it remains."""
+    """Roll back the set of a journal; return whether all its files are gone."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
         with open_input(path, _MAX_BYTES, recorded=False) as file:
-            if not _locked(file.fileno()):
+            if not _try_lock(file.fileno()):
                 return False
             # Complete now: its writer is dead.
             content = read_input(path, _MAX_BYTES, recorded=False)
@@ -215,7 +215,7 @@ def _folders(content: bytes) -> list[Path]:
         return []
 
 
-def _locked(handle: int) -> bool:
+def _try_lock(handle: int) -> bool:
     """Lock a journal so that one process rolls it back."""
     if sys.platform == "win32":
         return False

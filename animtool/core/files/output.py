@@ -251,7 +251,7 @@ _waiting: ContextVar[_OutputSet | None] = ContextVar("_waiting", default=None)
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
     """Write a file atomically from an iterable of bytes (else OUT002)."""
-    with _replaced(output) as file:
+    with _open_replacement(output) as file:
         for part in parts:
             file.write(part)
 
@@ -260,12 +260,12 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     """Write named arrays to an npz file atomically (else OUT002)."""
     import numpy as np
 
-    with _replaced(output) as file:
+    with _open_replacement(output) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 @contextlib.contextmanager
-def _replaced(output: Path) -> Iterator[BinaryIO]:
+def _open_replacement(output: Path) -> Iterator[BinaryIO]:
     """Provide an open file that becomes an output at the end."""
     with replacing(output) as temporary:
         try:

@@ -118,7 +118,7 @@ def recorded_inputs() -> Iterator[Inputs]:
 def note_input(
     path: Path, state: FileState | None = None, *, composed: bool = False
 ) -> None:
-    """Record a file that is about to be read, or was looked for.
+    """Record a file before it is read or searched for.
 
     The state is that of the descriptor if the file is open; None queries the path. A
     composed file is one that a USD layer includes; the user did not name it.
@@ -163,7 +163,7 @@ class MatchedFile:
 
 
 class PathResolver:
-    """Resolves links of folders in paths, but not those of files.
+    """Resolves links to folders in paths, but not links to files.
 
     Each folder is resolved only once.
     """
@@ -188,8 +188,8 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
     else:
         if isinstance(reason, OSError):
             reason = reason.strerror or str(reason)
-        it = "it " if reason.startswith("is a ") else ""
-        message = f"cannot be read: {it}{reason}"
+        subject = "it " if reason.startswith("is a ") else ""
+        message = f"cannot be read: {subject}{reason}"
     hint = unexpanded_hint(str(path)) or nearest_file(path) or _folder_hint(path)
     return FormatError(Fault("IO001", message, str(path), (), hint))
 

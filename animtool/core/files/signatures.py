@@ -111,7 +111,7 @@ def signature_of(head: bytes) -> Signature | None:
 def other_format(
     code: str, path: Path | str, expected: str, hint: str = ""
 ) -> Fault | None:
-    """Return the fault of a file whose bytes have another known format than expected.
+    """Return a fault if the bytes of a file show another known format.
 
     Args:
         code: Code of the fault.

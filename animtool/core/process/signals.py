@@ -64,7 +64,7 @@ def _obey_again(signum: int, frame: FrameType | None) -> None:
         interrupt()
 
 
-def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
+def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
     """Raise an ending exception again that Python ignored."""
     is_end = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
     if not (is_end and _signal_state.number):
@@ -83,7 +83,7 @@ def obey_signals() -> None:
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _obey)
-    sys.unraisablehook = _swallowed
+    sys.unraisablehook = _reraise_ending
     _signal_state.number, _signal_state.late, _signal_state.installed = 0, False, True
 
 

@@ -164,7 +164,7 @@ def has_crashed() -> bool:
 
 
 def note_said() -> None:
-    """Record that a result was printed or a file named, which a rerun repeats."""
+    """Record that output was printed or a file named; a rerun would repeat it."""
     notes = _state.notes
     if notes is not None:
         # Buffered output is lost in a crash.
@@ -276,7 +276,7 @@ def supervise(
     ``clean`` removes the unfinished files of a dead child from folders.
     """
     notes = _Notes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
-    signals_to_wait = _waited()
+    signals_to_wait = _signals_to_wait_for()
     signal.pthread_sigmask(signal.SIG_BLOCK, signals_to_wait)
     while True:
         child, alive = _fork(work, notes, signals_to_wait)
@@ -302,7 +302,7 @@ def supervise(
         _state.crashed[str(Path(crash.path).absolute())] = crash.number
 
 
-def _waited() -> set[int]:
+def _signals_to_wait_for() -> set[int]:
     """Return the signals to wait for; ignored ones stay ignored."""
     # If it is ignored by default, some systems cannot wait for it.
     signal.signal(signal.SIGCHLD, lambda *_: None)
@@ -333,7 +333,9 @@ def _fork(
     return child, write_end
 
 
-def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoReturn:
+def _be_child(
+    work: Callable[[], int], alive: int, blocked_signals: set[int]
+) -> NoReturn:
     """Do the work in the child, and exit.
 
     ``alive`` is closed when the parent ends; ``blocked`` are the other signals that the
@@ -347,7 +349,7 @@ def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoRetur
         resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
     threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked_signals)
     obey_signals()
     code = 1
     try:

@@ -146,7 +146,7 @@ def run_outputs(
 
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     draft = BakeState(
         plan, progress, [BakedTake(take, plan.watch) for take in plan.takes]
     )
@@ -155,12 +155,12 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         assert draft.report is not None
         refuse_warnings(draft.report.notices, strict=plan.options.strict)
     assert draft.report is not None
-    authored = time.perf_counter()
+    end_time = time.perf_counter()
     draft.write()
-    total = time.perf_counter() - started
+    total = time.perf_counter() - start_time
     read = sum(draft.read)
     # Frames of an output with systems only are simulated while they are written.
-    author = authored - started if plan.takes else total - read
+    author = end_time - start_time if plan.takes else total - read
     draft.report.seconds |= {
         "read": read,
         "author": author,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.joint_map import RigJointMap
     from animtool.usd.rigs.target import RigTarget
 
-# Frames whose joints are held at once: 60 joints take 1.5 MB.
+# Frames of joints in memory at once: 60 joints take 1.5 MB.
 PIECE_FRAMES = 256
 
 
@@ -38,22 +38,22 @@ class DeformedCharacter:
     rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
     strands: tuple[Strands, ...]  # meshes that follow single joints
-    # How the take's joints stand in the rig; None where they are its own.
+    # Maps the take's joints to the rig; None if they are the rig's own.
     mapping: RigJointMap | None
     meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
-    origin: str  # whose meshes they are, for reports
+    origin: str  # source of the meshes, for reports
 
     def only(
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
         """Return a copy with some of its meshes and strands, in its order."""
-        kept = [part.name in surfaces for part in self.surfaces]
-        kept += [part.name in strands for part in self.strands]
+        is_kept = [part.name in surfaces for part in self.surfaces]
+        is_kept += [part.name in strands for part in self.strands]
         return replace(
             self,
             surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
             strands=tuple(part for part in self.strands if part.name in strands),
-            meshes=tuple(itertools.compress(self.meshes, kept)),
+            meshes=tuple(itertools.compress(self.meshes, is_kept)),
         )
 
 
@@ -84,7 +84,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
                 source_meshes(source, options.source.prim_path, options.placement),
             )
         take.notices.extend(targets.notices)
-        surfaces = _turned(targets.surfaces, rig.up, targets.up)
+        surfaces = _rotate_surfaces(targets.surfaces, rig.up, targets.up)
         strands, bind = targets.strands, targets.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
@@ -102,7 +102,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     )
 
 
-def _turned(
+def _rotate_surfaces(
     surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
 ) -> tuple[Surface, ...]:
     """Rotate meshes without a skin to another up axis; joints carry the others.
@@ -128,11 +128,11 @@ def pieces(
     """Yield short pieces of a motion, each with a slice of the frames that count."""
     before: tuple[FloatArray, Motion] | None = None
     cut = _cut(blocks)
-    piece = next(cut, None)
-    while piece is not None:
+    frame_piece = next(cut, None)
+    while frame_piece is not None:
         after = next(cut, None)
-        codes, motion = piece
-        parts = [piece]
+        codes, motion = frame_piece
+        parts = [frame_piece]
         if neighbours and before is not None:
             parts.insert(0, before)
         if neighbours and after is not None:
@@ -141,9 +141,9 @@ def pieces(
             codes = np.concatenate([codes for codes, _ in parts])
             motion = Motion.concatenate([motion for _, motion in parts])
         lead = 1 if neighbours and before is not None else 0
-        yield codes, motion, slice(lead, lead + len(piece[0]))
-        before = piece[0][-1:], piece[1].select(slice(-1, None))
-        piece = after
+        yield codes, motion, slice(lead, lead + len(frame_piece[0]))
+        before = frame_piece[0][-1:], frame_piece[1].select(slice(-1, None))
+        frame_piece = after
 
 
 def _cut(blocks: TimedBlocks) -> TimedBlocks:

@@ -102,18 +102,18 @@ class FilePlan:
         plan = self.take
         resampled_stream = in_frames(plan)
         resampled_stream.notices = [*resampled_stream.notices, *plan.notices]
-        report = self._written(resampled_stream)
+        report = self._write_file(resampled_stream)
         scores = list(plan.stream.scores)
         return replace(report, shot=plan.options.shot, scores=scores)
 
-    def _written(self, stream: TakeStream) -> ConvertReport:
+    def _write_file(self, stream: TakeStream) -> ConvertReport:
         path, plan = self.path, self.take
         options, base = plan.options, self.base
         take = stream.collect()
         base_take = None
         if base is not None:
             same_suffix = base.suffix.lower() == plan.source.suffix.lower()
-            base_take = _below(take, base, options.source if same_suffix else None)
+            base_take = _base_take(take, base, options.source if same_suffix else None)
         write = WriteOptions(
             options.reduce, dict(options.reduce_at), base_take, self.rig_file
         )
@@ -188,7 +188,7 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
     return TakeFiles({path: text.parts}, span, joints, text.notices)
 
 
-def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
+def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:
     """Return the base take of an additive take, at the frames of that take."""
     from animtool.edit.combine import check_same_rig, other_frames
 

@@ -80,7 +80,7 @@ def start_notice(
     if source_start is None or source_start.denominator == 1 or first.denominator != 1:
         return []
     if start != frame_start(source_start, source_fps, fps):
-        # The first frame was set otherwise, such as by a rig layer's start.
+        # The first frame has another source, such as a rig layer's start.
         return []
     source_label = f"{frame_label(source_start)} at {rate_label(source_fps)}"
     message = f"the source starts at time code {source_label}"

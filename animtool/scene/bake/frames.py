@@ -83,18 +83,18 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     options = plan.options
     # A requested rate puts a sample on each frame.
     keeps_samples = options.fps is None or options.keep_samples or stream.step == 1
-    unchanged = (
+    is_unchanged = (
         plan.fps == stream.fps
         and keeps_samples
         and not options.samples
         and options.frame_range is None
         and options.rest_frame is None
     )
-    if unchanged:
-        return TimedTake(_streamed(plan, stream), stream.rig)
+    if is_unchanged:
+        return TimedTake(_stream_blocks(plan, stream), stream.rig)
     curve = None if stream.altered else stream.curve
     if curve is not None and options.rest_frame is None:
-        return _sampled(plan, stream, curve)
+        return _sample_curve(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
     rig, interpolation = take.rig, Between.of(take)
@@ -169,10 +169,10 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
     """Return how to name frames by the numbers that the take has."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
     origin = Fraction(1) if plan.stream.start is None else plan.stream.start
-    moved = plan.start - origin
+    offset = plan.start - origin
     start = argument("start", frame_label(plan.start))
-    if moved and 0 <= frames.first - origin <= span:
-        text = f"{frames.first + math.floor(moved)}-{frames.last + math.floor(moved)}"
+    if offset and 0 <= frames.first - origin <= span:
+        text = f"{frames.first + math.floor(offset)}-{frames.last + math.floor(offset)}"
         return f"{start} renumbers the take first: {argument('frame_range', text)}"
     if plan.options.start is None and frames.last - frames.first <= span:
         start = argument("start", frames.first)
@@ -188,28 +188,31 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """
     frame_range, where = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
-    requested = range(frame_range.first, frame_range.last + 1, frame_range.step)
+    requested_frames = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
     # Played backwards, a frame lasts until the previous one.
     lead_in, lead_out = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
     missing_frames = [
         n
-        for n in requested
+        for n in requested_frames
         if not (plan.start - lead_in < n < last + lead_out or n in {plan.start, last})
     ]
     if not missing_frames:
         return []
     prefix = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
-    if len(missing_frames) == len(requested):
+    if len(missing_frames) == len(requested_frames):
         # After passes that retime the take, its times do not correspond to the media.
         nearest_end = last if shot.speed < 0 else plan.start
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
-            raise no_frames(shot, requested[0], requested[-1], length, where)
+            raise no_frames(
+                shot, requested_frames[0], requested_frames[-1], length, where
+            )
         message = (
-            f"{prefix}the take has no frame from {requested[0]} to {requested[-1]}"
+            f"{prefix}the take has no frame from {requested_frames[0]} "
+            f"to {requested_frames[-1]}"
         )
         cut_key = None if shot.places_media else "shot.cut"
         raise OptionError(Fault("SCN042", message, where, (), hint, where=cut_key))
@@ -234,7 +237,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     return notices
 
 
-def _sampled(
+def _sample_curve(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> TimedTake:
     """Sample a source that is a function of time at the output's sample times."""
@@ -255,13 +258,13 @@ def _sampled(
 
 
 def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
-    done = 0
+    frames_done = 0
     for motion in motions:
-        yield codes[done : done + motion.frames], motion
-        done += motion.frames
+        yield codes[frames_done : frames_done + motion.frames], motion
+        frames_done += motion.frames
 
 
-def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
+def _stream_blocks(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
     frames_read = 0
     for block in stream.blocks:
         first = plan.start + frames_read * stream.step
@@ -380,7 +383,7 @@ class BakedTake:
         if self._timed is not None:
             return self._timed
         stream = self.plan.stream
-        stream = replace(stream, blocks=self._counted(stream.blocks))
+        stream = replace(stream, blocks=self._count_frames(stream.blocks))
         if self._watch is not None:
             stream = self._watch.read(stream)
         timed_take = timed_blocks(self.plan, stream)
@@ -388,7 +391,7 @@ class BakedTake:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._timed = replace(timed_take, blocks=self._recorded(timed_take.blocks))
+        self._timed = replace(timed_take, blocks=self._record_blocks(timed_take.blocks))
         return self._timed
 
     @property
@@ -396,12 +399,12 @@ class BakedTake:
         """Rig in its rest pose."""
         return self.open().rig
 
-    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _count_frames(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
             self.frames += block.frames
             yield block
 
-    def _recorded(self, blocks: TimedBlocks) -> TimedBlocks:
+    def _record_blocks(self, blocks: TimedBlocks) -> TimedBlocks:
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._watch is not None:

@@ -36,8 +36,8 @@ class JointPrims:
     def author(self, draft: BakeState) -> None:
         """Author the layers of every take."""
         plan = draft.plan
-        rest = draft.runs[0].rig
-        job = _job(plan, rest)
+        rest_rig = draft.runs[0].rig
+        job = _job(plan, rest_rig)
         takes = [_JointTake(run) for run in draft.runs]
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
@@ -60,7 +60,7 @@ class JointPrims:
             result,
             notices,
             joints=len(plan.takes[0].stream.rig.joints),
-            size=rest_size(rest),
+            size=rest_size(rest_rig),
             meters_per_unit=job.meters_per_unit,
             up=job.rig.up,
         )
@@ -79,10 +79,10 @@ class JointFiles:
         write_usd(self.job, self.authored, self.result, save)
 
 
-def _job(plan: BakePlan, rest: Rig) -> UsdJob:
+def _job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
     """Return the writer's job for every take."""
-    mapping = plan.takes[0].mapping
-    rig = rest if mapping is None else mapping.rig
+    joint_map = plan.takes[0].mapping
+    rig = rest_rig if joint_map is None else joint_map.rig
     names, joints = _usd_names(plan, rig)
     form = plan.form
     if form is LayerForm.LIBRARY:
@@ -120,19 +120,19 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
-        mapping = take.plan.mapping
+        joint_map = take.plan.mapping
         rounded_blocks = round_blocks(
             blocks,
             job.rig,
             job.meters_per_unit,
             root_motion=root_motion,
-            size=1.0 if mapping is None else mapping.size,
+            size=1.0 if joint_map is None else joint_map.size,
         )
-        prefetched = prefetch(timed(rounded_blocks, take.seconds, "read"))
+        prefetched_blocks = prefetch(timed(rounded_blocks, take.seconds, "read"))
         try:
-            yield replace(usd_take, blocks=prefetched)
+            yield replace(usd_take, blocks=prefetched_blocks)
         finally:
-            prefetched.close()
+            prefetched_blocks.close()
 
 
 class _JointTake:
@@ -150,19 +150,25 @@ class _JointTake:
         """
         timed_take = self._run.open()
         blocks, frames = timed_take.blocks, timed_take.frames
-        plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
+        plan, options, joint_map = self.plan, self.plan.options, self.plan.mapping
         mapped_joints = None
-        if mapping is not None:
-            rig_mapping = mapping
+        if joint_map is not None:
+            rig_mapping = joint_map
             blocks = (
                 (codes, rig_mapping.at(codes, motion)) for codes, motion in blocks
             )
-            if (mapping.source < 0).any():
-                mapped_joints = mapping.source >= 0
+            if (joint_map.source < 0).any():
+                mapped_joints = joint_map.source >= 0
         if options.sparse:
             all_blocks = list(blocks)
-            moving = moving_joints(plan, rig, [motion for _, motion in all_blocks])
-            written_joints = moving if mapped_joints is None else moving & mapped_joints
+            moving_joints_mask = moving_joints(
+                plan, rig, [motion for _, motion in all_blocks]
+            )
+            written_joints = (
+                moving_joints_mask
+                if mapped_joints is None
+                else moving_joints_mask & mapped_joints
+            )
             mapped_joints, blocks = (
                 written_joints if written_joints.any() else mapped_joints,
                 iter(all_blocks),
@@ -181,9 +187,9 @@ class _JointTake:
             name=plan.name,
             source_name=source_stem(plan.source),
             props=self._run.props,
-            to_rig=None if mapping is None else mapping.to_rig,
+            to_rig=None if joint_map is None else joint_map.to_rig,
             reduced=self._thinned is not None,
-            rest_record=rest_record(plan.stream.rig, rig) if mapping is None else {},
+            rest_record=rest_record(plan.stream.rig, rig) if joint_map is None else {},
         )
         return take, blocks
 

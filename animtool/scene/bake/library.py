@@ -68,28 +68,30 @@ def in_joint_order(
     notices: list[Fault],
 ) -> list[TakeStream]:
     """Return the takes with their joints in the order of the first take's."""
-    first_joints, *other_joints = [_named(stream.rig, options) for stream in streams]
+    first_joints, *other_joints = [
+        _parents_by_name(stream.rig, options) for stream in streams
+    ]
     faults = [
         Fault("USD030", difference, str(path), (), "a library has one skeleton")
-        for path, other in zip(sources[1:], other_joints, strict=True)
-        if (difference := _difference(first_joints, other, str(sources[0])))
+        for path, joints in zip(sources[1:], other_joints, strict=True)
+        if (difference := _difference(first_joints, joints, str(sources[0])))
     ]
     if faults:
         raise FormatError(faults)
-    reordered = [streams[0]]
-    reordered += [
-        _ordered(stream, list(other), list(first_joints), streams[0].rig)
-        for stream, other in zip(streams[1:], other_joints, strict=True)
+    reordered_streams = [streams[0]]
+    reordered_streams += [
+        _reorder_joints(stream, list(joints), list(first_joints), streams[0].rig)
+        for stream, joints in zip(streams[1:], other_joints, strict=True)
     ]
     if options.rest_frame is None:
-        for path, stream in zip(sources[1:], reordered[1:], strict=True):
+        for path, stream in zip(sources[1:], reordered_streams[1:], strict=True):
             notices += _rest_notice(
                 streams[0].rig, stream.rig, str(path), str(sources[0])
             )
-    return reordered
+    return reordered_streams
 
 
-def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
+def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
     """Return the parent of every joint by USD name, in order.
 
     So a BVH and what USD holds of it have the same joints. A root has none.
@@ -101,21 +103,23 @@ def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
     }
 
 
-def _difference(first: dict[str, str], other: dict[str, str], source: str) -> str:
+def _difference(first: dict[str, str], others: dict[str, str], source: str) -> str:
     """Return the first difference between joints as text; empty for none."""
     for name, parent in first.items():
-        if name not in other:
+        if name not in others:
             return f"there is no joint {name!r}, which {source} has"
-        if other[name] != parent:
-            parents = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
+        if others[name] != parent:
+            parents = [
+                f"below {p!r}" if p else "a root" for p in (others[name], parent)
+            ]
             return f"joint {name!r} is {parents[0]}, but in {source} {parents[1]}"
-    for name in other:
+    for name in others:
         if name not in first:
             return f"joint {name!r} is not in {source}"
     return ""
 
 
-def _ordered(
+def _reorder_joints(
     stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
     """Return a take with its joints in the order of a first rig."""
@@ -130,26 +134,26 @@ def _ordered(
         for i, joint in zip(source.tolist(), first.joints, strict=True)
     )
     reordered_rig = replace(rig, joints=joints)
-    mapping = RigJointMap(reordered_rig, source, np.ones((len(joints), 3)), [])
+    joint_map = RigJointMap(reordered_rig, source, np.ones((len(joints), 3)), [])
     curve, source_blocks = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
         for block in source_blocks:
-            yield mapping.apply(block)
+            yield joint_map.apply(block)
 
-    reordered = replace(stream, rig=reordered_rig, blocks=blocks())
+    reordered_stream = replace(stream, rig=reordered_rig, blocks=blocks())
     if curve is not None:
-        reordered.curve = lambda times: mapping.apply(curve(times))
-    return reordered
+        reordered_stream.curve = lambda times: joint_map.apply(curve(times))
+    return reordered_stream
 
 
-def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
+def _rest_notice(first: Rig, other_rig: Rig, path: str, source: str) -> list[Fault]:
     """Warn where a take's rest pose differs from the one that is written."""
     distances = np.linalg.norm(
-        first.rest_translations - other.rest_translations, axis=1
+        first.rest_translations - other_rig.rest_translations, axis=1
     )
     size = float(np.abs(first.rest_translations).max(initial=0.0)) or 1.0
-    angles = so3.angle_between(first.rest_rotations, other.rest_rotations)
+    angles = so3.angle_between(first.rest_rotations, other_rig.rest_rotations)
     relative_errors = np.maximum(
         distances / (REST_LENGTH_TOLERANCE * size), angles / REST_ANGLE_TOLERANCE
     )

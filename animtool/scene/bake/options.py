@@ -18,7 +18,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.file.option_text import parse_frame, parse_frame_range
 from animtool.scene.sources.open import SourceOptions
 
-_ADOPTED = (
+_ADOPTED_OPTIONS = (
     "a layer adopts its rig layer's units and up axis: remove "
     f"{argument('to_units')}, {argument('to_up')}"
 )
@@ -211,7 +211,7 @@ class BakeOptions:
         None,
         "unit",
         not_for=("library", "file"),
-        over_layer=_ADOPTED,
+        over_layer=_ADOPTED_OPTIONS,
         batch=Key("Unit of the outputs. Default: each source's.", "m"),
         help="Unit of the output.",
     )
@@ -219,7 +219,7 @@ class BakeOptions:
         None,
         "axis",
         not_for=("library", "file"),
-        over_layer=_ADOPTED,
+        over_layer=_ADOPTED_OPTIONS,
         batch=Key("Up axis of the outputs. Default: each source's.", "Y"),
         help="Up axis of the output.",
     )

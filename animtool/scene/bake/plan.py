@@ -81,20 +81,20 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
         any_forced = any(entry.options.force_fit for entry in entries)
         options = BakeOptions(force_fit=any_forced)
     # Systems are planned after the take that they accompany.
-    simulated = any(entry.simulated for entry in entries)
-    work_follows = simulated or len(entries) > 1
+    has_systems = any(entry.simulated for entry in entries)
+    work_follows = has_systems or len(entries) > 1
     source_progress = part_progress(progress, 0, 2) if work_follows else progress
     with protect_inputs(outline.files):
         streams = reading.open(options, source_progress)
     notices = [*outline.notices, *reading.unused]
     if len(entries) == 1:
         names = reading.names
-        return [_planned(reading.files, streams, entries[0], notices, names)]
+        return [_plan_output(reading.files, streams, entries[0], notices, names)]
     (stream,) = streams
     return [
-        _planned(reading.files, [entry_stream], entry, list(notices))
+        _plan_output(reading.files, [entry_stream], entry, list(notices))
         for entry, entry_stream in zip(
-            entries, _shared(stream, len(entries)), strict=True
+            entries, _shared_streams(stream, len(entries)), strict=True
         )
     ]
 
@@ -111,19 +111,19 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
         layer = entry.options.rig_layer
         entry_inputs = inputs | ({layer.resolve()} if layer else set())
         if not entry_inputs.isdisjoint(path.resolve() for path in entry.files):
-            continue  # it is not even read (OUT003)
+            continue  # never read (OUT003)
         try:
             check_settings(entry)
             if take is None:
                 _planned_systems(entry, [])
             else:
-                _planned(outline.reading.files, [TakeStream.of(take)], entry, [])
+                _plan_output(outline.reading.files, [TakeStream.of(take)], entry, [])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
     return faults
 
 
-def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
+def _shared_streams(stream: TakeStream, count: int) -> list[TakeStream]:
     """Return several streams of one take, which is read only once."""
     motions: list[Motion] = []
 
@@ -136,7 +136,7 @@ def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
     return [replace(stream, blocks=blocks()) for _ in range(count)]
 
 
-def _planned(
+def _plan_output(
     sources: Sequence[Path],
     streams: list[TakeStream],
     entry: OutputEntry,
@@ -224,8 +224,8 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
 
     assert entry.scene is not None
     if not entry.is_stage:
-        what = take_writer(entry.path).name
-        message = f"a {what} file cannot hold simulated systems"
+        format_name = take_writer(entry.path).name
+        message = f"a {format_name} file cannot hold simulated systems"
         fault = Fault("OUT004", message, hint="write .usdc")
         raise OptionError(
             fault if entry.location is None else entry.location.locate(fault)
@@ -273,8 +273,8 @@ def plan_takes(
     """
     form = form_of(options)
     library = form is LayerForm.LIBRARY
-    added = library and path != STDOUT and path.exists()
-    target = _target(path if added else options.rig_layer, options.prim_path)
+    is_added = library and path != STDOUT and path.exists()
+    target = _target(path if is_added else options.rig_layer, options.prim_path)
     mappings: Sequence[RigJointMap | None]
     if target is None:
         streams = _on_stage(sources, streams, options, notices)
@@ -305,13 +305,13 @@ def plan_takes(
             source,
             name,
             stream,
-            mapping,
+            joint_map,
             options if i == 0 else replace(options, rest_frame=None),
             fps,
             start,
             notices,
         )
-        for i, (source, name, stream, mapping) in enumerate(
+        for i, (source, name, stream, joint_map) in enumerate(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
@@ -364,10 +364,10 @@ def _on_stage(
     notices: list[Fault],
 ) -> list[TakeStream]:
     """Return takes as a stage has them: all with the same up axis, placed or not."""
-    kept = options.placement != "drop"
+    keeps_placement = options.placement != "drop"
     for source, stream in zip(sources, streams, strict=True):
-        notices += placement_notice(stream.rig, str(source), kept=kept)
-    if not kept:
+        notices += placement_notice(stream.rig, str(source), kept=keeps_placement)
+    if not keeps_placement:
         streams = [at_stage_origin(stream) for stream in streams]
     up = options.to_up or streams[0].rig.up
     return [reorient(stream, up) for stream in streams]
@@ -384,32 +384,32 @@ def _on_rig(
 
     notices += target.notices
     rig, layer = target.skeleton.rig, str(target.path)
-    over = [
+    over_rigs = [
         over_rig(
             reorient(stream, rig.up), target.placement, options.placement, layer, rig
         )
         for stream in streams
     ]
-    mappings = [_mapped(one, target, options, notices) for one in over]
-    return [one.stream for one in over], mappings
+    mappings = [_joint_map(one, target, options, notices) for one in over_rigs]
+    return [one.stream for one in over_rigs], mappings
 
 
-def _mapped(
+def _joint_map(
     over_rig: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> RigJointMap:
     from animtool.usd.rigs.joint_map import map_joints
 
-    mapping = map_joints(
+    joint_map = map_joints(
         over_rig.stream.rig,
         target,
         options.strip_namespace,
         force_fit=options.force_fit,
         converted=over_rig,
     )
-    if mapping.fit is not None:
-        over_rig.stream.details["fit"] = round(mapping.fit.score, 4)
-    notices += [*over_rig.notices, *mapping.notices]
-    return mapping
+    if joint_map.fit is not None:
+        over_rig.stream.details["fit"] = round(joint_map.fit.score, 4)
+    notices += [*over_rig.notices, *joint_map.notices]
+    return joint_map
 
 
 def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
@@ -451,5 +451,5 @@ def start_of(
         fps = options.fps or (target.fps if target else stream.fps)
         on_frame = not options.keep_samples
         return frame_start(stream.start, stream.fps, fps, on_frame=on_frame)
-    configured = find_config(source).start
-    return Fraction(1) if configured is None else configured
+    configured_start = find_config(source).start
+    return Fraction(1) if configured_start is None else configured_start

@@ -81,12 +81,12 @@ class PointStream:
             for i, mesh in enumerate(character.meshes):
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in mapped_motion.points:
-                    frames = self._moved(
+                    frames = self._displaced_frames(
                         i, frames, codes, mapped_motion.points[mesh.name]
                     )
-                yield from self._rounded(i, codes, frames, counted_frames)
+                yield from self._float32_blocks(i, codes, frames, counted_frames)
 
-    def _moved(
+    def _displaced_frames(
         self,
         mesh: int,
         deformed: Iterator[Deformed],
@@ -103,12 +103,12 @@ class PointStream:
             yield displaced_points(deformed_block, points, frames, surface, times)
             frames_done = frames.stop
 
-    def _rounded(
+    def _float32_blocks(
         self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
     ) -> Iterator[Block]:
         """Yield the counted frames of a piece in float32."""
         frames_done = 0
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         for deformed_block in deformed:
             first, last = (
                 max(counted.start - frames_done, 0),
@@ -125,10 +125,10 @@ class PointStream:
             block = round_points(
                 mesh, block_codes, counted_block, self.meters_per_unit, space
             )
-            self.seconds[mesh] += time.perf_counter() - started
+            self.seconds[mesh] += time.perf_counter() - start_time
             yield block
-            started = time.perf_counter()
-        self.seconds[mesh] += time.perf_counter() - started
+            start_time = time.perf_counter()
+        self.seconds[mesh] += time.perf_counter() - start_time
 
     def _frames(
         self,
@@ -147,7 +147,7 @@ class PointStream:
             one_frame = deform(
                 record, weights, first_world, normals=normals, times=times
             )
-            return _repeated(one_frame, len(codes))
+            return _repeat_frame(one_frame, len(codes))
         times = codes / self.rate if self.velocities else None
         return deform_blocks(record, weights, world, normals=normals, times=times)
 
@@ -167,7 +167,7 @@ def _is_static(
     )
 
 
-def _repeated(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
+def _repeat_frame(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
     size = block_frames(frame_block.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:
@@ -259,14 +259,14 @@ def _author_props(
 ) -> list[str]:
     """Write the props of the take to a layer; return their prims."""
     assert run.props is not None
-    mapping = plan.takes[0].mapping
+    joint_map = plan.takes[0].mapping
     placements = prop_placements(
         job.paths,
         plan.target,
         None,
         job.meters_per_unit,
         up,
-        to_rig=None if mapping is None else mapping.to_rig,
+        to_rig=None if joint_map is None else joint_map.to_rig,
     )
     props, notices = author_props(layer, run.props, placements, plan.output)
     plan.notices.extend(notices)

@@ -24,7 +24,7 @@ Item = TypeVar("Item")
 Progress: TypeAlias = Callable[[float], None] | None
 
 
-def _one(_: object) -> int:
+def _unit_weight(_: object) -> int:
     """Return the weight of an item that counts as one."""
     return 1
 
@@ -33,7 +33,7 @@ def with_progress(
     items: Iterator[Item],
     count: int,
     progress: Progress,
-    size: Callable[[Item], int] = _one,
+    size: Callable[[Item], int] = _unit_weight,
 ) -> Iterator[Item]:
     """Yield items and report how many have been taken."""
     taken_size = 0
@@ -51,9 +51,9 @@ def timed(
 ) -> Iterator[Item]:
     """Yield items and add the time they take to a stage."""
     while True:
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         item = next(items, None)
-        seconds[stage] += time.perf_counter() - started
+        seconds[stage] += time.perf_counter() - start_time
         if item is None:
             return
         yield item
@@ -177,14 +177,14 @@ class ProgressPhases:
     def phase(self) -> Callable[[float], None]:
         """Begin a phase; return the callback for its fraction done."""
         self._floor = self._shown
-        return self._telling(0.5)
+        return self._phase_callback(0.5)
 
     def last(self) -> Callable[[float], None]:
         """Begin the last phase, which gets the remaining fraction."""
         self._floor = self._shown
-        return self._telling(1.0)
+        return self._phase_callback(1.0)
 
-    def _telling(self, phase_fraction: float) -> Callable[[float], None]:
+    def _phase_callback(self, phase_fraction: float) -> Callable[[float], None]:
         floor = self._floor
 
         def tell(fraction: float) -> None:
@@ -242,19 +242,19 @@ class PeakMemory:
 
     def begin(self) -> None:
         """Reset the base level to the current one."""
-        # What was held before, and is not any more, goes with the first look.
-        self._taken()
-        self.base = self._taken()
+        # The first sample discards memory that was freed before.
+        self._peak_bytes()
+        self.base = self._peak_bytes()
 
     def taken(self) -> int | None:
         """Return the peak since the last call [byte]; None where unknown."""
         if self.base is None:
             return None
-        peak = self._taken()
+        peak = self._peak_bytes()
         return None if peak is None else max(0, peak - self.base)
 
     @staticmethod
-    def _taken() -> int | None:
+    def _peak_bytes() -> int | None:
         peak = _status_peak()
         if peak is None:
             return _life_peak()

@@ -68,7 +68,7 @@ class SourceSet:
     @property
     def unused(self) -> list[Fault]:
         """Library takes that are scenes with bake options of their own."""
-        return [] if len(self.files) == 1 else _unused(self.scenes)
+        return [] if len(self.files) == 1 else _unused_options(self.scenes)
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
         """Open every source; report the faults of all at once."""
@@ -97,9 +97,9 @@ class SourceSet:
     def _open_one(
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
-        """Open a source; over a rig, without what joints cannot hold."""
+        """Open a source; over a rig, drop what joints cannot hold."""
         try:
-            return self._opened(path, options, source_progress)
+            return self._open_path(path, options, source_progress)
         except FormatError as error:
             is_uneven = any(fault.code == "USD035" for fault in error.faults)
             if (
@@ -108,11 +108,11 @@ class SourceSet:
                 or options.placement is not None
             ):
                 raise
-            # The rig may have the same transform: a layer then lacks nothing.
+            # If the rig has the same transform, the layer loses nothing.
             without_placement = replace(options, placement="drop")
-            return self._opened(path, without_placement, source_progress)
+            return self._open_path(path, without_placement, source_progress)
 
-    def _opened(
+    def _open_path(
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
         if path in self.scenes:
@@ -171,7 +171,7 @@ def source_set(sources: Sequence[Source]) -> SourceSet:
     return SourceSet(files, scenes, tuple(takes))
 
 
-def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
+def _unused_options(scenes: dict[Path, Scene]) -> list[Fault]:
     """Warn where a library take is a scene whose bake options are ignored."""
     message = "the scene's fps, range and output are ignored here"
     hint = "set them once for the whole library, on the command"

@@ -85,7 +85,7 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
     assert take_state is not None
     steps += [] if scene is None else _system_steps(scene, outputs)
     for entry in outputs:
-        systems = len(_written(entry))
+        systems = len(_system_names(entry))
         steps.append(_output_step(entry, replace(take_state, systems=systems)))
     return steps
 
@@ -181,7 +181,7 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
     return state
 
 
-def _written(entry: OutputEntry) -> list[str]:
+def _system_names(entry: OutputEntry) -> list[str]:
     """Return the systems that an output contains."""
     systems = () if entry.scene is None else entry.scene.systems
     return [system.name for system in systems if system.written]
@@ -212,18 +212,18 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
     """Return the steps of a scene without a source."""
     steps = _system_steps(scene, outputs)
     for entry in outputs:
-        prims = listed(_written(entry))
+        prims = listed(_system_names(entry))
         lines = (f"{LayerForm.STAGE} with {prims}, their points and velocities",)
-        lines_out = (*lines, *_named(entry.files))
+        lines_out = (*lines, *_file_labels(entry.files))
         steps.append(
             PlanStep(
-                StepKind.OUTPUT, entry.name, _where(entry), ("systems",), lines_out
+                StepKind.OUTPUT, entry.name, _output_key(entry), ("systems",), lines_out
             )
         )
     return steps
 
 
-def _where(entry: OutputEntry) -> str:
+def _output_key(entry: OutputEntry) -> str:
     """Return the key of an output in its scene; empty without a scene."""
     return "" if entry.scene is None else entry.scene.outputs[0].location.where
 
@@ -270,27 +270,33 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         for field in fields(options)
         if isinstance(value := getattr(options, field.name), Path)
     ]
-    available = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    available_parts = state.moving | {TakePart.RIG, TakePart.CLOCK}
     if not sees_tracks(entry.pass_):
-        available -= {TakePart.TRACKS}
+        available_parts -= {TakePart.TRACKS}
     left_out = []
     if scene.preroll is not None and not entry.pass_.settles:
         left_out.append("pre-roll: it has no state that would settle")
-    lacking = sorted((entry.pass_.reads & entry.pass_.changes) - available)
-    left_out += [f"{part}: the take has none" for part in lacking]
+    missing_parts = sorted((entry.pass_.reads & entry.pass_.changes) - available_parts)
+    left_out += [f"{part}: the take has none" for part in missing_parts]
     if state.curves and not state.dropped and _drops(entry):
         left_out.append("curves of controls: invalid where it changes these")
     return PlanStep(
         StepKind.PASS,
         entry.pass_.name,
         entry.location.where,
-        (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & available)),
-        tuple(_ordered((entry.pass_.changes & available) | _added_parts(entry))),
+        (
+            *files,
+            *map(str, entry.files),
+            *_part_names(entry.pass_.reads & available_parts),
+        ),
+        tuple(
+            _part_names((entry.pass_.changes & available_parts) | _added_parts(entry))
+        ),
         tuple(left_out),
     )
 
 
-def _ordered(parts: frozenset[TakePart]) -> list[str]:
+def _part_names(parts: frozenset[TakePart]) -> list[str]:
     return [str(part) for part in TakePart if part in parts]
 
 
@@ -312,9 +318,9 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     return PlanStep(
         StepKind.OUTPUT,
         entry.name,
-        _where(entry),
+        _output_key(entry),
         tuple(reads),
-        (f"{form} with {makes}", *_named(entry.files)),
+        (f"{form} with {makes}", *_file_labels(entry.files)),
         tuple(_left_out(options, form, state)),
     )
 
@@ -343,14 +349,14 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     return PlanStep(
         StepKind.OUTPUT,
         entry.name,
-        _where(entry),
+        _output_key(entry),
         ("take",),
-        (writer.samples, *_named(entry.files)),
+        (writer.samples, *_file_labels(entry.files)),
         tuple(left_out),
     )
 
 
-def _named(files: list[Path]) -> list[str]:
+def _file_labels(files: list[Path]) -> list[str]:
     """Return file names, existing ones marked; without files, stdout."""
     return [f"{file} (exists)" if file.exists() else str(file) for file in files] or [
         "stdout"

@@ -120,7 +120,7 @@ def convert_with_passes(
         chosen = (reading.up, reading.unit) if reading else ()
         stream = with_source_warnings(source, stream, *chosen)
         for pass_, options in passes:
-            context = PassContext(_taken, source.parent)
+            context = PassContext(_read_take, source.parent)
             contexts.append(context)
             stream = apply_pass(stream, pass_, options, context)
             stream.notices = [*stream.notices, *context.notices]
@@ -148,7 +148,7 @@ def _settings(
 
 
 def _as_conversion(report: OutputReport, output: Path) -> ConvertReport:
-    """Return the report of a bake as that of a conversion."""
+    """Return the report of a bake as a conversion report."""
     if isinstance(report, ConvertReport):
         return report
     return ConvertReport(
@@ -161,5 +161,5 @@ def _as_conversion(report: OutputReport, output: Path) -> ConvertReport:
     )
 
 
-def _taken(path: Path) -> Take:
+def _read_take(path: Path) -> Take:
     return open_source(path).collect()

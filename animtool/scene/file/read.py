@@ -139,9 +139,11 @@ def stated_rate(path: Path) -> Fraction | None:
 _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
-def _overlap(path: str, other: str) -> bool:
+def _overlap(path: str, other_path: str) -> bool:
     """Return whether one path is the other or below it."""
-    return f"{path}/".startswith(f"{other}/") or f"{other}/".startswith(f"{path}/")
+    return f"{path}/".startswith(f"{other_path}/") or f"{other_path}/".startswith(
+        f"{path}/"
+    )
 
 
 class _SceneReader:
@@ -253,10 +255,10 @@ class _SceneReader:
             self._prop(("props", i), entry) for i, entry in enumerate(self.model.props)
         ]
         for i, prop in enumerate(props):
-            for other in props[:i]:
-                if _overlap(prop.path, other.path):
-                    message = f"{prop.path!r} overlaps {other.path!r} of "
-                    message += other.location.where
+            for other_prop in props[:i]:
+                if _overlap(prop.path, other_prop.path):
+                    message = f"{prop.path!r} overlaps {other_prop.path!r} of "
+                    message += other_prop.location.where
                     hint = "each needs its own path, not below another's"
                     self.document.add("SCN046", ("props", i, "path"), message, hint)
         return tuple(props)

@@ -341,12 +341,12 @@ def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
         )
         for name in kinds
     }
-    system = _derived(SystemModel, fields)
+    system = _extend_model(SystemModel, fields)
     field = copy(SceneModel.model_fields["systems"])
-    return _derived(SceneModel, {"systems": (list[system], field)})  # type: ignore[valid-type]
+    return _extend_model(SceneModel, {"systems": (list[system], field)})  # type: ignore[valid-type]
 
 
-def _derived(base: type[Model], fields: dict[str, Any]) -> type[Model]:
+def _extend_model(base: type[Model], fields: dict[str, Any]) -> type[Model]:
     """Return a model of the same name with additional fields."""
     return create_model(
         base.__name__,

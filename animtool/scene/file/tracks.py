@@ -74,15 +74,15 @@ def chosen_tracks(
         mapped_indices = np.flatnonzero(getattr(names, kind) >= 0).tolist()
         index_by_name = {getattr(rig, kind)[i].name: i for i in mapped_indices}
         for pattern in getattr(requested, kind):
-            fitting = {
+            matching_names = {
                 i for name, i in index_by_name.items() if fnmatchcase(name, pattern)
             }
-            if not fitting:
+            if not matching_names:
                 unknown.append(UnknownTrack(kind, pattern, list(index_by_name)))
-            chosen[kind] |= fitting
+            chosen[kind] |= matching_names
     _add_driven(rig, chosen)
     tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
-    return _within(tracks, names), unknown
+    return _common_tracks(tracks, names), unknown
 
 
 def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
@@ -93,15 +93,15 @@ def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
         }
         for kind in KINDS
     }
-    pending = sorted(chosen["controls"])
-    while pending:
-        for drive in rig.controls[pending.pop()].drives:
+    pending_controls = sorted(chosen["controls"])
+    while pending_controls:
+        for drive in rig.controls[pending_controls.pop()].drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
                 name, _ = split_part(name, DRIVEN_PARTS)
             index = indices[kind][name]
             if kind == "control" and index not in chosen["controls"]:
-                pending.append(index)
+                pending_controls.append(index)
             chosen[f"{kind}s"].add(index)
 
 
@@ -122,7 +122,9 @@ def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
 
     joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
     joint_indices = np.unique(np.concatenate(joints))
-    return _within(Tracks(joint_indices, moved("weights"), moved("controls")), names)
+    return _common_tracks(
+        Tracks(joint_indices, moved("weights"), moved("controls")), names
+    )
 
 
 def rest_motion(rig: Rig) -> Motion:
@@ -140,7 +142,7 @@ def _defaults(rig: Rig) -> FloatArray:
     return np.array([[control.default] for control in rig.controls])
 
 
-def _within(tracks: Tracks, names: NameMap) -> Tracks:
+def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
     """Return the tracks that the other rig has."""
     return Tracks(*(tracks.of(k)[getattr(names, k)[tracks.of(k)] >= 0] for k in KINDS))
 
@@ -156,13 +158,13 @@ def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion
         if not len(chosen) or (base_channel is None and other_channel is None):
             return base_channel
         base_channel = base_channel or _steady(other_channel, neutral)
-        return _replaced(
+        return _replace_entries(
             base_channel, other_channel or _steady(base_channel, neutral), chosen
         )
 
     return Motion(
-        _replaced(base.translations, other.translations, tracks.joints),
-        _replaced(base.rotations, other.rotations, tracks.joints),
+        _replace_entries(base.translations, other.translations, tracks.joints),
+        _replace_entries(base.rotations, other.rotations, tracks.joints),
         optional("scales", tracks.joints, 1.0),
         optional("weights", tracks.shapes, 0.0),
         optional("controls", tracks.controls, _defaults(rig)),
@@ -172,22 +174,24 @@ def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion
 def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
     """Return a constant channel of another channel's size."""
     assert like is not None
-    rest = np.broadcast_to(value, like.rest.shape).astype(np.float64)
-    return Channel.static(rest, len(like.values))
+    rest_values = np.broadcast_to(value, like.rest.shape).astype(np.float64)
+    return Channel.static(rest_values, len(like.values))
 
 
-def _replaced(channel: Channel, replacement: Channel, chosen: IntArray) -> Channel:
+def _replace_entries(
+    channel: Channel, replacement: Channel, indices: IntArray
+) -> Channel:
     """Return a channel with some entries replaced by those of another."""
     rest_values = channel.rest.copy()
-    rest_values[chosen] = replacement.rest[chosen]
-    kept_columns = ~np.isin(channel.animated, chosen)
-    replaced_columns = np.isin(replacement.animated, chosen)
-    animated = np.concatenate(
+    rest_values[indices] = replacement.rest[indices]
+    kept_columns = ~np.isin(channel.animated, indices)
+    replaced_columns = np.isin(replacement.animated, indices)
+    animated_entries = np.concatenate(
         [channel.animated[kept_columns], replacement.animated[replaced_columns]]
     )
     values = np.concatenate(
         [channel.values[:, kept_columns], replacement.values[:, replaced_columns]],
         axis=1,
     )
-    order = np.argsort(animated, kind="stable")
-    return Channel(rest_values, animated[order], values[:, order])
+    order = np.argsort(animated_entries, kind="stable")
+    return Channel(rest_values, animated_entries[order], values[:, order])

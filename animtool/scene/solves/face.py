@@ -137,7 +137,7 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Return a face fitted to its landmarks, without writing it."""
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     capture = read_capture(
         job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
     )
@@ -145,7 +145,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)
     landmark_points, point_notices = in_order(capture, model)
-    camera, landmark_points = _undistorted(job, capture, landmark_points)
+    camera, landmark_points = _undistort(job, capture, landmark_points)
     read_at = time.perf_counter()
     with faults_in(job.capture):
         model = _proportions(job.options, model, landmark_points, camera is not None)
@@ -165,12 +165,12 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     head_motion = job.options.head or ("rotation" if camera is None else "none")
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
         fit = _turned_up(fit)
-    motion, more = face_motion(fit, links, rig, head_motion)
-    capture_notices = [*capture.notices, *point_notices, *fit.notices, *more]
+    motion, head_notices = face_motion(fit, links, rig, head_motion)
+    capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {
-        "read": read_at - started,
+        "read": read_at - start_time,
         "solve": time.perf_counter() - read_at,
     }
     scale = None
@@ -191,7 +191,7 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     return capture.model
 
 
-def _undistorted(
+def _undistort(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
     """Return the camera, and landmarks in its pixels without distortion."""
@@ -313,10 +313,10 @@ def _head_translations(
             "is ignored"
         )
         return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
-    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
-    at = rest.positions[0, joint]
-    # The head turns about its joint, so that only this is to be moved.
-    moved = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
-    shift = moved + fit.translations - at
-    shifted = rig.rest_translations[root] + shift
-    return translations.put(np.array([root]), shifted[:, None]), []
+    rest_pose = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    at = rest_pose.positions[0, joint]
+    # The head rotates about its joint, so only the joint is moved.
+    head_offsets = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
+    shift = head_offsets + fit.translations - at
+    root_translations = rig.rest_translations[root] + shift
+    return translations.put(np.array([root]), root_translations[:, None]), []

@@ -134,12 +134,12 @@ class IkReport:
     def moved(self) -> bool:
         """Whether written frames have other numbers than solved ones."""
         clock, span = self.solved.take.clock, self.span
-        same = (span.first, span.fps) == (clock.start, clock.fps)
-        return self.written is not None and not same
+        is_same_clock = (span.first, span.fps) == (clock.start, clock.fps)
+        return self.written is not None and not is_same_clock
 
     @property
     def span(self) -> FrameSpan:
-        """Written frames, or solved frames where nothing was written."""
+        """Written frames, or solved frames if nothing was written."""
         return (
             self.solved.take.clock.span if self.written is None else self.written.span
         )
@@ -247,7 +247,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     """
     target = job.target
     target.check((job.rig, job.targets, job.start, job.bake.rig_layer))
-    report = _solved(job, progress)
+    report = _solve(job, progress)
     if target.outline is None:
         return report
     began = time.perf_counter()
@@ -261,17 +261,19 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig if a clip of the output can refer to its file."""
     if output in {None, STDOUT}:
         return None
-    inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
-    return rig if is_named(rig, "rig") and inside else None
+    is_in_project = any(
+        rig.resolve().is_relative_to(root) for root in project_roots(output)
+    )
+    return rig if is_named(rig, "rig") and is_in_project else None
 
 
-def _solved(job: IkJob, progress: Progress) -> IkReport:
+def _solve(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
     with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with faults_in(job.rig):
-        solved = solve_take(
+        solution = solve_take(
             context.take,
             context.tracks,
             _as_fine(job),
@@ -280,24 +282,24 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
             progress=progress,
         )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
-    goals = goal_reports(solved, *_missed_by(job))
-    missed = missed_notices(solved, goals)
+    goals = goal_reports(solution, *_missed_by(job))
+    missed_goals = missed_notices(solution, goals)
     notices = [
         *context.notices,
-        *span_notices(solved),
-        *single_frame_notices(solved, smooth=job.options.smooth > 0),
-        *away_notices(solved, goals),
-        *jump_notices(solved),
+        *span_notices(solution),
+        *single_frame_notices(solution, smooth=job.options.smooth > 0),
+        *away_notices(solution, goals),
+        *jump_notices(solution),
     ]
-    report = IkReport(solved, goals, [*notices, *missed], seconds)
-    if job.bake.strict and missed:
-        raise MissedGoalsError(missed, report)
+    report = IkReport(solution, goals, [*notices, *missed_goals], seconds)
+    if job.bake.strict and missed_goals:
+        raise MissedGoalsError(missed_goals, report)
     refuse_warnings(notices, strict=job.bake.strict)
     return report
 
 
 def _as_fine(job: IkJob) -> TakeOptions:
-    """Return options whose tolerances are as strict as those of missed goals."""
+    """Return options with tolerances as strict as those of the missed goals."""
     length, angle = _missed_by(job)
     options = job.options
     return replace(
@@ -322,8 +324,8 @@ MAX_NAMED = 6
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return a take with controls at their defaults in all frames."""
     last = clock.start + clock.step * (clock.count - 1)
-    empty = Clip("rest", clock.fps, clock.start, last, ())
-    return empty.sample(rig, step=clock.step)
+    empty_clip = Clip("rest", clock.fps, clock.start, last, ())
+    return empty_clip.sample(rig, step=clock.step)
 
 
 def open_start(
@@ -343,29 +345,29 @@ def open_start(
         options = replace(options, rig=rig_path)
     stream = reorient(open_source(path, options, progress=progress), rig.up)
     # What its blocks notice is known when all are read.
-    take = _within(stream.collect(), options.shot)
+    take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return driven_take(replace(take, rig=rig))
-    motion, left_out = _mapped(take, rig, path)
+    motion, left_out = _map_motion(take, rig, path)
     return driven_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
 
 
-def _within(take: Take, shot: Shot | None) -> Take:
-    """Return the samples between which the frames of a shot lie."""
+def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
+    """Return the samples that enclose the frames of a shot."""
     if shot is None:
         return take
     clock = take.clock
     first = math.floor((shot.start - clock.start) / clock.step)
     last = math.ceil((shot.end - clock.start) / clock.step)
-    kept = slice(max(first, 0), min(last, clock.count - 1) + 1)
-    if kept.start >= kept.stop:
+    kept_samples = slice(max(first, 0), min(last, clock.count - 1) + 1)
+    if kept_samples.start >= kept_samples.stop:
         return take
-    start = clock.start + kept.start * clock.step
-    clock = replace(clock, start=start, count=kept.stop - kept.start)
-    return replace(take, clock=clock, motion=take.motion.select(kept))
+    start = clock.start + kept_samples.start * clock.step
+    clock = replace(clock, start=start, count=kept_samples.stop - kept_samples.start)
+    return replace(take, clock=clock, motion=take.motion.select(kept_samples))
 
 
-def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
+def _map_motion(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
     """Return the motion of common joints, and notices of the joints left out."""
     names = map_names(rig, take.rig)
     if (names.joints < 0).all():
@@ -373,10 +375,10 @@ def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
         hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
-    lacking = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    missing_joints = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
     spare = [take.rig.names[j] for j in names.spare]
     for which, what in (
-        (lacking, "does not have {}: they stay at rest"),
+        (missing_joints, "does not have {}: they stay at rest"),
         (spare, "moves {}, which the rig does not have: they are ignored"),
     ):
         if which:

@@ -104,17 +104,17 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     refuse_warnings(notices, strict=job.written.strict)
     tracks = match_take(take, chains, job.output, reduce=job.written.reduce)
     text = targets_text(tracks, ClipUnits.of_rig(rig))
-    matched = time.perf_counter()
+    end_time = time.perf_counter()
     outputs = [job.output]
     if text.arrays:
         outputs.insert(0, arrays_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.written.overwrite)
-        write_arrays(outputs[0], _named(text.arrays))
+        write_arrays(outputs[0], _arrays_by_name(text.arrays))
     write_parts(job.output, [text.text.encode()])
     seconds = {
         "read": read - began,
-        "match": matched - read,
-        "write": time.perf_counter() - matched,
+        "match": end_time - read,
+        "write": time.perf_counter() - end_time,
     }
     return MatchReport(tracks, take.clock, outputs, notices, seconds)
 
@@ -126,5 +126,5 @@ def _pose(take: Take, frame: int) -> Take:
     return replace(take, clock=only, motion=take.motion.select(slice(frame, frame + 1)))
 
 
-def _named(arrays: dict[str, FloatArray]) -> StoredArrays:
+def _arrays_by_name(arrays: dict[str, FloatArray]) -> StoredArrays:
     return {name.partition("#")[2]: values for name, values in arrays.items()}

@@ -117,7 +117,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
     target.check(file_of(path) for path in inputs if path is not None)
     with atomic_outputs():
-        stream, result = _solved(job, template, rig_path, target.files, progress)
+        stream, result = _solve(job, template, rig_path, target.files, progress)
         target.write(stream, result, progress=progress)
         result.outputs = [*_write_subject(job, result), *target.files]
         result.outputs = list(dict.fromkeys(result.outputs))
@@ -161,7 +161,7 @@ def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
     return outputs
 
 
-def _solved(
+def _solve(
     job: MocapSolveJob,
     template: Any,
     rig_path: Path,
@@ -169,14 +169,14 @@ def _solved(
     progress: Progress,
 ) -> tuple[TakeStream, MocapSolveResult]:
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
     calibration: Calibration | None = None
     with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)
         rig = at_origin(rig)
         markers = open_markers(job.source, **reading)
-        seconds["read"] = time.perf_counter() - started
+        seconds["read"] = time.perf_counter() - start_time
         if job.calibrate:
             static_markers = None
             if job.static is not None:
@@ -187,7 +187,7 @@ def _solved(
                 )
             rig, template = calibration.rig, calibration.template
             notices = [*notices, *calibration.notices]
-            seconds["calibrate"] = time.perf_counter() - started - seconds["read"]
+            seconds["calibrate"] = time.perf_counter() - start_time - seconds["read"]
         with faults_in(job.source):
             solve = solve_markers(markers, rig, template, job.options)
     stream = solve_stream(solve, job.source, progress)

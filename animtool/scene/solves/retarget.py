@@ -140,7 +140,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     target = job.target
     target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
     with atomic_outputs():
-        stream, report = _retargeted(job, target.files, progress)
+        stream, report = _retarget(job, target.files, progress)
         target.write(stream, report, "retarget", progress)
         if job.write_map is not None:
             text = map_text(report.joint_map, report.source_rig, report.target)
@@ -187,25 +187,25 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     return replace(at_stage_origin(stream), notices=stream.notices + notice)
 
 
-def _retargeted(
+def _retarget(
     job: RetargetJob, outputs: list[Path], progress: Progress
 ) -> tuple[TakeStream, RetargetResult]:
     seconds = {"read": 0.0, "solve": 0.0}
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     with protect_inputs(outputs):
         rig, notices = open_rig(job.rig)
-        # The placement is that of the take, not of the stage with the rig.
+        # Placement of the take, not of the rig's stage.
         rig = at_origin(rig)
         reading = replace(job.reading, placement=job.bake.placement)
         stream = open_source(job.source, reading, progress=progress)
         rig = replace(rig, rides=stream.rig.rides)
         stream = _without_placement(stream, job)
-        seconds["read"] = time.perf_counter() - started
+        seconds["read"] = time.perf_counter() - start_time
         stream.blocks = timed(stream.blocks, seconds, "read")
         with faults_in(job.source):
-            retargeting, mapping, map_notices = onto_rig(stream, rig, job.options)
-    seconds["solve"] = time.perf_counter() - started - seconds["read"]
-    target_notices = mapping.target.notices
+            retargeting, joint_map, map_notices = onto_rig(stream, rig, job.options)
+    seconds["solve"] = time.perf_counter() - start_time - seconds["read"]
+    target_notices = joint_map.target.notices
     notices = [*notices, *stream.notices]
     for notice in map_notices:
         notices.append(
@@ -222,7 +222,7 @@ def _retargeted(
         control_curves={},
     )
     result = RetargetResult(
-        job.source, job.rig, retargeting, mapping, stream.rig, rig, notices, seconds
+        job.source, job.rig, retargeting, joint_map, stream.rig, rig, notices, seconds
     )
     result.start = Fraction(1) if stream.start is None else stream.start
     result.rate = stream.fps / stream.step

@@ -17,7 +17,7 @@ NEAR_HOUR = 600
 def no_frames(
     shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
 ) -> OptionError:
-    """Return the fault of a shot whose take has none of its frames (SCN042).
+    """Return the fault of a shot outside the frames of its take (SCN042).
 
     Args:
         shot: Shot that places its media.

@@ -64,32 +64,34 @@ def clip_stream(
 
     reported_pairs: set[tuple[str, str]] = set()
 
-    def reported(sampled: SampledMotion) -> Motion:
+    def to_motion(sampled: SampledMotion) -> Motion:
         for note in sampled.targeted:
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
                 reported_pairs.add((note.fault.code, note.target))
-                stream.notices.append(_located(file, rig, note))
+                stream.notices.append(_fault_of(file, rig, note))
         return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
-        with _named(path):
+        with _add_path(path):
             sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
-        return reported(sampled)
+        return to_motion(sampled)
 
     def blocks(times: FloatArray) -> Iterator[Motion]:
-        with _named(path):
+        with _add_path(path):
             for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
-                yield reported(sampled)
+                yield to_motion(sampled)
 
     frames = float(clip.first) + np.arange(count, dtype=np.float64)
     stream.blocks, stream.count = blocks(frames), count
-    keyed = KeyedCurve(curve, lambda: None if clamp else clip, sample_blocks=blocks)
-    stream.curve = keyed
+    keyed_curve = KeyedCurve(
+        curve, lambda: None if clamp else clip, sample_blocks=blocks
+    )
+    stream.curve = keyed_curve
     return stream
 
 
-def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
+def _fault_of(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
     """Return the fault of a notice, at the key or channel that causes it."""
     document = file.document
     for i, channel in _causes(file, rig, notice.target):
@@ -149,7 +151,7 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
+def _add_path(path: Path) -> Iterator[None]:
     """Add the clip's path to faults without a file."""
     try:
         yield

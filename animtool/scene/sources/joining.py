@@ -63,12 +63,12 @@ def joined(first: SourcePart, other_sources: Sequence[SourcePart]) -> TakeStream
         except OptionError as error:
             faults += error.faults
     if faults:
-        # Faults of the first source are found with those of the others.
+        # Faults of the first source are collected with those of the others.
         raise OptionError(list(dict.fromkeys(faults)))
     for i, layer in enumerate(layers):
         first.stream.notices += layer.notices
         first.stream.notices += _duplicate_tracks(layer, layers[:i])
-    return _Joining(first.stream, layers).stream()
+    return _JoinedTake(first.stream, layers).stream()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +88,19 @@ class _Layer:
         if self.part.stream.curve is None:
             return other_frames(self.take, rate, first, count, self.delay * rate)
         begin_code = clock.start + (first / rate - self.delay) * clock.fps
-        return self._curved(time_codes(begin_code, clock.fps / rate, count))
+        return self._sample_curve(time_codes(begin_code, clock.fps / rate, count))
 
     def at(self, seconds: FloatArray) -> Motion:
         """Return its motion at times from the first frame of the first source."""
         clock, layer_seconds = self.take.clock, seconds - float(self.delay)
         if self.part.stream.curve is not None:
-            return self._curved(float(clock.start) + layer_seconds * float(clock.fps))
+            return self._sample_curve(
+                float(clock.start) + layer_seconds * float(clock.fps)
+            )
         samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
         return self.take.motion.map(samples.blend)
 
-    def _curved(self, codes: FloatArray) -> Motion:
+    def _sample_curve(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock
         assert curve is not None
         last_code = clock.start + clock.step * (clock.count - 1)
@@ -111,65 +113,67 @@ class _Layer:
 def _stored_like(motion: Motion, like: Motion) -> Motion:
     """Return a motion with the same animated entries as another."""
 
-    def same(channel: Channel, other: Channel) -> Channel:
-        return Channel(other.rest, other.animated, channel.gather(other.animated))
+    def convert(channel: Channel, other_channel: Channel) -> Channel:
+        return Channel(
+            other_channel.rest,
+            other_channel.animated,
+            channel.gather(other_channel.animated),
+        )
 
     def optional(name: str) -> Channel | None:
         channel, like_channel = getattr(motion, name), getattr(like, name)
         return (
             None
             if channel is None or like_channel is None
-            else same(channel, like_channel)
+            else convert(channel, like_channel)
         )
 
     return Motion(
-        same(motion.translations, like.translations),
-        same(motion.rotations, like.rotations),
+        convert(motion.translations, like.translations),
+        convert(motion.rotations, like.rotations),
         optional("scales"),
         optional("weights"),
         optional("controls"),
     )
 
 
-def _layer(first: SourcePart, other: SourcePart) -> _Layer:
+def _layer(first: SourcePart, part: SourcePart) -> _Layer:
     """Return a source mapped to the rig and the clock of the first."""
     rig = first.stream.rig
-    stream, names = on_rig(other.stream, rig, other.note)
-    placed_source, take = replace(other, stream=stream), stream.collect()
+    stream, names = on_rig(part.stream, rig, part.note)
+    placed_source, take = replace(part, stream=stream), stream.collect()
     notices = [
         note
         if note.path
-        else other.note(note.code, note.message, note.hint, note.severity)
+        else part.note(note.code, note.message, note.hint, note.severity)
         for note in placed_source.stream.notices
     ]
-    if other.tracks is None:
-        source_rig = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
+    if part.tracks is None:
+        source_rig = reorient(replace(part.stream, blocks=iter(())), rig.up).rig
         tracks = moving_tracks(take.motion, names, source_rig)
     else:
-        tracks, unmatched = chosen_tracks(other.tracks, names)
+        tracks, unmatched_names = chosen_tracks(part.tracks, names)
         faults = [
-            other.note(
+            part.note(
                 "SCN037",
                 f"tracks.{unknown_track.kind}: nothing in it and {rig.name!r} matches "
                 f"{excerpt(unknown_track.pattern)}",
                 nearest(unknown_track.pattern, unknown_track.known),
             )
-            for unknown_track in unmatched
+            for unknown_track in unmatched_names
         ]
         if faults:
             raise OptionError(faults)
     if not tracks:
         message = f"has no tracks of {rig.name!r}"
-        raise OptionError(
-            other.note("SCN036", message, "list its tracks under tracks:")
-        )
-    return _Layer(placed_source, take, tracks, _delay(first, other), notices)
+        raise OptionError(part.note("SCN036", message, "list its tracks under tracks:"))
+    return _Layer(placed_source, take, tracks, _delay(first, part), notices)
 
 
-def _delay(first: SourcePart, other: SourcePart) -> Fraction:
+def _delay(first: SourcePart, other_part: SourcePart) -> Fraction:
     """Return the delay of a source after the first [s]."""
-    both_sources = (first, other)
-    if first.timecode is None and other.timecode is None:
+    both_sources = (first, other_part)
+    if first.timecode is None and other_part.timecode is None:
         return Fraction(0)
     for part in both_sources:
         if part.timecode is None:
@@ -194,9 +198,11 @@ def _duplicate_tracks(layer: _Layer, earlier: Sequence[_Layer]) -> list[Fault]:
     if layer.part.tracks is not None:
         return []
     rig = layer.take.rig
-    shared = [layer.tracks.also_in(other.tracks) for other in earlier]
+    shared_tracks = [
+        layer.tracks.also_in(other_layer.tracks) for other_layer in earlier
+    ]
     shared_names = dict.fromkeys(
-        name for tracks in shared for name in tracks.names(rig)
+        name for tracks in shared_tracks for name in tracks.names(rig)
     )
     if not shared_names:
         return []
@@ -208,7 +214,7 @@ def _duplicate_tracks(layer: _Layer, earlier: Sequence[_Layer]) -> list[Fault]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Joining:
+class _JoinedTake:
     """The first source and the layers over it."""
 
     base: TakeStream

@@ -76,8 +76,8 @@ class NameMap:
         zero_weights = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
         return Motion(
-            _moved(motion.translations, self.joints, rig.rest_translations),
-            _moved(motion.rotations, self.joints, rig.rest_rotations),
+            _gather_entries(motion.translations, self.joints, rig.rest_translations),
+            _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
             _moved_if(motion.scales, self.joints, one_frame),
             _moved_if(motion.weights, self.shapes, zero_weights),
             _moved_if(motion.controls, self.controls, defaults),
@@ -150,7 +150,9 @@ def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
     spare_names = [
         shape.name for i, shape in enumerate(other.shapes) if i not in shapes
     ]
-    missing = [names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    missing_joints = [
+        names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()
+    ]
     return [
         naming(
             code,
@@ -175,7 +177,13 @@ def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
                 MOTION_IGNORED,
                 Severity.WARNING,
             ),
-            ("RIG043", missing, "joints only the rig has", STAY_AT_REST, Severity.NOTE),
+            (
+                "RIG043",
+                missing_joints,
+                "joints only the rig has",
+                STAY_AT_REST,
+                Severity.NOTE,
+            ),
         )
         if track_names
     ]
@@ -195,24 +203,24 @@ def on_rig_file(
         return Fault(code, message, str(path), (), hint, severity)
 
     rig, notices = open_rig(rig_path)
-    # The placement is that of the take, not of the stage with the rig.
+    # Placement of the take, not of the rig's stage.
     rig = at_origin(rig)
-    reoriented = reorient(stream, rig.up)
-    mapped, names = on_rig(reoriented, rig, note)
-    unmatched = left_out(names, reoriented.rig, str(path))
+    reoriented_stream = reorient(stream, rig.up)
+    mapped_stream, names = on_rig(reoriented_stream, rig, note)
+    unmatched_notices = left_out(names, reoriented_stream.rig, str(path))
     differences: list[Fault] = []
-    if reoriented.rig.joints and rig.joints:
+    if reoriented_stream.rig.joints and rig.joints:
         _, differences = check_fit(
-            reoriented.rig,
+            reoriented_stream.rig,
             rig,
             names.joints,
             str(rig_path),
             forced=force_fit,
-            unmatched=unmatched,
+            unmatched=unmatched_notices,
         )
-    mapped.notices += [*notices, *unmatched, *differences]
-    mapped.details["rig"] = str(rig_path)
-    return mapped
+    mapped_stream.notices += [*notices, *unmatched_notices, *differences]
+    mapped_stream.details["rig"] = str(rig_path)
+    return mapped_stream
 
 
 def _indices(names: list[str], other_names: list[str]) -> IntArray:
@@ -224,18 +232,24 @@ def _moved_if(
     channel: Channel | None, indices: IntArray, rest: FloatArray
 ) -> Channel | None:
     return (
-        None if channel is None or not len(indices) else _moved(channel, indices, rest)
+        None
+        if channel is None or not len(indices)
+        else _gather_entries(channel, indices, rest)
     )
 
 
-def _moved(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
+def _gather_entries(
+    channel: Channel, indices: IntArray, rest_values: FloatArray
+) -> Channel:
     """Return a channel's entries at indices; -1 is an entry at rest."""
     exists = indices >= 0
-    values = np.array(rest, np.float64)
+    values = np.array(rest_values, np.float64)
     values[exists] = channel.rest[indices[exists]]
     columns = np.full(len(channel.rest), -1)
     columns[channel.animated] = np.arange(len(channel.animated))
     column_of = np.full(len(indices), -1)
     column_of[exists] = columns[indices[exists]]
-    animated = np.flatnonzero(column_of >= 0)
-    return Channel(values, animated, channel.values[:, column_of[animated]])
+    animated_entries = np.flatnonzero(column_of >= 0)
+    return Channel(
+        values, animated_entries, channel.values[:, column_of[animated_entries]]
+    )

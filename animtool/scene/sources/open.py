@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 # Options that no reader receives.
 BEYOND_READERS = frozenset({"force_fit", "shot"})
-_DROPPED = ("interpolate", "hold", "close")
+_IGNORED_OPTIONS = ("interpolate", "hold", "close")
 _POSITIONS = ("channels", "offsets")
 _OF_BVH = "sets what a BVH does not state; this file states it"
 _UNITS = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
@@ -188,9 +188,9 @@ class SourceOptions:
             "For a face recording: how to fill frames without a row. Default: "
             "`interpolate`.",
             "hold",
-            _DROPPED,
+            _IGNORED_OPTIONS,
         ),
-        choices=_DROPPED,
+        choices=_IGNORED_OPTIONS,
         help="How to fill missing frames of a face recording: interpolate, hold the "
         "previous frame, or close the gap, which moves later frames up.  "
         "[default: interpolate]",
@@ -334,7 +334,7 @@ def open_source(
         mapped_stream = on_rig_file(
             path, stream, options.rig, force_fit=options.force_fit
         )
-        return _driven(mapped_stream)
+        return _drive_tracks(mapped_stream)
     note_input(path)
     defaults = SourceOptions()
     arguments = {
@@ -346,9 +346,9 @@ def open_source(
     if "placement" not in reader.options:
         # Only stages place a character.
         arguments.pop("placement", None)
-    unsupported = [name for name in arguments if name not in reader.options]
-    if unsupported:
-        raise OptionError([_refusal(name, path) for name in unsupported])
+    unsupported_options = [name for name in arguments if name not in reader.options]
+    if unsupported_options:
+        raise OptionError([_refusal(name, path) for name in unsupported_options])
     if "progress" in reader.options:
         arguments["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
@@ -356,7 +356,7 @@ def open_source(
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
     # Keys of a clip are evaluated together with the tracks they drive.
-    return stream if reader is DOCUMENT else _driven(stream)
+    return stream if reader is DOCUMENT else _drive_tracks(stream)
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
@@ -366,12 +366,12 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     note_input(path)
 
     def opener(read: Callable[[], TakeStream]) -> Callable[[], TakeStream]:
-        return lambda: _driven(read())
+        return lambda: _drive_tracks(read())
 
     return {name: opener(read) for name, read in read_characters(path).items()}
 
 
-def _driven(stream: TakeStream) -> TakeStream:
+def _drive_tracks(stream: TakeStream) -> TakeStream:
     """Return a source whose driven tracks are evaluated from its rig."""
     if not stream.rig.is_driven:
         return stream

@@ -58,7 +58,7 @@ def open_props(
         except AnimtoolError as error:
             faults += map(entry.location.locate, error.faults)
             continue
-        track = _counted(entry, prop, stage, meter, notices)
+        track = _metered_track(entry, prop, stage, meter, notices)
         same_source = same_file(
             entry.file.resolve(), source
         ) or not entry.path.startswith("/")
@@ -105,14 +105,14 @@ def with_props(
     return with_tracks
 
 
-def _counted(
+def _metered_track(
     entry: SceneProp,
     source: PropSource,
     stage: StageCost,
     meter: Meter,
     notices: list[Fault],
 ) -> Track:
-    """Return a track whose reading is measured, and whose shear is reported."""
+    """Return a track that measures its read time and reports shear."""
     shear_reported = False
 
     def sample(times: FloatArray) -> Transforms:
@@ -145,18 +145,18 @@ class _Prop:
     def track(
         self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
     ) -> Track:
-        """Return its track, transformed with a take whose placement is dropped."""
+        """Return its track; follows the take if the placement is dropped."""
         track = self.opened.track
         if dropped is None or not track.follows_placement:
             return track
         start = Fraction(1) if stream.start is None else stream.start
         rate = stream.step / self.step
 
-        def back(times: FloatArray) -> Placement:
+        def inverse_placement(times: FloatArray) -> Placement:
             codes = float(start) + (times - float(self.begin)) * float(rate)
             return dropped(codes).inverse()
 
-        return placed_track(track, back)
+        return placed_track(track, inverse_placement)
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield notices of the prop that do not depend on frames."""

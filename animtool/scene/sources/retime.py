@@ -31,9 +31,9 @@ class Preroll:
     def frames(self, stream: TakeStream) -> int:
         """Return the number of frames that a take lacks before its first."""
         start = self.start if self.start is not None else stream.start
-        missing = (Fraction(1) if start is None else start) - self.first
+        start_offset = (Fraction(1) if start is None else start) - self.first
         rate = stream.fps / stream.step
-        return max(0, math.ceil(missing * rate / (self.fps or stream.fps)))
+        return max(0, math.ceil(start_offset * rate / (self.fps or stream.fps)))
 
 
 def with_preroll(stream: TakeStream, count: int) -> TakeStream:
@@ -99,10 +99,10 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
     if shot.speed < 0:
         return _backwards(stream, shot)
     shot_step = stream.step / stream.fps * shot.fps / shot.speed
-    return _moved(stream, shot, shot.frame_at(0), shot_step)
+    return _retime_stream(stream, shot, shot.frame_at(0), shot_step)
 
 
-def _moved(
+def _retime_stream(
     stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
 ) -> TakeStream:
     """Return a take with its samples at other frames and its curves retimed."""
@@ -111,7 +111,7 @@ def _moved(
     curve, first_code = stream.curve, float(1 if stream.start is None else stream.start)
     origin = float(shot.frame_at(0))
 
-    def shifted(times: FloatArray) -> Motion:
+    def sample_shifted(times: FloatArray) -> Motion:
         assert curve is not None
         return curve(first_code + (times - origin) * float(ratio))
 
@@ -120,7 +120,7 @@ def _moved(
         fps=shot.fps,
         start=start,
         step=step,
-        curve=None if curve is None else shifted,
+        curve=None if curve is None else sample_shifted,
         control_curves={
             name: curves.retimed(first_code, float(1 / ratio), origin)
             for name, curves in stream.control_curves.items()
@@ -137,7 +137,9 @@ def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
     start = shot.frame_at((motion.frames - 1) * sample_seconds)
     reversed_motion = motion.select(np.arange(motion.frames)[::-1])
     step = sample_seconds * shot.fps / -shot.speed
-    return _moved(replace(stream, blocks=iter([reversed_motion])), shot, start, step)
+    return _retime_stream(
+        replace(stream, blocks=iter([reversed_motion])), shot, start, step
+    )
 
 
 def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:

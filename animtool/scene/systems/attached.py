@@ -63,13 +63,13 @@ def with_colliders(
     colliders = surroundings.built(characters_with(character), run_by_name)
     rotation = up_from_up(stream.rig.up, UpAxis.Y)
     if rotation is not None:
-        colliders = _turned(colliders, np.array(rotation))
+        colliders = _rotate_colliders(colliders, np.array(rotation))
     return stream, Colliders(
         [*options.colliders, *colliders], colliders.sheets, colliders.bodies
     )
 
 
-def _turned(colliders: Colliders, rotation: FloatArray) -> Colliders:
+def _rotate_colliders(colliders: Colliders, rotation: FloatArray) -> Colliders:
     """Return colliders rotated about the origin by a quaternion ``(4,)``."""
     return Colliders(
         [
@@ -80,7 +80,7 @@ def _turned(colliders: Colliders, rotation: FloatArray) -> Colliders:
             replace(collider, motion=_TurnedMotion(collider.motion, rotation))
             for collider in colliders.sheets
         ],
-        # Nothing pushes them, so that only their motion needs rotating.
+        # No forces act on them, so only their motion is rotated.
         [
             cast("MovingBodies", _TurnedBodies(collider, rotation))
             for collider in colliders.bodies

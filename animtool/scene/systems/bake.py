@@ -161,10 +161,10 @@ class SystemFrames:
         """Write a layer; frames that are not in chunks are simulated into it."""
         if self.files:
             return save_layer(layer, path)
-        with growing_layer(layer, path) as growing:
-            self.written = list(grow_simulated(self.job, self.rows, growing))
-            self._end(growing.layer)
-        return growing.size
+        with growing_layer(layer, path) as growing_file:
+            self.written = list(grow_simulated(self.job, self.rows, growing_file))
+            self._end(growing_file.layer)
+        return growing_file.size
 
     def _end(self, layer: Any) -> None:
         """Set the last frame that was reached; save requested states."""
@@ -193,9 +193,9 @@ class SystemFrames:
             return
         if run.stopped is not None:
             report.result.span = layer_span(self.ended)
-            stopped = report.takes[0]
-            stopped.source_frames = stopped.written.samples = run.done
-            stopped.written.span = report.result.span
+            stopped_take = report.takes[0]
+            stopped_take.source_frames = stopped_take.written.samples = run.done
+            stopped_take.written.span = report.result.span
         worst_mesh = max(written, key=lambda prim: prim.error)
         (take,) = report.takes
         take.written.sampled = list(worst_mesh.sampled)
@@ -277,8 +277,8 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     if plan.target is not None:
         from animtool.usd.props.placement import matrices_inside
 
-        mapping, path = plan.takes[0].mapping, f"{model}/system"
-        to_rig = None if mapping is None else mapping.to_rig
+        joint_map, path = plan.takes[0].mapping, f"{model}/system"
+        to_rig = None if joint_map is None else joint_map.to_rig
         displacement = partial(matrices_inside, plan.target, to_rig, path)
     return SystemPrims(scene, job, plan.start, watch=watch, displacement=displacement)
 

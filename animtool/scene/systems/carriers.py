@@ -136,12 +136,12 @@ def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     translation_keys = np.array(model.moves or [[0.0] * 4])
     rotation_keys = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
     origins = np.zeros((len(rotation_keys), 3))
-    translated = Poses(
+    translated_poses = Poses(
         translation_keys[:, 0],
         translation_keys[:, 1:],
         np.tile(so3.IDENTITY, (len(translation_keys), 1)),
     )
-    rotated = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
+    rotated_poses = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
     # Each is linear between its own keys, so both are linear between the union of them.
     times = translation_keys[:, 0] if not model.turns else rotation_keys[:, 0]
     if model.moves and model.turns:
@@ -149,6 +149,6 @@ def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     offset = entry_poses.rows[0]
     return Poses(
         times,
-        translated.at_times(times)[:, :3] + offset[:3],
-        so3.multiply(rotated.at_times(times)[:, 3:], offset[3:]),
+        translated_poses.at_times(times)[:, :3] + offset[:3],
+        so3.multiply(rotated_poses.at_times(times)[:, 3:], offset[3:]),
     )

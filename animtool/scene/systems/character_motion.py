@@ -142,8 +142,8 @@ class CharacterSkin:
             self._world.positions[i : i + 1], self._world.linear[i : i + 1]
         )
         weights = None if self._weights is None else self._weights[i : i + 1]
-        (deformed,) = deform_blocks(self._mesh, weights, world, normals=False)
-        return np.array(deformed.points[0], np.float64)
+        (deformed_mesh,) = deform_blocks(self._mesh, weights, world, normals=False)
+        return np.array(deformed_mesh.points[0], np.float64)
 
 
 class SkinMotion:
@@ -232,11 +232,11 @@ class CharacterWatch:
         return np.concatenate(self._codes)
 
     def read(self, stream: TakeStream) -> TakeStream:
-        """Return a take whose frames are recorded as they are read."""
+        """Return a take that records its frames while it is read."""
         if not self.records_motion:
             return stream
         self._stream = stream
-        return replace(stream, blocks=self._recorded(stream.blocks))
+        return replace(stream, blocks=self._record_blocks(stream.blocks))
 
     def record_codes(self, codes: FloatArray) -> None:
         """Record time codes of written frames ``(F,)``."""
@@ -257,14 +257,16 @@ class CharacterWatch:
             return Motion.concatenate(self._blocks)
         assert stream.curve is not None
         start = Fraction(1) if stream.start is None else stream.start
-        return _bare(stream.curve(time_codes(start, stream.step, stream.count)))
+        return _joints_and_shapes(
+            stream.curve(time_codes(start, stream.step, stream.count))
+        )
 
-    def _recorded(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _record_blocks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
-            self._blocks.append(_bare(block))
+            self._blocks.append(_joints_and_shapes(block))
             yield block
 
 
-def _bare(motion: Motion) -> Motion:
+def _joints_and_shapes(motion: Motion) -> Motion:
     """Return a motion with only its joints and shapes."""
     return replace(motion, controls=None, track_times=None, points={})

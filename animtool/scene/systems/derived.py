@@ -83,7 +83,7 @@ class Prototype:
             frame_at(begin + (end - begin) * float(fraction)) for fraction in fractions
         )
 
-    def _of_stage(self) -> _Moving:
+    def _of_stage(self) -> _MovingFrame:
         from animtool.usd.caches.reader import open_mesh
 
         assert self.prim is not None
@@ -95,7 +95,7 @@ class Prototype:
 
         return at, source.span
 
-    def _of_rig(self) -> _Moving:
+    def _of_rig(self) -> _MovingFrame:
         from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
 
         assert self.mesh is not None
@@ -110,7 +110,7 @@ class Prototype:
         return at, (first, last) if last > first else None
 
 
-_Moving = tuple[Callable[[float], MeshFrame], tuple[float, float] | None]
+_MovingFrame = tuple[Callable[[float], MeshFrame], tuple[float, float] | None]
 
 
 def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame:
@@ -321,8 +321,8 @@ class SpecPartReader(EntryReader):
     def _checked_part(self, at: Location, part: Any, *, check: bool) -> Any:
         """Return a parsed entry, with its own faults recorded if requested."""
         self.sound &= part is not None
-        for why in part.faults() if check and part is not None else ():
-            self.note(at, Fault("SIM020", why))
+        for reason in part.faults() if check and part is not None else ():
+            self.note(at, Fault("SIM020", reason))
         return part
 
 
@@ -355,7 +355,7 @@ def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     return [*marks, *metadata, *(mark for alternative in inner for mark in alternative)]
 
 
-# Keys of systems whose sizes are looked at, and what these are compared with.
+# Keys of system sizes to check, and the values to compare them with.
 SIZES = {"stretch", "bodies"}
 OF_SIZES = {"radius", "self_contact", "springs", "mass", "start", "end", "across", "up"}
 

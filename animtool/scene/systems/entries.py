@@ -95,7 +95,7 @@ class EntryReader:
         code: str | None = None,
         kind: type[AnimtoolError] = AnimtoolError,
     ) -> Kind | None:
-        """Return what a function reads; None with recorded faults if it raises.
+        """Return the result of a function; None if it raises, with its faults recorded.
 
         With a code, only the first fault is recorded, with that code.
         """
@@ -115,7 +115,9 @@ class EntryReader:
             return None
         problems = record.problems()
         self.note_entry(
-            at, model, [Fault(record.code, why, where=key) for key, why in problems]
+            at,
+            model,
+            [Fault(record.code, reason, where=key) for key, reason in problems],
         )
         return record
 
@@ -167,9 +169,9 @@ class EntryReader:
         if kind is None:
             return None
         force = self.record((*at, name), kind, options or {}, name)
-        for option, why in [] if force is None else force.faults():
+        for option, reason in [] if force is None else force.faults():
             key = [option] if option in (options or {}) else []
-            self.note((*at, name, *key), Fault("SIM022", f"its {option} {why}"))
+            self.note((*at, name, *key), Fault("SIM022", f"its {option} {reason}"))
         return force
 
     def emitter_shape(self, at: Location, entry: Named) -> Any:
@@ -205,7 +207,7 @@ class EntryReader:
         if entry_poses.faults():
             return entry_poses
         if model.prim is not None:
-            return self._followed(at, model, entry_poses, code)
+            return self._prim_poses(at, model, entry_poses, code)
         sound = True
         for pose_key in ("moves", "turns"):
             rows = np.array(getattr(model, pose_key)).reshape(
@@ -221,7 +223,7 @@ class EntryReader:
                 self.note((*at, pose_key), Fault(code, message))
         return moved_poses(model, entry_poses) if sound else None
 
-    def _followed(
+    def _prim_poses(
         self,
         at: Location,
         model: PlacedModel,
@@ -258,8 +260,8 @@ class EntryReader:
             return None
         self.note_ranges(at, model)
         if model.mesh is not None and model.margin <= 0:
-            why = "its margin must be above 0: it is half the thickness of the mesh"
-            self.note((*at, "margin"), Fault("SIM020", why))
+            reason = "its margin must be above 0: it is half the thickness of the mesh"
+            self.note((*at, "margin"), Fault("SIM020", reason))
         return model.model_copy(update={"file": str(path)})
 
     def surface(self, at: Location, model: SystemSurfaceModel) -> SystemSurfaceModel:
@@ -351,10 +353,10 @@ class EntryReader:
         field = self.record(at, HeightField, other_options, "height_field")
         if heights is None or field is None:
             return None
-        faults = [("size", why) for why in field.faults()]
-        faults += [("heights", why) for why in field.height_faults(heights)]
-        for key, why in faults:
-            self.note((*at, key), Fault("SIM020", why))
+        faults = [("size", reason) for reason in field.faults()]
+        faults += [("heights", reason) for reason in field.height_faults(heights)]
+        for key, reason in faults:
+            self.note((*at, key), Fault("SIM020", reason))
         return None if faults else field.mesh(heights)
 
     def _named_array(
@@ -384,10 +386,10 @@ class EntryReader:
         except ValueError as error:
             self.note(at, Fault("RIG018", str(error)))
             return None
-        why = _array_fault(values)
-        if why is not None:
-            self.note(at, Fault("RIG018", f"{path.name}#{key} {why}"))
-        return values if why is None else None
+        reason = _array_fault(values)
+        if reason is not None:
+            self.note(at, Fault("RIG018", f"{path.name}#{key} {reason}"))
+        return values if reason is None else None
 
     def input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None with a fault if it is missing."""

@@ -61,11 +61,11 @@ def _on_rig(path: Path, rig: Rig) -> Take:
         return retarget_take(take, rig, map_joints(take.rig, rig)).take
 
 
-def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:
+def _is_same(rig: Rig, other_rig: Rig, names: NameMap) -> bool:
     """Return whether another rig has all joints of a rig at equal positions."""
     if (names.joints < 0).any():
         return False
-    differences = other.rest_translations[names.joints] - rig.rest_translations
+    differences = other_rig.rest_translations[names.joints] - rig.rest_translations
     return bool((abs(differences) < POSITION_TOLERANCE).all())
 
 

@@ -86,7 +86,9 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     for i, system in enumerate(systems):
         joined_names = {name for name, _ in system.setup.joined}
         joined_indices = [
-            k for k, other in enumerate(systems) if other.name in joined_names
+            k
+            for k, other_system in enumerate(systems)
+            if other_system.name in joined_names
         ]
         joined_indices += [
             tied_first.setdefault(name, i) for name in system.setup.around.carriers
@@ -256,7 +258,9 @@ def _check_name(
 ) -> bool:
     """Record a name that is not another suitable system."""
     self_name = None if system is None else system.name
-    matching = [other for other in systems if other.name == name]
+    matching_systems = [
+        other_system for other_system in systems if other_system.name == name
+    ]
     message, hint = "", None
     if name not in names:
         other_names = sorted({*names} - {self_name})
@@ -269,14 +273,17 @@ def _check_name(
         hint = "give each a unique name"
     elif name == self_name:
         message = f"{name!r} is the system itself"
-    elif matching and not getattr(SYSTEM_KINDS[matching[0].kind], having):
+    elif matching_systems and not getattr(
+        SYSTEM_KINDS[matching_systems[0].kind], having
+    ):
         suitable_kinds = [
             kind
             for kind, system_kind in SYSTEM_KINDS.items()
             if getattr(system_kind, having)
         ]
         message = (
-            f"{name!r} is of kind {matching[0].kind}, not {' or '.join(suitable_kinds)}"
+            f"{name!r} is of kind {matching_systems[0].kind}, "
+            f"not {' or '.join(suitable_kinds)}"
         )
     if message:
         document.add("SCN063", at, message, hint)

@@ -54,17 +54,17 @@ def last_states(
     numbers = with_dependencies(systems, requested)
     running_systems = open_systems([systems[i] for i in numbers], times[-1], character)
     final_runs = {
-        i: running
-        for i, running in zip(numbers, running_systems, strict=True)
+        i: system_run
+        for i, system_run in zip(numbers, running_systems, strict=True)
         if i in requested
     }
     for k, t in enumerate(times):
-        for i, running in final_runs.items():
+        for i, system_run in final_runs.items():
             with located_systems([systems[i]]):
-                running.run.reach(t)
+                system_run.run.reach(t)
         if progress is not None:
             progress((k + 1) / len(times))
-    return {i: running.run.state.state for i, running in final_runs.items()}
+    return {i: system_run.run.state.state for i, system_run in final_runs.items()}
 
 
 # Maximum number of steps of a system, from its pre-roll to the last frame; more take
@@ -106,7 +106,7 @@ class SystemRun:
         self._character = character
         self._phases: ProgressPhases | None = None
         self._frames: Progress = None
-        # Time codes and states of systems whose states are saved.
+        # Time codes and states of systems with saved states.
         self._saving: dict[int, float | None] = {
             i: system.setup.spec.save_at
             for i, system in enumerate(systems)
@@ -118,10 +118,15 @@ class SystemRun:
             progress(0.0)
             self._phases = ProgressPhases(progress)
         self._open: list[EntryRun] = open_systems(
-            systems, last, character, self._shown(last), self._warnings, main_rig
+            systems,
+            last,
+            character,
+            self._system_progress(last),
+            self._warnings,
+            main_rig,
         )
 
-    def _shown(self, last: float) -> SystemProgress | None:
+    def _system_progress(self, last: float) -> SystemProgress | None:
         """Return the progress callbacks of the systems."""
         if self._phases is None:
             return None
@@ -175,12 +180,16 @@ class SystemRun:
                 row = [self._row(i, t) for i in self.written]
             except ToleranceError as error:
                 if not (k and keep_stopped):
-                    raise ToleranceError(self._before(code, error)) from error
+                    raise ToleranceError(
+                        self._faults_with_frame(code, error)
+                    ) from error
                 kept_frames = (
                     f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
                 )
                 note = Fault("SIM193", kept_frames, severity=Severity.NOTE)
-                self.stopped = ToleranceError([*self._before(code, error), note])
+                self.stopped = ToleranceError(
+                    [*self._faults_with_frame(code, error), note]
+                )
                 break
             yield float(code), row
             self.done = k + 1
@@ -196,12 +205,12 @@ class SystemRun:
         faults = []
         for system, opened in zip(self.systems, self._open, strict=True):
             run = opened.run
-            reached = run.time(run.state.steps)
+            resume_time = run.time(run.state.steps)
             if (
                 run.state.steps
-                and times[0] < reached - STEP_TOLERANCE * run.step_length
+                and times[0] < resume_time - STEP_TOLERANCE * run.step_length
             ):
-                frame = float(codes[0]) + (reached - times[0]) * float(fps)
+                frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
                 message = f"its state is from frame {frame:g}, but "
                 message += _step_end(frame, run.step_length, fps) + "and frame "
                 message += f"{float(codes[0]):g} is requested"
@@ -230,24 +239,24 @@ class SystemRun:
     def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
         """Give their final states to systems that need them in advance."""
         runs = {i: self._open[i].run for i in self.written}
-        tearing = {
+        tearing_systems = {
             i: run
             for i, run in runs.items()
             if isinstance(run.simulation, NeedsFinalState)
             and run.simulation.needs_final_state
         }
-        if not tearing:
+        if not tearing_systems:
             return
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()
         final_states = last_states(
-            self.systems, list(tearing), times, self._character, phase
+            self.systems, list(tearing_systems), times, self._character, phase
         )
-        for i, run in tearing.items():
+        for i, run in tearing_systems.items():
             run.simulation.set_final_state(final_states[i])
-        self.seconds[min(tearing)] += time.perf_counter() - started
+        self.seconds[min(tearing_systems)] += time.perf_counter() - start_time
 
-    def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
+    def _faults_with_frame(self, code: Fraction, error: ToleranceError) -> list[Fault]:
         """Return the faults of a stopped system, the last with the frame."""
         *other_faults, last_fault = error.faults
         message = last_fault.message + f", before frame {float(code):g}"
@@ -279,15 +288,15 @@ class SystemRun:
         """
         for i, (_, state) in self._kept.items():
             system, run = self.systems[i], self._open[i].run
-            clocked = Clocked(system.kind, run.begin, run.step_length)
+            clocked_system = Clocked(system.kind, run.begin, run.step_length)
             for name in system.setup.writes:
-                write_states(folder / name, {"": (clocked, state)})
+                write_states(folder / name, {"": (clocked_system, state)})
 
     def _row(self, i: int, t: float) -> Any:
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         with located_systems([self.systems[i]]):
             row = self._open[i].at(t)
-        self.seconds[i] += time.perf_counter() - started
+        self.seconds[i] += time.perf_counter() - start_time
         return row
 
     def note(self, written: Sequence[CachedMesh]) -> None:

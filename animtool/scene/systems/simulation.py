@@ -110,14 +110,14 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     """Resume from a saved state."""
     path = member.setup.resume
     assert path is not None
-    with open_states(path) as saved:
-        run.state = saved.read("", clocked(member, run), run.state)
+    with open_states(path) as saved_states:
+        run.state = saved_states.read("", clocked(member, run), run.state)
     if isinstance(run.simulation, Resumed):
         t = run.time(run.state.steps)
-        why = run.simulation.incompatibility(run.state.state, t)
-        if why:
+        reason = run.simulation.incompatibility(run.state.state, t)
+        if reason:
             raise OptionError(
-                Fault("SIM035", f"its state does not match: {why}", str(path))
+                Fault("SIM035", f"its state does not match: {reason}", str(path))
             )
 
 
@@ -248,7 +248,9 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     ]
     # Systems that are simulated together are left out together.
     groups = [
-        one for one in joined_groups(systems) if all(valid_systems[i] for i in one)
+        group
+        for group in joined_groups(systems)
+        if all(valid_systems[i] for i in group)
     ]
     built_members = [systems[i] for i in sorted(chain.from_iterable(groups))]
     try:

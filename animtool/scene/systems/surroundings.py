@@ -110,13 +110,16 @@ class Surroundings:
     @staticmethod
     def of(all_surroundings: Sequence[Surroundings]) -> Surroundings:
         """Return the colliders of jointly simulated entries."""
-        (merged, *others) = all_surroundings
+        (combined, *other_surroundings) = all_surroundings
         return replace(
-            merged,
+            combined,
             **{
                 name: sum(
-                    (getattr(surroundings, name) for surroundings in others),
-                    getattr(merged, name),
+                    (
+                        getattr(surroundings, name)
+                        for surroundings in other_surroundings
+                    ),
+                    getattr(combined, name),
                 )
                 for name in (*AROUND, "tied")
             },
@@ -128,7 +131,7 @@ class Surroundings:
         return (
             *(
                 (surface.system, location)
-                for surface, location in self._named("system")
+                for surface, location in self._collided_systems("system")
             ),
             *self._ties,
         )
@@ -136,7 +139,7 @@ class Surroundings:
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
         """Systems whose bodies it pushes or pulls, and their locations."""
-        named_surfaces = self._named("two_way")
+        named_surfaces = self._collided_systems("two_way")
         pushed_names = (
             (surface.system, location)
             for surface, location in named_surfaces
@@ -157,7 +160,9 @@ class Surroundings:
         """Distinct names of the rigid systems that carry its particles."""
         return list(dict.fromkeys(name for name, *_ in self.tied))
 
-    def _named(self, key: str) -> Iterator[tuple[SystemSurfaceModel, Location]]:
+    def _collided_systems(
+        self, key: str
+    ) -> Iterator[tuple[SystemSurfaceModel, Location]]:
         """Yield the systems it collides with, each with the location of a key."""
         for i, surface in enumerate(self.systems):
             yield surface, (*self.at, "systems", i, key)
@@ -212,17 +217,17 @@ class Surroundings:
         sheets: list[Sheet] = []
         bodies: list[BodyColliders] = []
         for surface_entry in self.systems:
-            running = opened[surface_entry.system]
-            if running.rigid:
+            system_run = opened[surface_entry.system]
+            if system_run.rigid:
                 material = record_of(Material, surface_entry)
-                bodies_of_system = running.bodies(
+                bodies_of_system = system_run.bodies(
                     material.restitution,
                     material.friction,
                     two_way=surface_entry.two_way,
                 )
                 bodies.append(bodies_of_system)
                 continue
-            surface = running.surface()
+            surface = system_run.surface()
             thickness = {"radius": surface.radius, "closed": surface.closed}
             sheets.append(
                 record_of(

@@ -97,20 +97,22 @@ def _warn_of_sheet(document: Document, at: Location, values: Mapping[str, Any]) 
     area = math.hypot(*values["across"]) * math.hypot(*values["up"])
     mass = values.get("mass") or 0.0
     if area > 0 and mass > MAX_SHEET * area:
-        what = f"the cloth has {area:.3g} m², {mass / area:.3g} kg/m²"
-        _warn_of_grams(document, at, mass, what)
+        mass_text = f"the cloth has {area:.3g} m², {mass / area:.3g} kg/m²"
+        _warn_of_grams(document, at, mass, mass_text)
 
 
 def _warn_of_body(document: Document, at: Location, body: Mapping[str, Any]) -> None:
     """Warn of a body that is denser than any metal."""
     volume, mass = _volume(body.get("shape") or {}), body.get("mass")
     if mass and volume > 0 and mass > MAX_DENSITY * volume:
-        what = f"its density is {mass / volume:.3g} kg/m³"
-        _warn_of_grams(document, at, mass, what)
+        density_text = f"its density is {mass / volume:.3g} kg/m³"
+        _warn_of_grams(document, at, mass, density_text)
 
 
-def _warn_of_grams(document: Document, at: Location, mass: float, what: str) -> None:
-    message = f"mass {mass:g} is {mass:g} kg; {what}"
+def _warn_of_grams(
+    document: Document, at: Location, mass: float, mass_text: str
+) -> None:
+    message = f"mass {mass:g} is {mass:g} kg; {mass_text}"
     hint = f"for {mass:g} g write {mass / GRAMS:g}"
     document.warn("SIM200", (*at, "mass"), message, hint)
 

@@ -40,7 +40,7 @@ from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
 from animtool.systems.framework.spec import SystemSpec
 
-# Step of the exact method over that of the file, if the file's step is too long.
+# Ratio of the exact method's step to the file's, if the file's is too long.
 FINE_STEP_RATIO = 1 / 8
 # Tolerances over the default one; and the maximum step of adaptive methods over the
 # file's step.
@@ -106,8 +106,8 @@ def _trial(
             if spec.tried
             else _budget(setting.method, max_points, other=is_other_method)
         )
-        begun = run_entries(members, rebuild(), trials.changes(setting), budget)
-        outcome = _outcome(begun, times)
+        entry_runs = run_entries(members, rebuild(), trials.changes(setting), budget)
+        outcome = _outcome(entry_runs, times)
         max_points = max(
             [max_points, *(len(shot.points) for shot in outcome.snapshots)]
         )
@@ -144,12 +144,12 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
     def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
-        seen: list[Setting] = []
+        seen_settings: list[Setting] = []
         for method in (
             INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
         ):
             if _is_fixed(method):
-                seen += step_settings(method, spec.step)
+                seen_settings += step_settings(method, spec.step)
                 continue
             max_steps = (
                 spec.step if method == spec_method else LONG_STEP_RATIO * spec.step
@@ -157,10 +157,10 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             values = multiples(
                 default if method == spec_method else TOLERANCE, TOLERANCES
             )
-            seen += [
+            seen_settings += [
                 Setting.of(method, step=max_steps, tolerance=value) for value in values
             ]
-        return seen
+        return seen_settings
 
     def references() -> list[list[Setting]]:
         """Return ever finer steps of the exact method, else of the spec's.
@@ -215,7 +215,7 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
 
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     """Return the result of a simulation at times ``(F,)`` [s]."""
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     snapshots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
     try:
@@ -227,12 +227,12 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         stats = error.stats if isinstance(error, StoppedError) else None
         if stats is not None:
             status, reason, stable = stats.status, stats.reason, stats.stable_step
-    seconds = time.perf_counter() - started
+    seconds = time.perf_counter() - start_time
     last_diagnostics = run.simulation.diagnostics(
         run.state.state, run.time(run.state.steps)
     )
     known_energies = [energy for energy in energies if energy is not None]
-    complete = len(known_energies) == len(snapshots) and _same(snapshots)
+    complete = len(known_energies) == len(snapshots) and _has_constant_count(snapshots)
     return TrialOutcome(
         seconds,
         run.steps_taken if last_diagnostics.steps is None else last_diagnostics.steps,
@@ -249,11 +249,11 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
 
 def _is_fixed(method: str) -> bool:
     """Return whether a method takes steps of constant length."""
-    known = method in INTEGRATORS
-    return not known or find_integrator(method).control is StepControl.FIXED
+    is_known = method in INTEGRATORS
+    return not is_known or find_integrator(method).control is StepControl.FIXED
 
 
-def _same(snapshots: Sequence[Snapshot]) -> bool:
+def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
     """Return whether the number of points is constant."""
     ids = [shot.ids for shot in snapshots if shot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)

@@ -117,22 +117,22 @@ def solve_trial(
         run,
         ErrorMeasure.LARGEST,
         unit="iterations",
-        where=lambda shot, point: _where(chosen_result, shot, point),
+        where=lambda shot, point: _point_label(chosen_result, shot, point),
         lines=lambda setting: scene_text(options_of(setting)),
     )
 
 
-def _where(solved: TakeIk, shot: int, point: int) -> str:
-    goals = [goal for goal, _, _ in _compared(solved)]
-    frame = float(solved.take.clock.times[shot])
-    return f"{solved.tracks.goals[goals[point]].name} at frame {frame:g}"
+def _point_label(solution: TakeIk, shot: int, point: int) -> str:
+    goals = [goal for goal, _, _ in _compared_points(solution)]
+    frame = float(solution.take.clock.times[shot])
+    return f"{solution.tracks.goals[goals[point]].name} at frame {frame:g}"
 
 
-def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
+def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
     """Return the compared points: goal, joint and offset of each."""
     points = []
-    for i, track in enumerate(solved.tracks.goals):
-        goal, joint = track.goal, solved.take.rig.index(track.goal.joint)
+    for i, track in enumerate(solution.tracks.goals):
+        goal, joint = track.goal, solution.take.rig.index(track.goal.joint)
         offset = np.asarray(goal.offset, np.float64)
         arm_offsets = (
             ORIENTATION_ARM * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
@@ -141,9 +141,9 @@ def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
     return points
 
 
-def _outcome(solved: TakeIk) -> TrialOutcome:
+def _outcome(solution: TakeIk) -> TrialOutcome:
     """Return the positions of the effectors and their errors."""
-    take, compared_points = solved.take, _compared(solved)
+    take, compared_points = solution.take, _compared_points(solution)
     joints = [joint for _, joint, _ in compared_points]
     offsets = np.array([offset for _, _, offset in compared_points])
     world = take.world()
@@ -151,12 +151,12 @@ def _outcome(solved: TakeIk) -> TrialOutcome:
     shots = [
         Snapshot(points) for points in world.positions[:, joints] + rotated_offsets
     ]
-    misses = np.where(solved.active, solved.misses, 0.0)
-    has_converged = [status is IkStatus.CONVERGED for status in solved.statuses]
+    misses = np.where(solution.active, solution.misses, 0.0)
+    has_converged = [status is IkStatus.CONVERGED for status in solution.statuses]
     figures = {
         Figure.MISS: float(misses[..., 0].max(initial=0.0)),
         Figure.MISS_ANGLE: float(misses[..., 1:].max(initial=0.0)),
         Figure.REACHED: float(np.mean(has_converged)),
     }
-    steps = int(solved.iterations.sum())
-    return TrialOutcome(solved.seconds, steps, shots, figures=figures)
+    steps = int(solution.iterations.sum())
+    return TrialOutcome(solution.seconds, steps, shots, figures=figures)

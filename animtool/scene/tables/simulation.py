@@ -138,13 +138,13 @@ def _times(
     plan = plan_stage(replace(scene, outputs=(without_chunks,)), STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
-        return _within(character.times, plan), character
+        return _times_in_range(character.times, plan), character
     (systems,) = plan.prims
     assert isinstance(systems, SystemPrims)
     return np.array([systems.seconds(code) for code in systems.codes]), None
 
 
-def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
+def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
     """Return a take's times [s] in the range of an output."""
     frame_range = plan.options.frame_range
     if frame_range is None:
@@ -208,7 +208,7 @@ def _attach_trial(
     frame_positions = np.linspace(0, clock.count - 1, min(clock.count, instants))
     frames = np.unique(frame_positions.astype(np.int64))
 
-    def passed(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
+    def run_pass(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
         """Return the result of the pass on a motion, and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
         changed_options = replace(entry.options, **options)
@@ -217,7 +217,7 @@ def _attach_trial(
         (report,) = passed_stream.simulated
         return result, report
 
-    _, report = passed(take.motion.select(slice(0, 1)))
+    _, report = run_pass(take.motion.select(slice(0, 1)))
     frame_rate = float(clock.rate)
     rate = frame_rate * report["steps"]
 
@@ -229,9 +229,9 @@ def _attach_trial(
 
     def run(setting: Setting) -> TrialOutcome:
         started = time.perf_counter()
-        motion, report = passed(take.motion, rate=setting["rate"])
+        motion, report = run_pass(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - started
-        points = _attached(take.rig, body, motion.select(frames))
+        points = _attachment_points(take.rig, body, motion.select(frames))
         shots = [Snapshot(shot_points) for shot_points in points]
         is_valid = bool(np.isfinite(points).all())
         return TrialOutcome(
@@ -264,7 +264,7 @@ def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
     return figures
 
 
-def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
+def _attachment_points(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
     """Return the compared points of an attachment ``(F, N, 3)`` [m]."""
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()

@@ -88,7 +88,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     full_take = stream.collect()
     take = _in_range(full_take, plan)
     rate = plan.options.fps or take.clock.rate
-    reference = _Known.of(take, rate, is_curved=is_curved)
+    reference = _ReferencePoints.of(take, rate, is_curved=is_curved)
     frames = plan.options.frame_range
     step = 1 if frames is None else frames.step
     rate /= step  # every second frame of the output is half its rate
@@ -99,7 +99,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         if notice not in full_take.notices
     )
 
-    def opened() -> Source:
+    def open_source_again() -> Source:
         # Results of passes are computed once.
         stream = TakeStream.of(take)
         if is_curved:
@@ -108,7 +108,9 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
     return [
         replace(
-            _samples(path, opened, plan, take, reference, rate, curved=is_curved),
+            _samples(
+                path, open_source_again, plan, take, reference, rate, curved=is_curved
+            ),
             notices=outside_notices,
         ),
         _keys(
@@ -143,7 +145,7 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
+class _ReferencePoints:
     """Reference points of a take at some times [s]."""
 
     rig: Rig
@@ -151,7 +153,7 @@ class _Known:
     snapshots: list[Snapshot]
 
     @staticmethod
-    def of(take: Take, rate: Fraction, *, is_curved: bool) -> _Known:
+    def of(take: Take, rate: Fraction, *, is_curved: bool) -> _ReferencePoints:
         clock = take.clock
         curve = take.curve if is_curved else None
         # For a curve there are also instants between two samples at the highest rate.
@@ -168,7 +170,7 @@ class _Known:
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
         snapshots = _shots(take.rig, motion.world(take.rig))
-        return _Known(take.rig, frames / float(clock.rate), snapshots)
+        return _ReferencePoints(take.rig, frames / float(clock.rate), snapshots)
 
     def where(self, shot: int, point: int) -> str:
         """Return the joint of a point, and the time."""
@@ -204,7 +206,7 @@ def _samples(
     open_source_stream: Callable[[], Source],
     plan: BakePlan,
     take: Take,
-    reference: _Known,
+    reference: _ReferencePoints,
     rate: Fraction,
     *,
     curved: bool,
@@ -280,7 +282,7 @@ def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -
 
 
 @dataclass(frozen=True, slots=True)
-class _Baked:
+class _BakedFile:
     """A written stage."""
 
     samples: int
@@ -289,11 +291,11 @@ class _Baked:
     fps: Fraction
 
 
-def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
+def _bake(source: Source, output: Path, options: BakeOptions) -> _BakedFile:
     plan = plan_stage(source, output, replace(options, overwrite=True))
     # Systems next to the take have no joints to measure.
     result = run_stage(replace(plan, prims=plan.prims[:1], watch=None)).result
-    return _Baked(result.samples, result.bytes, plan.start, plan.fps)
+    return _BakedFile(result.samples, result.bytes, plan.start, plan.fps)
 
 
 def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:

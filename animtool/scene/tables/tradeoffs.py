@@ -86,7 +86,7 @@ def measure_tradeoffs(
         OptionError: An option is invalid, or nothing can be traded (SCN071).
     """
     trials = _trials(source, options)
-    report = _measured(source_file(source), trials, budget, progress)
+    report = _measure_trials(source_file(source), trials, budget, progress)
     if folder is None:
         return report
     return replace(report, pairs=_pairs(trials, report.tables, folder))
@@ -118,7 +118,7 @@ def simulation_tradeoffs(
 ) -> Tradeoffs:
     """Measure a scene's simulations and solves; see `measure_tradeoffs`."""
     trials = simulation_trials(scene, options)
-    return _measured(scene.path, trials, None, progress)
+    return _measure_trials(scene.path, trials, None, progress)
 
 
 def take_tradeoffs(
@@ -128,12 +128,12 @@ def take_tradeoffs(
     trials: list[tuple[EntryLocation | None, Trial]] = [
         (None, trial) for trial in take_trials(source, options)
     ]
-    return _measured(source_file(source), trials, None, progress)
+    return _measure_trials(source_file(source), trials, None, progress)
 
 
 def ik_tradeoffs(job: IkJob, *, progress: Progress = None) -> Tradeoffs:
     """Measure settings of an IK job; see `measure_tradeoffs`."""
-    return _measured(job.targets, [(None, job_trial(job))], None, progress)
+    return _measure_trials(job.targets, [(None, job_trial(job))], None, progress)
 
 
 def _trials(
@@ -147,7 +147,7 @@ def _trials(
     return trials + [(None, trial) for trial in take_trials(source, options)]
 
 
-def _measured(
+def _measure_trials(
     path: Path,
     trials: Sequence[tuple[EntryLocation | None, Trial]],
     budget: float | None,
@@ -179,7 +179,7 @@ def _pairs(
     """Write two settings of each table as stages."""
     pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
-        other_setting = _other(table)
+        other_setting = _row_to_compare(table)
         if trial.write is None or other_setting is None:
             continue
         settings = (table.chosen.setting, other_setting.setting)
@@ -191,11 +191,11 @@ def _pairs(
     return pairs
 
 
-def _other(table: TrialTable) -> TrialRow | None:
+def _row_to_compare(table: TrialTable) -> TrialRow | None:
     """Return the setting to compare with the chosen one; None without any."""
-    better = table.recommended
-    if better is not None and not better.chosen:
-        return better
+    recommended_row = table.recommended
+    if recommended_row is not None and not recommended_row.chosen:
+        return recommended_row
     works = [row for row in table.rows if row.error is not None and not row.chosen]
     return next(iter([row for row in works if row.best] or works), None)
 

@@ -75,7 +75,7 @@ FIXES = {
 
 
 class NotMendedError(Exception):
-    """A finding whose fix is not safe here; the text says why."""
+    """A finding that cannot be fixed safely; the text is the reason."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,18 +54,18 @@ class LayerDraft:
         """Return the layer with findings fixed if they are local to it."""
         from animtool.usd.fixes.target import edited_layer
 
-        fixed: list[tuple[Fault, str]] = []
+        fixes: list[tuple[Fault, str]] = []
         refused_findings: list[tuple[Fault, str]] = []
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
-                reason, remedy = _applied(layer, fault)
-                (refused_findings if reason else fixed).append(
+                reason, remedy = _apply_fix(layer, fault)
+                (refused_findings if reason else fixes).append(
                     (fault, reason or remedy)
                 )
             content = layer.content()
-        edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixed]
-        edited = LayerDraft(self.path, content, (*self.edits, *edit_lines))
-        return FixStep(edited if fixed else self, fixed, refused_findings)
+        edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixes]
+        edited_draft = LayerDraft(self.path, content, (*self.edits, *edit_lines))
+        return FixStep(edited_draft if fixes else self, fixes, refused_findings)
 
     def finish(self, _: Sequence[Fault], /) -> FixStep:
         """Return the layer unchanged: no fix is deferred."""
@@ -98,8 +98,8 @@ class LayerDraft:
         return write_copy(self.path, self.content, output)
 
 
-def _applied(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
-    """Apply the fix of a finding; return why not, or what changed."""
+def _apply_fix(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
+    """Apply the fix of a finding; return the reason for failure, or the change."""
     from animtool.usd.fixes.target import NotFixableError
 
     prefix = "" if fault.where in {None, "/"} else f"{fault.where}: "

@@ -94,14 +94,14 @@ def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
     return _has_names_of((path.parent / rig_name).resolve(), rig)
 
 
-def _has_names_of(other: Path, rig: Path) -> bool:
+def _has_names_of(other_path: Path, rig: Path) -> bool:
     """Return whether a rig is the given one, or a sidecar."""
-    if other == rig:
+    if other_path == rig:
         return True
-    if READERS.get(other.suffix.lower()) is not DOCUMENT:
+    if READERS.get(other_path.suffix.lower()) is not DOCUMENT:
         return False
     try:
-        return "from" in read_document(other).value
+        return "from" in read_document(other_path).value
     except AnimtoolError:
         return True
 
@@ -137,7 +137,7 @@ def allowed(checked: CheckedFile, fault: Fault) -> Mend:
     rig = _complete_rig(checked)
     key = str(pointer_of(fault)[0])
     old = [name for name in names_in(rig, key) if legal(name) != name]
-    return _renamed(rig, key, old)
+    return _rename(rig, key, old)
 
 
 def distinct(checked: CheckedFile, fault: Fault) -> Mend:
@@ -150,10 +150,18 @@ def distinct(checked: CheckedFile, fault: Fault) -> Mend:
     entry = rig.written(str(key))[number]
     names = names_in(rig, key)
     for name in (entry["name"], entry.get("mirror")):
-        equal_names = [other for other in names if name and legal(other) == legal(name)]
+        equal_names = [
+            other_name
+            for other_name in names
+            if name and legal(other_name) == legal(name)
+        ]
         if len(equal_names) > 1:
-            forbidden = [other for other in equal_names if legal(other) != other]
-            return _renamed(rig, str(key), forbidden[-1:])
+            forbidden = [
+                other_name
+                for other_name in equal_names
+                if legal(other_name) != other_name
+            ]
+            return _rename(rig, str(key), forbidden[-1:])
     raise NotMendedError(f"renames {entry['name']!r} to make it unique")
 
 
@@ -164,7 +172,7 @@ def _complete_rig(checked: CheckedFile) -> RigSubject:
     return rig
 
 
-def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
+def _rename(rig: RigSubject, key: str, old: list[str]) -> Mend:
     for path, name in naming(rig.document.path, old):
         raise NotMendedError(f"{path.name} also uses {name!r}")
     new = _fresh(old, names_in(rig, key))
@@ -191,7 +199,7 @@ def renaming(
 ) -> Iterator[Edit]:
     """Yield the edits that rename entries of a list, wherever a rig file names them."""
     for use in NAME_PATHS[key]:
-        for at, name in _named(value, tuple(use.split("/")), ()):
+        for at, name in _names_at(value, tuple(use.split("/")), ()):
             if use.endswith("{}"):
                 if name in new:
                     yield Rename(at, new[name])
@@ -205,7 +213,7 @@ def renaming(
                 yield Replace(at, f"{new[joint]}.{part}" if part else new[joint])
     if key == "joints":
         yield from _formulas(value, new)
-    for at, where in _named(value, ("ignore", "*", "where"), ()):
+    for at, where in _names_at(value, ("ignore", "*", "where"), ()):
         location = where
         for old, name in new.items():
             lists = "|".join(_LIST_NAMES[key])
@@ -219,7 +227,7 @@ def renaming(
 def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit]:
     """Yield the edits that rename joints in expressions of drivers."""
     for use in EXPRESSION_PATHS:
-        for at, text in _named(value, tuple(use.split("/")), ()):
+        for at, text in _names_at(value, tuple(use.split("/")), ()):
             expression = parse_expression(text, coordinates=True)
             new_expression = expression.renamed(
                 renamed_coordinates(expression.names, new)
@@ -228,7 +236,7 @@ def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit
                 yield Replace(at, new_expression.text)
 
 
-def _named(
+def _names_at(
     node: Any, steps: tuple[str, ...], at: Location
 ) -> Iterator[tuple[Location, str]]:
     """Yield the names at a path of `NAME_PATHS`, and their locations."""
@@ -242,6 +250,6 @@ def _named(
             yield (*at, key), key
     elif step == "*":
         for i, entry in enumerate(node if isinstance(node, list) else ()):
-            yield from _named(entry, tuple(later_steps), (*at, i))
+            yield from _names_at(entry, tuple(later_steps), (*at, i))
     elif isinstance(node, dict) and step in node:
-        yield from _named(node[step], tuple(later_steps), (*at, step))
+        yield from _names_at(node[step], tuple(later_steps), (*at, step))

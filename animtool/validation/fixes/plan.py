@@ -38,19 +38,19 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     """
     plan = FileMend(path, _open_draft(path))
     options = options.with_profile(plan.after.checked.profile)
-    unfixable: set[tuple[str, str | None, str]] = set()
-    while cases := list(_open_cases(plan.after.findings, options, unfixable)):
+    unfixable_findings: set[tuple[str, str | None, str]] = set()
+    while cases := list(_open_cases(plan.after.findings, options, unfixable_findings)):
         batch = plan.after.batch(cases)
         step = plan.after.step(batch)
-        reason = _worse(plan.after, step)
+        reason = _reason_to_reject(plan.after, step)
         if step.done and not reason:
             plan.after = step.draft
             plan.mended.extend(step.done)
             # Other findings may have moved, and may be fixable now.
-            unfixable.clear()
+            unfixable_findings.clear()
             plan.left.clear()
             continue
-        unfixable.update(map(_key, batch))
+        unfixable_findings.update(map(_key, batch))
         plan.left.extend(step.refused)
         plan.left.extend((fault, reason) for fault, _ in step.done)
     final = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
@@ -69,12 +69,12 @@ def with_fixable(report: Report) -> Report:
             continue
         if has_fix(fault.code):
             cases.setdefault(fault.path, []).append(fault)
-    fixable = (
+    fixable_faults = (
         fault
         for path, faults in cases.items()
         for fault in _open_draft(Path(path)).fixable(faults)
     )
-    return replace(report, fixable=frozenset(fixable))
+    return replace(report, fixable=frozenset(fixable_faults))
 
 
 def is_layer(path: Path) -> bool:
@@ -122,8 +122,8 @@ def _open_cases(
 ) -> Iterator[Fault]:
     """Yield selected findings that have a fix and were not tried yet."""
     for fault in faults:
-        fixable = has_fix(fault.code) and options.counts(fault.code)
-        if fixable and _key(fault) not in known_unfixable:
+        is_fixable = has_fix(fault.code) and options.counts(fault.code)
+        if is_fixable and _key(fault) not in known_unfixable:
             yield fault
 
 
@@ -131,15 +131,17 @@ def _key(fault: Fault) -> tuple[str, str | None, str]:
     return fault.code, fault.where, fault.message
 
 
-def _worse(before: FileDraft, step: FixStep) -> str:
+def _reason_to_reject(before: FileDraft, step: FixStep) -> str:
     """Return why a step is rejected: findings remain or appear; empty if accepted."""
     if not step.done:
         return ""
     old_counts = Counter(fault.code for fault in before.findings)
     new_counts = Counter(fault.code for fault in step.draft.findings)
-    added = sorted(code for code in new_counts if new_counts[code] > old_counts[code])
-    if added:
-        return f"the fix would cause {added[0]}"
+    added_codes = sorted(
+        code for code in new_counts if new_counts[code] > old_counts[code]
+    )
+    if added_codes:
+        return f"the fix would cause {added_codes[0]}"
     if any(new_counts[fault.code] >= old_counts[fault.code] for fault, _ in step.done):
         return "the finding would remain"
     return ""

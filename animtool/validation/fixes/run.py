@@ -82,7 +82,7 @@ def fix_files(
                 plan.after.write(plan.path)
     unpack = "packages are not edited: unpack it, and fix its layers"
     packages = [f"{path}: {unpack}" for path in _with_fixes(report, packed=True)]
-    notes = (*_kept(report, kept_files), *packages)
+    notes = (*_unfixed_findings(report, kept_files), *packages)
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
     fixed_findings = tuple(entry for plan in plans for entry in plan.mended)
@@ -131,17 +131,19 @@ def _plan(path: Path, options: ValidateOptions) -> FileMend:
 def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
     """Return files, or packages, with fixable findings."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
-    fixable = (path for path in report.files if str(path) in named_paths)
-    return [path for path in fixable if has_fixes(path) and is_package(path) is packed]
+    fixable_files = (path for path in report.files if str(path) in named_paths)
+    return [
+        path for path in fixable_files if has_fixes(path) and is_package(path) is packed
+    ]
 
 
-def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
+def _unfixed_findings(report: Report, paths: Sequence[Path]) -> Iterator[str]:
     """Yield fixable findings of USD files that stay unchanged."""
     if not paths:
         return
-    fixable = with_fixable(report).fixable
+    fixable_faults = with_fixable(report).fixable
     for path in paths:
-        count = sum(fault.path == str(path) for fault in fixable)
+        count = sum(fault.path == str(path) for fault in fixable_faults)
         if count:
             findings = counted(count, "finding")
             yield (

@@ -84,15 +84,15 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     weights = skin.weights
     if not isinstance(weights, ArrayRef):
         raise NotMendedError("the weights are not in an npz file")
-    path = _free(weights.path, weights.key)
+    path = _unused_path(weights.path, weights.key)
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
-    arrays = {path: {weights.key: _divided(weights)}}
+    arrays = {path: {weights.key: _normalized_weights(weights)}}
     return Mend(remedy, (Replace(pointer, text),), arrays)
 
 
-def _free(path: Path, key: str) -> Path:
+def _unused_path(path: Path, key: str) -> Path:
     """Return an unused path next to a file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
@@ -104,7 +104,7 @@ def _free(path: Path, key: str) -> Path:
     return candidate
 
 
-def _divided(weights: ArrayRef) -> npt.NDArray[np.float32]:
+def _normalized_weights(weights: ArrayRef) -> npt.NDArray[np.float32]:
     values = weights.load()
     return np.asarray(values / values.sum(axis=1, keepdims=True), np.float32)
 
@@ -163,7 +163,7 @@ class TextDraft:
 
     def finish(self, cases: Sequence[Fault]) -> FixStep:
         """Return the text with those findings fixed that need new arrays."""
-        text, fixed = self.text, []
+        text, fixes = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in cases:
             try:
@@ -173,12 +173,12 @@ class TextDraft:
                 text = edited(text, self.path, mend.edits)
             except (NotMendedError, EditError):
                 continue
-            fixed.append((fault, mend.remedy))
+            fixes.append((fault, mend.remedy))
             for path, arrays in mend.arrays.items():
                 new_arrays.setdefault(path, {}).update(arrays)
-        codes = frozenset(fault.code for fault, _ in fixed)
+        codes = frozenset(fault.code for fault, _ in fixes)
         return FixStep(
-            replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes), fixed
+            replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes), fixes
         )
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:

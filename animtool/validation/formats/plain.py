@@ -79,23 +79,28 @@ def text_report(
 ) -> str:
     """Return the findings, each with its source line, and a summary line."""
     report = report.worded(calling)
-    lines = [*FINDINGS.text(Findings(_shown(report, repeats=repeats))), summary(report)]
+    lines = [
+        *FINDINGS.text(Findings(_findings_to_print(report, repeats=repeats))),
+        summary(report),
+    ]
     return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
 
 
-def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
+def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     """Return the findings to print; without a line, only the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
     index_of_kind: dict[_Kind, Fault] = {}
-    shown = []
+    shown_findings = []
     for fault in report.findings:
         kind = _kind(fault)
         if repeats or fault.lines:
-            shown.append(ShownFinding(fault, excerpt=excerpt_lines(fault, sources)))
+            shown_findings.append(
+                ShownFinding(fault, excerpt=excerpt_lines(fault, sources))
+            )
         elif index_of_kind.setdefault(kind, fault) is fault:
-            shown.append(ShownFinding(fault, counts[kind] - 1))
-    return shown
+            shown_findings.append(ShownFinding(fault, counts[kind] - 1))
+    return shown_findings
 
 
 def _kind(fault: Fault) -> _Kind:
@@ -158,17 +163,18 @@ def junit_report(report: Report) -> str:
     for fault in report.findings:
         by_file[fault.path or "animtool"].append(fault)
     names = dict.fromkeys([*map(str, report.files), *sorted(by_file)])
-    unreadable = report.unreadable()
+    unreadable_files = report.unreadable()
     cases = (
-        _case(name, by_file[name], unreadable=name in unreadable) for name in names
+        _case(name, by_file[name], unreadable=name in unreadable_files)
+        for name in names
     )
     return junit_xml("animtool validate", cases)
 
 
 def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
     errors = [fault for fault in faults if fault.severity is Severity.ERROR]
-    others = [fault for fault in faults if fault.severity is not Severity.ERROR]
-    text = "\n".join(map(str, others))
+    other_faults = [fault for fault in faults if fault.severity is not Severity.ERROR]
+    text = "\n".join(map(str, other_faults))
     if not errors:
         return JunitCase(name, output=text)
     return JunitCase(

@@ -45,7 +45,7 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
     steps = _totals(rig.parents, feet)
     joints = _totals(rig.parents, np.ones(len(feet), bool))
     chain, size = [int(rig.roots[0])], 1
-    moving = set(subject.moving.tolist())
+    moving_joints = set(subject.moving.tolist())
     while True:
         children = np.flatnonzero(rig.parents == chain[-1]).tolist()
         bodies = [
@@ -57,7 +57,7 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
         if not bodies:
             return tuple(chain[:size])
         chain.append(bodies[0])
-        if bodies[0] in moving:
+        if bodies[0] in moving_joints:
             size = len(chain)
 
 
@@ -101,10 +101,10 @@ def placed(subject: MotionSubject) -> BoolArray:
     These are roots, joints that carry the body, and the children of these.
     """
     parents = subject.take.rig.parents
-    carrying = carriers(subject)
+    carrier_joints = carriers(subject)
     is_placed = parents < 0
-    is_placed[list(carrying)] = True
-    return np.asarray(is_placed | np.isin(parents, carrying[:-1]), bool)
+    is_placed[list(carrier_joints)] = True
+    return np.asarray(is_placed | np.isin(parents, carrier_joints[:-1]), bool)
 
 
 def body(subject: MotionSubject) -> BoolArray:

@@ -80,25 +80,25 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
     static = carries & _static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
-    flat = np.zeros(len(feet), bool)
+    is_flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
         is_static = heights[static[:, e], e]
         if len(is_static) >= max(MIN_CONTACTS, RARE_FRACTION * subject.frames):
             ground[e], fraction = _level(is_static, PLANTED_HEIGHT * subject.size)
-            flat[e] = fraction > AT_ONE_HEIGHT
+            is_flat[e] = fraction > AT_ONE_HEIGHT
             floor[e] = _floor(is_static, PLANTED_HEIGHT * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
             is_low = np.abs(heights[:, e] - ground[e]) < PLANTED_HEIGHT * subject.size
-            flat[e] = is_low.mean() > MOSTLY_LOW
-            floor[e] = ground[e] if flat[e] else np.inf
+            is_flat[e] = is_low.mean() > MOSTLY_LOW
+            floor[e] = ground[e] if is_flat[e] else np.inf
     partners = _partners(subject, feet)
-    level, tolerance = flat, PLANTED_HEIGHT * subject.size
-    flat = level & _agrees(ground, partners, tolerance)
+    level, tolerance = is_flat, PLANTED_HEIGHT * subject.size
+    is_flat = level & _agrees(ground, partners, tolerance)
     floor[~_agrees(floor, partners, tolerance)] = np.inf
-    is_near = carries & flat & (np.abs(heights - ground) < tolerance)
+    is_near = carries & is_flat & (np.abs(heights - ground) < tolerance)
     return FootStances(
-        feet, partners, ground, level, flat, floor, carries, is_near, static
+        feet, partners, ground, level, is_flat, floor, carries, is_near, static
     )
 
 
@@ -108,12 +108,16 @@ def _level(heights: FloatArray, tolerance: float) -> tuple[float, float]:
     >>> _level(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
     """
-    ordered = np.sort(heights)
-    range_ends = np.searchsorted(ordered, ordered + 2.0 * tolerance, "right")
-    range_counts = range_ends - np.arange(len(ordered))
+    sorted_heights = np.sort(heights)
+    range_ends = np.searchsorted(
+        sorted_heights, sorted_heights + 2.0 * tolerance, "right"
+    )
+    range_counts = range_ends - np.arange(len(sorted_heights))
     best_start = int(range_counts.argmax())
-    values_near = ordered[best_start : best_start + int(range_counts[best_start])]
-    return float(np.median(values_near)), len(values_near) / len(ordered)
+    values_near = sorted_heights[
+        best_start : best_start + int(range_counts[best_start])
+    ]
+    return float(np.median(values_near)), len(values_near) / len(sorted_heights)
 
 
 def _floor(heights: FloatArray, tolerance: float) -> float:
@@ -163,8 +167,8 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
 def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
     """Return sliding windows over frames, padded at the ends ``(F, W)``."""
     frames = round(reach)
-    padded = np.pad(values, frames, mode="edge")
-    return sliding_window_view(padded, 2 * frames + 1)
+    padded_values = np.pad(values, frames, mode="edge")
+    return sliding_window_view(padded_values, 2 * frames + 1)
 
 
 def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:

@@ -56,7 +56,10 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     if contacts is None or body_axis(subject):
         return
     of_take = list(_full_take(subject, contacts))
-    yield from of_take or [*_sunk(subject, contacts), *_floating(subject, contacts)]
+    yield from of_take or [
+        *_sunk(subject, contacts),
+        *_floating_fault(subject, contacts),
+    ]
 
 
 def _full_take(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
@@ -156,9 +159,9 @@ def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
     return chain
 
 
-def _hangs(rest: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
+def _hangs(rest_heights: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
     """Return whether a leg hangs straight down at rest."""
-    bones = np.linalg.norm(np.diff(rest[leg], axis=0), axis=1)
+    bones = np.linalg.norm(np.diff(rest_heights[leg], axis=0), axis=1)
     return bool(
         heights[leg[-1]] - heights[leg[0]] > HANGING_FRACTION * bones.sum() > 0.0
     )
@@ -212,18 +215,18 @@ def _ground_of_pairs(
     return ground, has_ground
 
 
-def _floating(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if no joint is near the ground for longer than a jump."""
-    flat = np.isfinite(contacts.floor)
-    if not flat.any():
+    has_floor = np.isfinite(contacts.floor)
+    if not has_floor.any():
         return
-    ground = float(contacts.floor[flat].min())
-    clearance = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
+    ground = float(contacts.floor[has_floor].min())
+    clearance = subject.heights[:, contacts.feet[has_floor]] - contacts.floor[has_floor]
     lowest = subject.heights[:, body(subject)].min(axis=1) - ground
     is_airborne = (clearance.min(axis=1) > AIR_HEIGHT * subject.size) & (
         lowest > AIR_HEIGHT * subject.size
     )
-    static = contacts.static[:, flat]
+    static = contacts.static[:, has_floor]
     # A file without units may contain a person, whatever its numbers.
     body_size = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
     max_frames = LONGEST_JUMP * np.sqrt(body_size / PERSON_SIZE)
@@ -234,7 +237,7 @@ def _floating(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
         ):
             continue
         height = float(lowest[first : last_frame + 1].min())
-        joint = int(contacts.feet[flat][clearance[first].argmin()])
+        joint = int(contacts.feet[has_floor][clearance[first].argmin()])
         message = (
             f"no foot is closer than {height:.3g} m to the ground from frame "
             f"{subject.at(first)} to {subject.at(last_frame)}, for {seconds:.2g} s; "

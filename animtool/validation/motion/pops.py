@@ -48,14 +48,14 @@ def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield non-root joints that pop in one frame (MOT202)."""
     hint = "correct the frames around it; for an intended cut, write interp: step"
     pops = _pops(subject, MIN_SHIFT, roots=False)
-    yield from _reported(subject, "MOT202", pops, hint)
+    yield from _pop_fault(subject, "MOT202", pops, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield roots that pop in one frame, moving the complete character (MOT203)."""
     hint = "correct the frames around it, or cut the take there"
     pops = _pops(subject, MIN_ROOT_SHIFT, roots=True)
-    yield from _reported(subject, "MOT203", pops, hint)
+    yield from _pop_fault(subject, "MOT203", pops, hint)
 
 
 def _pops(subject: MotionSubject, min_shift: float, *, roots: bool) -> list[_Pops]:
@@ -71,7 +71,7 @@ def _pops(subject: MotionSubject, min_shift: float, *, roots: bool) -> list[_Pop
     ]
 
 
-def _reported(
+def _pop_fault(
     subject: MotionSubject, code: str, all_pops: list[_Pops], hint: str
 ) -> Iterator[Fault]:
     """Yield one fault for all pops of a kind, which names the largest."""
@@ -93,7 +93,7 @@ def _reported(
         f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
         f"to {subject.at(step + 1)}, unlike the motion around it"
     )
-    other_names = [other for other in names if other != name]
+    other_names = [other_name for other_name in names if other_name != name]
     if often > 1:
         message += f"; there are {often} such steps in total"
     if other_names:
@@ -103,7 +103,7 @@ def _reported(
 
 def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
     flags, amounts = rotation_pops(
-        subject.rotation_steps[:, columns], subject.interval, _ignored(subject)
+        subject.rotation_steps[:, columns], subject.interval, _ignored_steps(subject)
     )
     return _Pops(subject.turning[columns], flags, amounts, "rad")
 
@@ -113,14 +113,14 @@ def _shift_pops(subject: MotionSubject, columns: IntArray, min_shift: float) -> 
     flags, amounts = translation_pops(
         subject.shifts[:, columns],
         subject.interval,
-        _ignored(subject),
+        _ignored_steps(subject),
         min_shift * size,
         SHIFT_NOISE * size,
     )
     return _Pops(subject.moving[columns], flags, amounts, "m")
 
 
-def _ignored(subject: MotionSubject) -> BoolArray:
+def _ignored_steps(subject: MotionSubject) -> BoolArray:
     """Return cuts, and the first step if it leaves a reference pose."""
     cuts = subject.cuts()
     cuts[:1] = True

@@ -197,7 +197,7 @@ def _vectors(subject: MotionSubject) -> FloatArray:
 
 
 def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
-    """Return the length of each step in frames, and which are losses ``(S,)``.
+    """Return each step's length in frames, and a mask of steps with loss ``(S,)``.
 
     A loss is a step that is far from the prediction of a single step by its two
     neighbours on either side, and near their prediction of several steps.
@@ -207,9 +207,9 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     ratios, is_lost = np.ones(count), np.zeros(count, bool)
     a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
     near_steps, far_steps = 0.5 * (b + d), 0.5 * (a + e)
-    predicted = _predicted(near_steps, far_steps, 0)
-    deviations = _squares(c - predicted)
-    pace = _squares(predicted)
+    predicted_step = _predicted_step(near_steps, far_steps, 0)
+    deviations = _squares(c - predicted_step)
+    pace = _squares(predicted_step)
     noise = (
         _typical_around(deviations)
         + (MIN_ROUGHNESS**2) * np.median(pace, axis=0)
@@ -225,26 +225,28 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     )
     is_possible &= paces > MIN_PACE * np.median(paces)
     is_possible &= ~(subject.cuts() | _next_to_static(subject))[2:-2]
-    goes_on = np.einsum("snc,snc->sn", c, predicted) < CONTRADICTING_STEPS * pace
-    contradicting = (shows_loss * goes_on * pace).sum(axis=1) / np.maximum(
+    goes_on = np.einsum("snc,snc->sn", c, predicted_step) < CONTRADICTING_STEPS * pace
+    contradicting_weight = (shows_loss * goes_on * pace).sum(axis=1) / np.maximum(
         (shows_loss * pace).sum(axis=1), np.finfo(float).tiny
     )
-    is_possible &= contradicting < CERTAIN_CONTRADICTING
+    is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
     for frames in range(1, MAX_LOST + 1):
-        remaining = _squares(c - _predicted(near_steps, far_steps, frames))
-        weighted_remaining = (shows_loss * remaining / noise).sum(axis=1)
-        is_better = shows_loss & (remaining < 0.5 * deviations)
+        remaining_squares = _squares(c - _predicted_step(near_steps, far_steps, frames))
+        weighted_remaining = (shows_loss * remaining_squares / noise).sum(axis=1)
+        is_better = shows_loss & (remaining_squares < 0.5 * deviations)
         joints = is_better.sum(axis=1)
         max_remainder = (
             np.where(
-                contradicting < MAX_CONTRADICTING_FEW, MAX_REMAINDER, GOOD_REMAINDER
+                contradicting_weight < MAX_CONTRADICTING_FEW,
+                MAX_REMAINDER,
+                GOOD_REMAINDER,
             )
             * weighted_deviation
         )
         is_loss = (
             (weighted_remaining < max_remainder)
             & (joints > MIN_JOINT_FRACTION * showing_count)
-            & (contradicting < MAX_CONTRADICTING)
+            & (contradicting_weight < MAX_CONTRADICTING)
         )
         is_loss |= (weighted_remaining < CERTAIN_REMAINDER * weighted_deviation) & (
             joints > CERTAIN_JOINTS * showing_count
@@ -275,15 +277,17 @@ def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
     return np.asarray(np.sum(flags_by_limb, axis=0) > 1)
 
 
-def _predicted(near: FloatArray, far: FloatArray, lost_count: int) -> FloatArray:
+def _predicted_step(
+    near_steps: FloatArray, far_steps: FloatArray, lost_count: int
+) -> FloatArray:
     """Return the predicted step over lost frames, from its neighbours.
 
     ``near`` and ``far``: means of the steps next to it and of those after these ``(S,
     N, 3)``. A parabola through these and their mirror images is summed.
     """
     near_position, far_position = 1.0 + 0.5 * lost_count, 2.0 + 0.5 * lost_count
-    bend = (far - near) / (far_position**2 - near_position**2)
-    level = near - bend * near_position**2
+    bend = (far_steps - near_steps) / (far_position**2 - near_position**2)
+    level = near_steps - bend * near_position**2
     offsets = np.arange(lost_count + 1) - 0.5 * lost_count
     return np.asarray((lost_count + 1) * level + bend * float((offsets**2).sum()))
 
@@ -304,8 +308,10 @@ def _typical_around(squares: FloatArray) -> FloatArray:
     medians = np.stack(
         [np.median(squares[i:j], axis=0) for i, j in pairwise(block_edges.tolist())]
     )
-    padded = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
-    largest_medians = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+    padded_medians = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
+    largest_medians = np.maximum(
+        np.maximum(padded_medians[:-2], padded_medians[1:-1]), padded_medians[2:]
+    )
     return np.asarray(np.repeat(largest_medians, np.diff(block_edges), axis=0))
 
 
@@ -321,10 +327,10 @@ def _static_steps(subject: MotionSubject) -> BoolArray | None:
     if subject.frames < MIN_FRAMES or len(_columns(subject)) < 2:
         return None
     speeds = subject.speeds
-    moving = speeds[speeds > STATIC_SPEED * speeds.max()]
-    if len(moving) < MIN_FRAMES // 2:
+    moving_speeds = speeds[speeds > STATIC_SPEED * speeds.max()]
+    if len(moving_speeds) < MIN_FRAMES // 2:
         return None
-    return np.asarray(speeds < STATIC_SPEED * np.median(moving))
+    return np.asarray(speeds < STATIC_SPEED * np.median(moving_speeds))
 
 
 def _abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:

@@ -76,7 +76,7 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
         for shape_index in np.flatnonzero(is_large.any(axis=0))
     ]
     name = subject.take.rig.shapes[int(shape)].name
-    other_names = [repr(other) for other in names if other != name]
+    other_names = [repr(other_name) for other_name in names if other_name != name]
     message = (
         f"shape {name!r} has weight {values[frame, shape]:.4g} at frame "
         f"{subject.at(int(frame))}"
@@ -192,25 +192,25 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     if not pairs:
         return
     of_take = list(_full_take(subject, pairs))
-    yield from of_take or _exchanged(subject, pairs)
+    yield from of_take or _side_swaps(subject, pairs)
 
 
 def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
     """Yield a fault if left joints are on the right of a body facing forward."""
-    facing = _facing(subject)
+    facing_direction = _facing_direction(subject)
     hips = _hips(subject, pairs)
-    if facing is None or hips is None:
+    if facing_direction is None or hips is None:
         return
     left_hip, right_hip = hips
     positions = subject.positions
     feet = feet_of(subject.take.rig.names)
     trunk_direction = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
     upwards = trunk_direction - positions[:, feet].mean(axis=1)
-    left_direction = np.cross(upwards, facing)
+    left_direction = np.cross(upwards, facing_direction)
     left_distance = np.einsum(
         "fc,fc->f", left_direction, positions[:, left_hip] - positions[:, right_hip]
     )
-    is_used = np.linalg.norm(facing, axis=1) > MIN_FACING * subject.size
+    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * subject.size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
     is_used &= upwards @ subject.up > MIN_UPRIGHT * np.linalg.norm(upwards, axis=1)
     if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
@@ -231,7 +231,7 @@ def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     )
 
 
-def _facing(subject: MotionSubject) -> FloatArray | None:
+def _facing_direction(subject: MotionSubject) -> FloatArray | None:
     """Return the mean direction of the feet ``(F, 3)`` [m]; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
@@ -241,10 +241,10 @@ def _facing(subject: MotionSubject) -> FloatArray | None:
         return None
     toes = np.array(toe_joints)
     bones = subject.positions[:, toes] - subject.positions[:, rig.parents[toes]]
-    rising = bones @ subject.up
-    level = bones - rising[..., None] * subject.up
+    height_gain = bones @ subject.up
+    level = bones - height_gain[..., None] * subject.up
     # Toes of a hanging or raised foot point down.
-    lies = np.abs(rising) < np.linalg.norm(level, axis=2)
+    lies = np.abs(height_gain) < np.linalg.norm(level, axis=2)
     return np.asarray(np.where(lies[..., None], level, 0.0).mean(axis=1))
 
 
@@ -270,7 +270,9 @@ def _hips(
     return None
 
 
-def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
+def _side_swaps(
+    subject: MotionSubject, pairs: list[tuple[int, int]]
+) -> Iterator[Fault]:
     """Yield the step at which joints of two sides swap their motion."""
     rotations = subject.take.motion.rotations
     moves = set(rotations.animated.tolist())
@@ -332,17 +334,17 @@ def _deviations(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatA
     )
 
 
-def _extrapolation_error(side: FloatArray, other: FloatArray) -> FloatArray:
+def _extrapolation_error(side: FloatArray, other_side: FloatArray) -> FloatArray:
     """Return the angle of rotations from the extrapolation of others.
 
     ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others either stay or continue
     to rotate as in the previous step: the smaller difference counts.
     """
-    rotations_per_step = so3.multiply(other[1:-1], so3.conjugate(other[:-2]))
-    predicted = other[:-1].copy()
-    predicted[1:] = so3.multiply(rotations_per_step, other[1:-1])
-    errors = so3.angle_between(side[1:], predicted)
-    return np.minimum(errors, so3.angle_between(side[1:], other[:-1]))
+    rotations_per_step = so3.multiply(other_side[1:-1], so3.conjugate(other_side[:-2]))
+    predicted_side = other_side[:-1].copy()
+    predicted_side[1:] = so3.multiply(rotations_per_step, other_side[1:-1])
+    errors = so3.angle_between(side[1:], predicted_side)
+    return np.minimum(errors, so3.angle_between(side[1:], other_side[:-1]))
 
 
 def _neighbor_moves(
@@ -354,13 +356,13 @@ def _neighbor_moves(
     ``deviation`` is relative to the motion before each step, ``reverse_deviation`` to
     the motion after it.
     """
-    padded = np.pad(steps, ((1, 1), (0, 0)))
-    moving = np.minimum(padded[:-2], padded[2:]) > STATIC_ANGLE
+    padded_steps = np.pad(steps, ((1, 1), (0, 0)))
+    is_moving = np.minimum(padded_steps[:-2], padded_steps[2:]) > STATIC_ANGLE
     zero_row = np.zeros((1, steps.shape[1]))
     deviation_before = np.concatenate([zero_row, deviation[:-1]])
     deviation_after = np.concatenate([reverse_deviation[1:], zero_row])
     return np.asarray(
-        moving
+        is_moving
         & (np.maximum(deviation_before, deviation_after) < MAX_SWAP_RATIO * deviation)
     )
 

@@ -144,7 +144,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         or smallest <= size <= largest
     ):
         return
-    fitting = [
+    fitting_units = [
         factor
         for factor in (
             *UNIT_FACTORS[:3],
@@ -152,14 +152,15 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         )
         if LIKELY_SIZE[0] <= size * factor <= LIKELY_SIZE[1]
     ]
-    if not fitting:
+    if not fitting_units:
         return
     message = (
-        f"the character spans {_length(size)}; {_times(fitting[0])} the size it would "
-        f"span {_length(size * fitting[0])}"
+        f"the character spans {_length(size)}; "
+        f"{_times(fitting_units[0])} the size it would "
+        f"span {_length(size * fitting_units[0])}"
     )
     unit = subject.take.rig.meters_per_unit
-    hint = f"its unit is {unit:g} m; probably {unit * fitting[0]:g} m is meant"
+    hint = f"its unit is {unit:g} m; probably {unit * fitting_units[0]:g} m is meant"
     yield subject.fault("MOT213", None, None, message, hint)
 
 
@@ -183,7 +184,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
         height = float(np.median(subject.heights[:, root]))
         ratio = height / (legs if rests_at_hips else rest_height)
         # At 1/100 of its height, a root is at 0, like a root with another origin.
-        factor = _low_factor(subject, root) if ratio < 1.0 else _high(ratio)
+        factor = _low_factor(subject, root) if ratio < 1.0 else _height_factor(ratio)
         if factor is None and not rests_at_hips:
             factor = _unit_factor(np.array([ratio]))
         if factor is not None and abs(math.log10(factor)) > 1.5:
@@ -224,7 +225,7 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     return None
 
 
-def _high(ratio: float) -> float | None:
+def _height_factor(ratio: float) -> float | None:
     """Return the unit conversion factor nearest to a height, if any.
 
     Crawling or climbing bodies are lower or higher than at rest, but never by such
@@ -293,8 +294,8 @@ def body_axis(subject: MotionSubject) -> Stance | None:
         return None
     if sum(map(bool, map(DIGITS.search, rig.names))) > HAND_FRACTION * len(rig.joints):
         return None
-    rest = rest_world(rig).positions[0] if subject.has_rest else None
-    body_stance = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
+    rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
+    body_stance = stance(anatomy(rig).roles, subject.positions, rig.up, rest_positions)
     return (
         None
         if body_stance.axis is None and not body_stance.upside_down
@@ -303,7 +304,7 @@ def body_axis(subject: MotionSubject) -> Stance | None:
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a body that stands along an axis other than up (MOT214)."""
+    """Yield a body that is upright along an axis other than up (MOT214)."""
     rig, axis = subject.take.rig, body_axis(subject)
     if axis is None:
         return

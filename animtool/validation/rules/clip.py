@@ -82,14 +82,16 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
                 (segments == k) & (excess_at_times > LIMIT_TOLERANCE)
             )
             if len(frames):
-                message = _beyond(channel, k, times[frames], excess_at_times[frames])
+                message = _excess_text(
+                    channel, k, times[frames], excess_at_times[frames]
+                )
                 hint = "use tangents: auto_clamped, shorter handles, or a key between"
                 location = ("channels", i, "keys", k)
                 fault = subject.fault("CLIP205", location, message, hint)
                 yield replace(fault, frame=float(times[frames[0]]))
 
 
-def _beyond(
+def _excess_text(
     channel: ClipChannel, k: int, frames: FloatArray, excess: FloatArray
 ) -> str:
     """Return text on the frames of a segment that exceed limits."""
@@ -151,7 +153,7 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
             frames = listed([f"{channel.times[j + 1]:g}" for j in flips[1:].tolist()])
             message += f"; {len(flips) - 1} more times, up to frames {frames}"
         location = ("channels", i, "keys", k + 1, "v")
-        hint = _unwrapping(channel, k, subject.units.angle)
+        hint = _unwrapping_hint(channel, k, subject.units.angle)
         fault = subject.fault("CLIP206", location, message, hint)
         yield replace(fault, frame=float(channel.times[k]))
 
@@ -175,15 +177,17 @@ def _round_text(channel: ClipChannel, k: int) -> str:
     )
 
 
-def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
+def _unwrapping_hint(channel: ClipChannel, k: int, unit: float) -> str:
     """Return how to write the next key so that rotation takes the short path.
 
     unit: angle unit of the file [rad].
     """
     first, second = channel.values[k], channel.values[k + 1]
     nearer_angles = first + np.remainder(second - first + math.pi, math.tau) - math.pi
-    equivalent = _flipped(channel, first, second)
-    if equivalent is not None and _far(first, equivalent) < _far(first, nearer_angles):
+    equivalent = _nearer_angles(channel, first, second)
+    if equivalent is not None and _distance(first, equivalent) < _distance(
+        first, nearer_angles
+    ):
         nearer_angles = equivalent
     current_text, nearer_text = (
         ", ".join(f"{value / unit:.6g}" for value in values)
@@ -194,7 +198,7 @@ def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
     return f"write {current_text} as {nearer_text}, the same pose"
 
 
-def _far(first: FloatArray, second: FloatArray) -> float:
+def _distance(first: FloatArray, second: FloatArray) -> float:
     return float(np.abs(second - first).max())
 
 
@@ -202,11 +206,11 @@ def _flips(channel: ClipChannel) -> IntArray:
     """Return the keys of a sampled curve after which angles wrap."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
     is_far = (np.abs(np.diff(channel.values, axis=0)) > FAR_ANGLE).any(axis=1)
-    flips = np.flatnonzero(is_sampled & is_far & _moving(channel))
+    flips = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
     return flips[[_shortest(channel, k) < NEAR_ROTATION for k in flips.tolist()]]
 
 
-def _moving(channel: ClipChannel) -> BoolArray:
+def _interpolated_keys(channel: ClipChannel) -> BoolArray:
     """Return which keys, except the last, are not held until the next ``(K - 1,)``."""
     interps = channel.interps[:-1]
     if Interp.STEP not in interps:
@@ -221,7 +225,7 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
     before and after.
     """
-    steps, is_moving = np.diff(channel.values, axis=0), _moving(channel)
+    steps, is_moving = np.diff(channel.values, axis=0), _interpolated_keys(channel)
     short_path = np.remainder(steps + math.pi, math.tau) - math.pi
     is_wrap = (
         (np.abs(steps) > WRAP_ANGLE)
@@ -229,32 +233,32 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
         & is_moving[:, None]
     )
     limits = _range_of(channel, rig)
-    wrapping = [
+    wrapping_axes = [
         k
         for k, axis in np.argwhere(is_wrap).tolist()
-        if _wrapped(channel, k, axis, float(short_path[k, axis]), limits)
+        if _wraps_after(channel, k, axis, float(short_path[k, axis]), limits)
     ]
-    # Necessary condition of `_flipped`, which is too slow for every key.
+    # Necessary condition of `_nearer_angles`, which is too slow for every key.
     is_twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR_ANGLE
-    flipping = [
+    flipping_axes = [
         k
         for k in np.flatnonzero(is_moving & is_twisted).tolist()
-        if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
+        if _nearer_angles(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
-    return np.unique(np.array([*wrapping, *flipping], np.int64))
+    return np.unique(np.array([*wrapping_axes, *flipping_axes], np.int64))
 
 
-def _wrapped(
+def _wraps_after(
     channel: ClipChannel,
     k: int,
     axis: int,
-    short: float,
+    short_path: float,
     limits: RangeLimit | None,
 ) -> bool:
     """Return whether an axis wraps after a key; ``short`` is the short path."""
     values = channel.values[:, axis]
     first_value, second_value = float(values[k]), float(values[k + 1])
-    if limits is not None and not limits.low <= first_value + short <= limits.high:
+    if limits is not None and not limits.low <= first_value + short_path <= limits.high:
         return False
     rates_around = np.diff(values) / np.diff(channel.times)
     neighbours = [
@@ -269,7 +273,7 @@ def _wrapped(
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(neighbours) == 2 and all(rate * short > 0 for rate in neighbours)
+    return len(neighbours) == 2 and all(rate * short_path > 0 for rate in neighbours)
 
 
 def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
@@ -281,7 +285,7 @@ def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
     return limits if isinstance(limits, RangeLimit) else None
 
 
-def _flipped(
+def _nearer_angles(
     channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
     """Return the equivalent Euler angles of a rotation, if much nearer to another.
@@ -298,7 +302,9 @@ def _flipped(
     steps = np.abs(second - first)
     is_twisted = steps[[0, 2]].min() > FAR_ANGLE
     return (
-        equivalent if is_twisted and _far(first, equivalent) < WRAP_SHORT_PATH else None
+        equivalent
+        if is_twisted and _distance(first, equivalent) < WRAP_SHORT_PATH
+        else None
     )
 
 

@@ -85,15 +85,15 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        unclamped = sweep.driven.unclamped[control.name]
+        unclamped_values = sweep.driven.unclamped[control.name]
         range_width = max(control.high - control.low, LIMIT_TOLERANCE)
         excess = (
-            unclamped - np.clip(unclamped, control.low, control.high)
+            unclamped_values - np.clip(unclamped_values, control.low, control.high)
         ) / range_width
         for driving_control, frame in sweep.worst(excess):
             message = (
                 f"{sweep.keys(frame)} drives {control.name!r} to "
-                f"{float(sweep.spread(unclamped)[frame]):.4g}; its range is "
+                f"{float(sweep.spread(unclamped_values)[frame]):.4g}; its range is "
                 f"{control.low:g} to {control.high:g}"
             )
             location = _drive(rig, driving_control, f"control/{control.name}")
@@ -264,7 +264,7 @@ def _drive(rig: RigSubject, control: Control, target: str) -> Location:
     return location
 
 
-def _weights(rig: RigSubject, driven: set[str]) -> dict[str, FloatArray]:
+def _weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatArray]:
     """Return weights of driven and combined shapes, in poses of all controls."""
     rng = np.random.default_rng(0)
     keyed_values = {}
@@ -278,7 +278,7 @@ def _weights(rig: RigSubject, driven: set[str]) -> dict[str, FloatArray]:
         )
     with np.errstate(all="ignore"):
         targets = evaluate_controls(rig.rig.controls, keyed_values).targets
-    weights = {name: targets[f"shape/{name}"] for name in sorted(driven)}
+    weights = {name: targets[f"shape/{name}"] for name in sorted(driven_names)}
     for shape in combination_order(rig.rig.shapes):
         if shape.combine and all(name in weights for name in shape.combine):
             weight = weights.get(shape.name, np.zeros(1))

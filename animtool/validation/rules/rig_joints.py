@@ -83,12 +83,12 @@ def across(rig: RigSubject) -> Iterator[Fault]:
             if joint.name in rig.mirrored:
                 continue
             location = (*rig.at("joints", joint.name), "limits", "twist_axis")
-            axis = _rounded(np.array(limits.twist_axis))
+            axis = _axis_text(np.array(limits.twist_axis))
             message = (
                 f"the twist axis {axis} of {joint.name!r} is perpendicular to its "
-                f"bone, which points along {_rounded(bone)}"
+                f"bone, which points along {_axis_text(bone)}"
             )
-            hint = f"twist_axis: {_rounded(bone)} rotates the bone about itself"
+            hint = f"twist_axis: {_axis_text(bone)} rotates the bone about itself"
             yield rig.fault("RIG203", location, message, hint)
 
 
@@ -136,7 +136,7 @@ def _bone(rig: RigSubject, i: int) -> FloatArray | None:
     return np.array(child_offsets[0]) / length if length > LIMIT_TOLERANCE else None
 
 
-def _rounded(axis: FloatArray) -> str:
+def _axis_text(axis: FloatArray) -> str:
     return "[" + ", ".join(f"{x + 0.0:.3g}" for x in axis) + "]"
 
 
@@ -194,10 +194,10 @@ LIMIT_EQUALITY = 1e-6
 
 def other_position(rig: RigSubject) -> Iterator[Fault]:
     """Yield paired bones that are not mirror images at rest (RIG212)."""
-    pairs, mirrored = _compared(rig)
-    if not _symmetric(mirrored):
+    pairs, are_mirrored = _mirror_pairs(rig)
+    if not _symmetric(are_mirrored):
         return
-    for (left, right), is_mirrored in zip(pairs, mirrored.tolist(), strict=True):
+    for (left, right), is_mirrored in zip(pairs, are_mirrored.tolist(), strict=True):
         if not is_mirrored:
             location = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
@@ -207,8 +207,8 @@ def other_position(rig: RigSubject) -> Iterator[Fault]:
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield paired joints with different types or limits (RIG213)."""
-    pairs, mirrored = _compared(rig)
-    if not _symmetric(mirrored):
+    pairs, are_mirrored = _mirror_pairs(rig)
+    if not _symmetric(are_mirrored):
         return
     for left, right in pairs:
         key = "limits"
@@ -225,10 +225,10 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 @lru_cache(maxsize=1)
-def _compared(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
-    """Return the pairs of a rig, and which are mirror images."""
+def _mirror_pairs(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
+    """Return the left/right pairs of a rig, and a mask of mirror images."""
     pairs = _pairs(rig)
-    return pairs, _mirrored(rig, pairs)
+    return pairs, _are_mirror_images(rig, pairs)
 
 
 def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
@@ -241,7 +241,7 @@ def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     ]
 
 
-def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
+def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
     """Return which pairs are mirror images in the most common plane ``(P,)``."""
     positions, _ = rig.rest
     parents = rig.rig.parents
@@ -264,9 +264,11 @@ def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
     return is_mirrored_best
 
 
-def _symmetric(mirrored: BoolArray) -> bool:
+def _symmetric(are_mirrored: BoolArray) -> bool:
     """Return whether a rig is intended to be symmetric."""
-    return len(mirrored) > 1 and 2 * int(np.count_nonzero(mirrored)) >= len(mirrored)
+    return len(are_mirrored) > 1 and 2 * int(np.count_nonzero(are_mirrored)) >= len(
+        are_mirrored
+    )
 
 
 def _same_limits(left: Joint, right: Joint) -> bool:

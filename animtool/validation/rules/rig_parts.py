@@ -219,8 +219,8 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
         inner_joints = [rig.rig.joints[i] for i in joints[1:-1]]
         root_to_tip = positions[joints[-1]] - positions[joints[0]]
         length = float(np.linalg.norm(root_to_tip))
-        moving = [j for j in inner_joints if j.type is not JointType.FIXED]
-        if not length or not moving:
+        movable_joints = [j for j in inner_joints if j.type is not JointType.FIXED]
+        if not length or not movable_joints:
             continue
         offsets = positions[joints[1:-1]] - positions[joints[0]]
         distances = np.linalg.norm(np.cross(offsets, root_to_tip / length), axis=1)
@@ -228,7 +228,7 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
             continue
         location = rig.at("ik", chain.name)
         if chain.pole_dir is None:
-            if all(j.type in {JointType.BALL, JointType.FREE} for j in moving):
+            if all(j.type in {JointType.BALL, JointType.FREE} for j in movable_joints):
                 message = (
                     f"{chain.name!r} is straight at rest, so its bend direction is "
                     "undefined"

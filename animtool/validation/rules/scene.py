@@ -152,17 +152,19 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
 
 def outside_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range that extends beyond the take (SCN202)."""
-    yield from _outside(subject, "SCN202", "extends beyond the take", completely=False)
+    yield from _range_faults(
+        subject, "SCN202", "extends beyond the take", completely=False
+    )
 
 
 def without_frames(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range without any frame to write (SCN211)."""
-    yield from _outside(
+    yield from _range_faults(
         subject, "SCN211", "contains no frame of the take", completely=True
     )
 
 
-def _outside(
+def _range_faults(
     subject: SceneSubject, code: str, verb: str, *, completely: bool
 ) -> Iterator[Fault]:
     """Yield a range that is completely or partly outside the take."""

@@ -63,7 +63,7 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
         return
     first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
-        for key, times, times_outside in _outside(goal, first_frame, last_frame):
+        for key, times, times_outside in _keys_outside(goal, first_frame, last_frame):
             message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
             message += "never met"
             if times_outside:
@@ -72,7 +72,7 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
             yield subject.outside(i, (key,), message, first_frame, last_frame)
 
 
-def _outside(
+def _keys_outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
     """Yield keys or spans of a goal outside a frame range."""
@@ -226,15 +226,15 @@ def _all_sampled(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
 
 def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
     """Yield goals beyond the reach of the fully extended chain (TGT205)."""
-    for sampled in _all_sampled(subject):
-        rig, times = sampled.take.rig, sampled.take.clock.times
-        moving = _moving(rig, sampled.tracks.goals)
-        for e, track in enumerate(sampled.tracks.goals):
-            points, is_active = sampled.points(e)
-            chain = _chain(rig, track.goal, moving)
+    for sampled_targets in _all_sampled(subject):
+        rig, times = sampled_targets.take.rig, sampled_targets.take.clock.times
+        goal_joints = _goal_joints(rig, sampled_targets.tracks.goals)
+        for e, track in enumerate(sampled_targets.tracks.goals):
+            points, is_active = sampled_targets.points(e)
+            chain = _chain(rig, track.goal, goal_joints)
             if chain is None or not is_active.any():
                 continue
-            base, lengths = _reach(rig, sampled.world, track.goal, chain)
+            base, lengths = _reach(rig, sampled_targets.world, track.goal, chain)
             distances = np.linalg.norm(points - base, axis=1)
             excess = np.where(
                 is_active, distances - lengths * (1.0 + REACH_TOLERANCE), 0.0
@@ -256,23 +256,25 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             if len(frames) > 1:
                 message += f"; also in {len(frames)} frames in total"
             hint = "move it closer, or let joints above move: root, or goals for them"
-            fault = sampled.fault("TGT205", e, "position", message, hint)
+            fault = sampled_targets.fault("TGT205", e, "position", message, hint)
             yield replace(fault, frame=float(times[worst_frame]))
 
 
-def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
+def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
     """Return the joints that some goal may move."""
-    moving: set[int] = set()
+    goal_joints: set[int] = set()
     for track in goals:
         j = rig.index(track.goal.joint)
         root = -1 if track.goal.root is None else rig.index(track.goal.root)
         while j >= 0:
-            moving.add(j)
+            goal_joints.add(j)
             j = -1 if j == root else rig.joints[j].parent
-    return frozenset(j for j in moving if rig.joints[j].type is not JointType.FIXED)
+    return frozenset(
+        j for j in goal_joints if rig.joints[j].type is not JointType.FIXED
+    )
 
 
-def _chain(rig: Rig, goal: Goal, moving: frozenset[int]) -> list[int] | None:
+def _chain(rig: Rig, goal: Goal, goal_joints: frozenset[int]) -> list[int] | None:
     """Return the joints from the topmost moving one to the effector.
 
     None where its length has no bound, or nothing moves.
@@ -280,11 +282,11 @@ def _chain(rig: Rig, goal: Goal, moving: frozenset[int]) -> list[int] | None:
     path = [rig.index(goal.joint)]
     while rig.joints[path[-1]].parent >= 0:
         path.append(rig.joints[path[-1]].parent)
-    topmost = [k for k, j in enumerate(path) if j in moving]
+    topmost = [k for k, j in enumerate(path) if j in goal_joints]
     if not topmost or goal.stretch:
         return None
     chain = path[topmost[-1] :: -1]
-    if any(j in moving and _slides_freely(rig.joints[j]) for j in chain):
+    if any(j in goal_joints and _slides_freely(rig.joints[j]) for j in chain):
         return None
     return chain
 
@@ -316,45 +318,52 @@ def _reach(
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points fit the rig in another unit (TGT206)."""
-    for sampled in _all_sampled(subject):
-        size = rest_size(sampled.take.rig)
-        file_unit = sampled.unit
+    for sampled_targets in _all_sampled(subject):
+        size = rest_size(sampled_targets.take.rig)
+        file_unit = sampled_targets.unit
         # Goals whose points are numbers of the file, not a prim's.
         positions = [
             e
-            for e, track in enumerate(sampled.tracks.goals)
+            for e, track in enumerate(sampled_targets.tracks.goals)
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
-        points = [sampled.points(e)[0][sampled.points(e)[1]] for e in positions]
+        points = [
+            sampled_targets.points(e)[0][sampled_targets.points(e)[1]]
+            for e in positions
+        ]
         cloud = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(cloud):
             continue
-        root = sampled.world.positions[0, sampled.take.rig.roots[0]]
+        root = sampled_targets.world.positions[0, sampled_targets.take.rig.roots[0]]
         if np.linalg.norm(cloud - root, axis=1).min() <= FAR_SIZES * size:
             continue
-        fitting = [
+        fitting_units = [
             unit
             for unit in LengthUnit
             if np.linalg.norm(cloud * (unit.meters / file_unit) - root, axis=1).max()
             <= LIKELY_SIZES * size
         ]
-        if fitting:
+        if fitting_units:
             message = (
                 f"the points are in {unit_name(file_unit)}, and all are farther from "
                 "the "
                 f"rig than {FAR_SIZES:g} times its size"
             )
-            hint = f"units: {{length: {fitting[0]}}} is more plausible"
-            yield sampled.fault("TGT206", positions[0], "position", message, hint)
+            hint = f"units: {{length: {fitting_units[0]}}} is more plausible"
+            yield sampled_targets.fault(
+                "TGT206", positions[0], "position", message, hint
+            )
 
 
 def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets in frames outside the take (TGT207)."""
-    for sampled in _all_sampled(subject):
-        times = sampled.take.clock.times
+    for sampled_targets in _all_sampled(subject):
+        times = sampled_targets.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])
-        for e, track in enumerate(sampled.tracks.goals):
-            for key, outside_times, are_keys in _outside(track, first_time, last_time):
+        for e, track in enumerate(sampled_targets.tracks.goals):
+            for key, outside_times, are_keys in _keys_outside(
+                track, first_time, last_time
+            ):
                 frames_text = f"from {outside_times[0]:g} to {outside_times[-1]:g} is"
                 frames_text = (
                     f"has a key at {outside_times[0]:g}, which is used"
@@ -367,4 +376,4 @@ def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
                 )
                 message += f" which has {first_time:g} to {last_time:g}"
                 hint = "frame numbers of targets are those of the take"
-                yield sampled.fault("TGT207", e, key, message, hint)
+                yield sampled_targets.fault("TGT207", e, key, message, hint)

@@ -113,12 +113,16 @@ def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
 def same_points(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
-    labelled = [i for i, name in enumerate(markers.names) if not name.startswith("*")]
-    count = len(labelled)
+    labelled_points = [
+        i for i, name in enumerate(markers.names) if not name.startswith("*")
+    ]
+    count = len(labelled_points)
     near_counts = np.zeros((count, count), np.int64)
     both_visible = np.zeros((count, count), np.int64)
     for block_start in range(0, len(markers), BLOCK_FRAMES):
-        part = markers.positions[block_start : block_start + BLOCK_FRAMES, labelled]
+        part = markers.positions[
+            block_start : block_start + BLOCK_FRAMES, labelled_points
+        ]
         is_visible = np.isfinite(part[..., 0])
         both_visible += np.einsum(
             "fi,fj->ij", is_visible.astype(np.int64), is_visible.astype(np.int64)
@@ -136,7 +140,7 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
         np.triu((near_counts > SAME_FRACTION * both_visible) & (both_visible > 0), 1)
     )
     if len(pairs):
-        names = [markers.names[i] for i in labelled]
+        names = [markers.names[i] for i in labelled_points]
         pair_texts = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
         message = f"markers at the same position: {listed(pair_texts, MAX_LISTED)}"
         hint = "remove one of them, or label them again"

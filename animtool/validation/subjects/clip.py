@@ -99,7 +99,9 @@ def open_clip_document(document: Document) -> CheckedFile:
     clip = load_clip(file, rig)
     path = document.path
     checked_file = CheckedFile(Kind.CLIP, list(clip.notices))
-    take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), checked_file)
+    take = _clip_take(
+        path, lambda: clip_stream(file, clip, rig).collect(), checked_file
+    )
     if take is not None:
         checked_file.faults += take.notices
         units = file_units(file.model, rig)
@@ -109,7 +111,7 @@ def open_clip_document(document: Document) -> CheckedFile:
     return checked_file
 
 
-def _placed(
+def _clip_take(
     path: Path, sample: Callable[[], Take], checked_file: CheckedFile
 ) -> Take | None:
     """Return a clip's take; faults without location get the file's name."""

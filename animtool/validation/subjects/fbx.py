@@ -44,12 +44,12 @@ def _takes(
     for take in scene.takes:
         if not animates_rig(built_rig, take, scene):
             continue
-        moving = FbxSampler(scene, built_rig, take)
+        sampler = FbxSampler(scene, built_rig, take)
         try:
-            frames = frames_of(scene, take, None, moving.numbers)
+            frames = frames_of(scene, take, None, sampler.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take_data = take_stream(built_rig, moving, frames).collect()
+        take_data = take_stream(built_rig, sampler, frames).collect()
         subjects.append(clip_subject(scene.path, built_rig.rig, take_data, take.where))
     return subjects

@@ -45,14 +45,14 @@ def open_gltf(path: Path) -> CheckedFile:
     take_subjects: list[MotionSubject] = []
     if gltf.nodes:
         for character in characters(gltf):
-            built_rig = _built(gltf, character, faults)
+            built_rig = _build_rig(gltf, character, faults)
             take_subjects += _takes(gltf, built_rig, faults)
     return CheckedFile(
         Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(take_subjects)
     )
 
 
-def _built(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
+def _build_rig(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
     rig_and_skins = build_rig(gltf, character, gltf.path.stem)
     faults += rig_and_skins.notices
     return rig_and_skins
@@ -63,21 +63,21 @@ def _takes(gltf: Gltf, built_rig: GltfRig, faults: list[Fault]) -> list[MotionSu
     for animation in gltf.animations:
         if not animates_rig(built_rig, animation):
             continue
-        moving = sampler_of(gltf, built_rig, animation)
+        sampler = sampler_of(gltf, built_rig, animation)
         try:
-            frames = frames_of(animation, None, str(gltf.path), moving.numbers)
+            frames = frames_of(animation, None, str(gltf.path), sampler.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take = clip_stream(built_rig, moving, frames).collect()
+        take = clip_stream(built_rig, sampler, frames).collect()
         subject = clip_subject(gltf.path, built_rig.rig, take, animation.where)
-        subjects.append(_at_keys(subject, moving, animation, frames))
+        subjects.append(_at_keys(subject, sampler, animation, frames))
     return subjects
 
 
 def _at_keys(
     subject: MotionSubject,
-    moving: GltfSampler,
+    sampler: GltfSampler,
     animation: Animation,
     frames: GltfFrames,
 ) -> MotionSubject:
@@ -98,7 +98,7 @@ def _at_keys(
     ):
         if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
-        motion = moving.at(frames.seconds(codes))
+        motion = sampler.at(frames.seconds(codes))
     else:
         first_kept = int(np.searchsorted(clock.times, codes[0]))
         if not 0 < first_kept < clock.count:
@@ -127,12 +127,12 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
     return MotionSubject(
         replace(take, curve=None),
         fault_at,
-        influencing=_influencing(rig, skins) if skins else None,
+        influencing=_influencing_joints(rig, skins) if skins else None,
         bind=_bound(rig, skins),
     )
 
 
-def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
+def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
     """Return the joints that influence points, and all joints outside skins.
 
     Ancestors of joints that influence points influence them, too.

@@ -123,10 +123,10 @@ DOCUMENT_SUFFIXES = tuple(
     for suffix, reader in READERS.items()
     if reader is DOCUMENT
 )
-_SEARCHED = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
+_KINDS_TO_SEARCH = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 SUFFIXES = (
     # An npz, a CSV or an XML file may contain anything.
-    *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED),
+    *(suffix for suffix, reader in READERS.items() if reader in _KINDS_TO_SEARCH),
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
@@ -200,9 +200,9 @@ def open_document(document: Document, values: SceneValues | None = None) -> Chec
     return checked_file
 
 
-def _open(kind: Kind, *what: object) -> CheckedFile:
+def _open(kind: Kind, *arguments: object) -> CheckedFile:
     opener = cast(Callable[..., CheckedFile], load_object(_OPENERS[kind]))
     try:
-        return opener(*what)
+        return opener(*arguments)
     except AnimtoolError as error:
         return CheckedFile(kind, list(error.faults))

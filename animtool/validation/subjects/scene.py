@@ -50,8 +50,10 @@ class SceneSubject(DocumentSubject):
         """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
-        for i, solved in self.solved.items():
-            take, tracks = rig_and_tracks(solved, self.scene.passes[i].options, folder)
+        for i, solved_take in self.solved.items():
+            take, tracks = rig_and_tracks(
+                solved_take, self.scene.passes[i].options, folder
+            )
             takes.append((take, tracks.placed(take.clock)))
         return takes
 
@@ -88,10 +90,10 @@ def open_scene(
     if not scene.sources:
         # Without a take: its reader has checked everything but the initial states of
         # systems.
-        checked_file.faults = [*scene.notices, *_refused(scene, None)]
+        checked_file.faults = [*scene.notices, *_bake_errors(scene, None)]
         return checked_file
     try:
-        checked_file.subject, notices = _played(document, scene)
+        checked_file.subject, notices = _run_passes(document, scene)
     except AnimtoolError as error:
         faults = list(error.faults)
     else:
@@ -99,13 +101,13 @@ def open_scene(
         # checked alone.
         named_files = {None, path, *checked_file.subject.targets}
         faults = [fault for fault in notices if fault.path in named_files]
-        faults += _refused(scene, checked_file.subject.take)
+        faults += _bake_errors(scene, checked_file.subject.take)
     faults = [fault.in_file(path) for fault in faults]
     checked_file.faults = [*scene.notices, *faults]
     return checked_file
 
 
-def _refused(scene: Scene, take: Take | None) -> list[Fault]:
+def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
     """Return the errors of a bake, and warnings about initial states of systems."""
     from animtool.scene.bake.outline import outlined  # loads USD
     from animtool.scene.bake.plan import refusals
@@ -114,10 +116,10 @@ def _refused(scene: Scene, take: Take | None) -> list[Fault]:
         replace(fault, code=REFUSED_CODE) if fault.code in OPTION_CODES else fault
         for fault in refusals(outlined(scene, None), take)
     ]
-    return [*refused_faults, *_simulated(scene, take)]
+    return [*refused_faults, *_system_errors(scene, take)]
 
 
-def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
+def _system_errors(scene: Scene, take: Take | None) -> list[Fault]:
     """Return errors and warnings of initializing the systems."""
     if not scene.systems:
         return []
@@ -145,17 +147,17 @@ def _seconds(scene: Scene, take: Take | None) -> float:
     return float((frames.last - frames.first) / (scene.bake.fps or DEFAULT_FPS))
 
 
-def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
+def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
     """Return a scene with its passes run, and their notices."""
     idle: list[int] = []
-    solved: dict[int, Take] = {}
+    solved_takes: dict[int, Take] = {}
     with recorded_inputs() as inputs:
         steps = scene.steps()
         take, stream = next(steps)
         for i, step in enumerate(steps):
             result, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
-                solved[i] = take
+                solved_takes[i] = take
             if _equal_sources(take, result):
                 idle.append(i)
             take = result
@@ -166,7 +168,7 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
         stream.start,
         bool(stream.control_curves),
         tuple(idle),
-        solved,
+        solved_takes,
         frozenset(inputs.opened),
     )
     return subject, stream.notices
@@ -187,11 +189,12 @@ def _equal_sources(before: Take, after: Take) -> bool:
         for name in {*before_channel, *after_channel}
     ]
     return all(
-        _same(before_value, after_value) for before_value, after_value in channel_pairs
+        _is_same_channel(before_value, after_value)
+        for before_value, after_value in channel_pairs
     )
 
 
-def _same(one: Channel | None, two: Channel | None) -> bool:
-    if one is None or two is None:
-        return one is two
-    return np.allclose(one.dense(), two.dense(), rtol=0.0, atol=EQUAL_VALUES)
+def _is_same_channel(first: Channel | None, second: Channel | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return np.allclose(first.dense(), second.dense(), rtol=0.0, atol=EQUAL_VALUES)

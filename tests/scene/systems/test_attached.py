@@ -15,7 +15,7 @@ from animtool.core.errors import FormatError
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.scene.file.read import load_scene
-from animtool.scene.systems.attached import _turned
+from animtool.scene.systems.attached import _rotate_colliders
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet, Sphere
 
 HEAD = """scene: animtool/1
@@ -172,7 +172,7 @@ def test_of_a_rig_with_z_up_what_systems_have_is_turned() -> None:
         points=lambda t: points + t, triangles=lambda _: np.array([[0, 1, 2]])
     )
     ball = Collider(Sphere(0.2), poses=Poses.fixed([0.0, 1.0, 2.0], [0, 0, 0, 1]))
-    made = _turned(
+    made = _rotate_colliders(
         Colliders([ball], [Sheet(motion, 0.1)]), so3.exp(np.array([np.pi / 2, 0, 0]))
     )
     found = made.sample(np.array([[0.0, -2.0, 1.5]]), 0.0).distances
