@@ -241,7 +241,7 @@ def _pass_table(
     score_rows = [("  item", *names, "above usual")]
     for entry, pass_score in table_rows[:MAX_TABLE_ROWS]:
         texts = {score.name: score.text for score in pass_score.scores}
-        sort_key = ", ".join(score.name for score in pass_score.worse)
+        sort_key = ", ".join(score.name for score in pass_score.worse_scores)
         score_rows.append(
             (f"  {_item(entry)}", *(texts.get(name, "") for name in names), sort_key)
         )
