@@ -101,7 +101,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
 def _assignment_hint(text: str) -> str:
     """Return a hint for a text without ``=``.
 
-    >>> _assigned("wind 1 2"), _assigned("wind")
+    >>> _assignment_hint("wind 1 2"), _assignment_hint("wind")
     ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')
     """
     name, *values = re.split(r"[\s:,]+", text.strip())

@@ -88,18 +88,22 @@ def with_holds(
     >>> with_holds(np.zeros((2, 3)), weights, np.ones((1, 3)))[:, 0].tolist()
     [0.5, 1.0]
     """
-    held_values = values.copy()
+    blended_values = values.copy()
     for weight, hold_value in zip(weights, hold_values, strict=True):
         part = (weight > 0) & (weight < 1)
         if values.shape[1] == 4:
-            hold_values_of_part = np.broadcast_to(hold_value, held_values[part].shape)
-            held_values[part] = so3.slerp(
-                held_values[part], hold_values_of_part, weight[part]
+            hold_values_of_part = np.broadcast_to(
+                hold_value, blended_values[part].shape
+            )
+            blended_values[part] = so3.slerp(
+                blended_values[part], hold_values_of_part, weight[part]
             )
         else:
-            held_values[part] += weight[part, None] * (hold_value - held_values[part])
-        held_values[weight >= 1] = hold_value
-    return so3.align_signs(held_values) if values.shape[1] == 4 else held_values
+            blended_values[part] += weight[part, None] * (
+                hold_value - blended_values[part]
+            )
+        blended_values[weight >= 1] = hold_value
+    return so3.align_signs(blended_values) if values.shape[1] == 4 else blended_values
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,13 +82,15 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
 
     ``roots``: joints without a parent ``(R,)``.
     """
-    rotations = _place_roots(motion.rotations, roots, placement, rotates=True)
+    rotations = _position_roots(motion.rotations, roots, placement, rotates=True)
     if placement.moves:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
     return replace(
         motion,
-        translations=_place_roots(motion.translations, roots, placement, rotates=False),
+        translations=_position_roots(
+            motion.translations, roots, placement, rotates=False
+        ),
         rotations=rotations,
         scales=_scale_roots(motion, roots, placement),
         points={
@@ -98,7 +100,7 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
     )
 
 
-def _place_roots(
+def _position_roots(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""

@@ -313,8 +313,11 @@ def lying_notice(
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
-    if up is not None:
-        message = f"read with {argument('source.up', up)}, the body does not stand"
+    if up not in {None, rig.up}:
+        chosen = argument("source.up", up)
+        message = (
+            f"read with {chosen}, the body stands along {sign}{axis}, not {rig.up}"
+        )
     hint = f"read it with {argument('source.up', read_as)}"
     return [Fault("MOT214", message, str(path), (), hint, severity)]
 

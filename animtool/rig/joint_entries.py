@@ -309,8 +309,8 @@ def _ball_limit(
     if model.swing is not None:
         angles = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if not all(0 <= angle * units.angle <= math.pi for angle in angles):
-            half_turn = "π rad" if units.angle == 1 else "180°"
-            message = f"swing {model.swing} is not between 0 and {half_turn}"
+            max_swing = "π rad" if units.angle == 1 else "180°"
+            message = f"swing {model.swing} is not between 0 and {max_swing}"
             document.add("RIG007", (*at, "swing"), message)
         swing = (angles[0] * units.angle, angles[1] * units.angle)
     twist = None

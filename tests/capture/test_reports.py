@@ -43,9 +43,9 @@ from animtool.capture.face.capture import FaceCapture, in_order, read_capture
 from animtool.capture.face.model import FaceModel
 from animtool.capture.face.solve import (
     _check,
+    _common_shapes,
     _interpolate_poses,
     _notices,
-    _share_shapes,
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
@@ -318,7 +318,7 @@ def test_faces_of_other_sizes_and_numbers_are_refused() -> None:
         with pytest.raises(OptionError) as error:
             _check(own, observed, camera)
         assert error.value.code == code
-    kept, share = _share_shapes(own, own.moving())
+    kept, share = _common_shapes(own, own.moving())
     assert (kept.tolist(), share.tolist()) == ([True, False, True], [0, 0, 2])
     three = FaceModel(tuple("abc"), ("X",), POINTS[:3], np.ones((1, 3, 3)))
     with pytest.raises(OptionError):

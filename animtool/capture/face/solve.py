@@ -192,7 +192,7 @@ def fit_face(
         raise OptionError(Fault("FAC007", message, hint=hint))
     # Shapes with similar displacements are solved as one, and split evenly. Shapes with
     # in-betweens or correctives are solved separately.
-    solved_shapes, group = _share_shapes(model, moving)
+    solved_shapes, group = _common_shapes(model, moving)
     face = model.select(solved_shapes)
     counts = np.bincount(group[moving], minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
@@ -225,7 +225,7 @@ def fit_face(
     )
 
 
-def _share_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
+def _common_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return which shapes are solved, and the representative of each moving shape."""
     solved_shapes, group = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.bent is None else ():

@@ -144,12 +144,12 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
     def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
-        seen_settings: list[Setting] = []
+        known_settings: list[Setting] = []
         for method in (
             INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
         ):
             if _is_fixed(method):
-                seen_settings += step_settings(method, spec.step)
+                known_settings += step_settings(method, spec.step)
                 continue
             max_steps = (
                 spec.step if method == spec_method else LONG_STEP_RATIO * spec.step
@@ -157,10 +157,10 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             values = multiples(
                 default if method == spec_method else TOLERANCE, TOLERANCES
             )
-            seen_settings += [
+            known_settings += [
                 Setting.of(method, step=max_steps, tolerance=value) for value in values
             ]
-        return seen_settings
+        return known_settings
 
     def references() -> list[list[Setting]]:
         """Return ever finer steps of the exact method, else of the spec's.

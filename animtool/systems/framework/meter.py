@@ -220,8 +220,8 @@ def pierced_pairs(
 
     Pairs within solids are not counted.
     """
-    own_triangles = np.ascontiguousarray(triangles, np.int64)
-    count = _kernels.pierced_edges(np.ascontiguousarray(points), own_triangles)
+    cloth_triangles = np.ascontiguousarray(triangles, np.int64)
+    count = _kernels.pierced_edges(np.ascontiguousarray(points), cloth_triangles)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
@@ -231,5 +231,5 @@ def pierced_pairs(
             continue
         all_points = np.concatenate([points, solid.points])
         other_triangles = np.asarray(faces + len(points), np.int64)
-        count += _kernels.pierced_edges(all_points, own_triangles, other_triangles)
+        count += _kernels.pierced_edges(all_points, cloth_triangles, other_triangles)
     return count

@@ -231,8 +231,8 @@ def _height_factor(ratio: float) -> float | None:
     Crawling or climbing bodies are lower or higher than at rest, but never by such
     factors.
 
-    >>> _high(45.0), _high(1700.0), _high(12.0), _high(1e6)
-    (39.37, 1000.0, None, None)
+    >>> [_height_factor(ratio) for ratio in (45.0, 1700.0, 12.0, 1e6)]
+    [39.37, 1000.0, None, None]
     """
     if not HIGH_RATIOS[0] < ratio < HIGH_RATIOS[1]:
         return None
