@@ -204,6 +204,7 @@ def test_the_command_line(cluster: str, tmp_path: Path) -> None:
     assert "up to date" in animtool("batch", "takes", *words, cwd=tmp_path).stderr
 
 
+@pytest.mark.slow
 def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
@@ -251,6 +252,7 @@ def test_a_worker_that_ends_is_an_error(
     process.end()
 
 
+@pytest.mark.slow
 def test_something_else_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

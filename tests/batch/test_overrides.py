@@ -32,6 +32,7 @@ def batch_file(folder: Path, overrides: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_last_override_counts_and_the_command_line_before_it(
     tmp_path: Path,
 ) -> None:

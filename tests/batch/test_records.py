@@ -116,6 +116,7 @@ def test_a_byte_that_changed_is_found(data: st.DataObject) -> None:
         assert all(line in LINES for line in found)
 
 
+@pytest.mark.slow
 def test_a_line_without_end_is_not_read_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

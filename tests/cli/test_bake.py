@@ -176,6 +176,7 @@ def test_a_range_beyond_the_take_is_said(take: Path, tmp_path: Path) -> None:
     assert (strict.code, strict.stdout) == (1, "")
 
 
+@pytest.mark.slow
 def test_stdout_is_utf8_whatever_the_locale(tmp_path: Path) -> None:
     path = tmp_path / "take.bvh"
     path.write_text(

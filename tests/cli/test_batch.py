@@ -219,6 +219,7 @@ def test_what_makes_no_sense(
     assert word in done.stderr
 
 
+@pytest.mark.slow
 def test_the_same_bytes_from_any_number_of_processes(takes: Path) -> None:
     found = []
     for jobs in (1, 2, 3):
@@ -238,6 +239,7 @@ def test_records_of_another_name(takes: Path) -> None:
     assert names == {"batch-one.jsonl", "batch-two.jsonl"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX terminals")
 def test_a_terminal_shows_a_table(takes: Path) -> None:
     import pty

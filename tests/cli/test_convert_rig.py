@@ -39,6 +39,7 @@ def hero(tmp_path: Path) -> Path:
     return folder / "hero.rig.yaml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", some_quick(RIGS, 3), ids=lambda path: path.parent.name)
 def test_every_shipped_rig_comes_back_equal(path: Path, tmp_path: Path) -> None:
     layer, back = tmp_path / "x.usdc", tmp_path / "x.rig.yaml"

@@ -165,6 +165,7 @@ def test_a_stage_plays_what_was_solved(place: Path) -> None:
     np.testing.assert_allclose(found[:, ankle], [[-0.1, 0.2, 0.2]] * 2, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_clip_is_fixed_and_otherwise_kept(place: Path) -> None:
     done = run(place, "-t", "feet.targets.yaml", "--clip", STRIDE, "-o", "fixed.usdc")
     assert done.code == 0, done.stderr
@@ -179,6 +180,7 @@ def test_a_clip_is_fixed_and_otherwise_kept(place: Path) -> None:
     np.testing.assert_allclose(ours[:, hands], theirs[:, hands], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_one_pose(place: Path) -> None:
     for given, frame in ((("--pose",), 1), (("--pose", "12"), 12)):
         done = run(place, "-t", "reach.targets.yaml", *given, "-o", f"p{frame}.usda")
@@ -386,6 +388,7 @@ def test_a_target_beyond_all_numbers(place: Path) -> None:
     assert "nan" not in (place / "h.usda").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_smoothing_keeps_the_goals(place: Path) -> None:
     given = ("-t", "feet.targets.yaml", "--clip", STRIDE, "--smooth", "0.2")
     done = run(place, *given, "--strict", "--format", "json")

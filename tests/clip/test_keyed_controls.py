@@ -128,6 +128,7 @@ def test_other_motion_is_written_as_joint_coordinates(
     assert not made.notices
 
 
+@pytest.mark.slow
 def test_a_joint_on_top_of_its_control_keeps_both(tmp_path: Path) -> None:
     rig = rig_named("biped")
     turn = so3.exp(np.hstack([smooth(n, -0.2, 0.4) for n in "abc"]))

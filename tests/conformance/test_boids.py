@@ -62,6 +62,7 @@ FLYING = [param for param in flocks() if param.values[0] is None
           or param.values[0].statistics is not None]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boids", FLYING)
 def test_it_flies_as_the_reference_does(boids: Boids) -> None:
     told = boids.statistics

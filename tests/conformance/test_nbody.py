@@ -75,6 +75,7 @@ def trajectories() -> list[Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disc", trajectories())
 def test_leapfrog_turns_it_as_the_reference_does(disc: Disc) -> None:
     told = disc.trajectory

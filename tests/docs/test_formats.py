@@ -42,6 +42,7 @@ WHOLE = {kind: [b for b in BLOCKS if b.startswith(f"{kind}: ")] for kind in MODE
 PARTS = [b for b in BLOCKS if not any(b in whole for whole in WHOLE.values())]
 
 
+@pytest.mark.slow
 def test_the_tables_are_those_of_the_schemas() -> None:
     assert filled(TEXT) == TEXT, "run tests/support/key_tables.py"
 

@@ -93,6 +93,7 @@ def test_a_truncated_archive(tmp_path: Path, share: float) -> None:
         load_array(path, "points")
 
 
+@pytest.mark.slow
 def test_damaged_bytes(tmp_path: Path) -> None:
     path = tmp_path / "c.npz"
     np.savez_compressed(path, x=np.arange(1000.0))

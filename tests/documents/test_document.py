@@ -330,6 +330,7 @@ def test_what_is_odd_is_no_fault(tmp_path: Path) -> None:
     assert (note.severity, note.lines, note.where) == (Severity.NOTE, (1,), "a")
 
 
+@pytest.mark.slow
 def test_a_file_is_numbered_once_for_many_faults(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

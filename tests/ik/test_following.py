@@ -121,6 +121,7 @@ def test_a_jump_that_cannot_be_avoided_is_named() -> None:
     assert steps(result.coordinates).argmax() + 1 == jump.frame
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes() -> None:
     problem = planar(2.0)
     targets = Targets(around(0.6, 90))

@@ -115,6 +115,7 @@ def acceleration(result: IkResult) -> float:
     return float((np.diff(steps, axis=0) ** 2).sum())
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS, st.sampled_from([0.02, 0.1, 0.5]))
 def test_goals_that_are_met_stay_met_and_limits_are_kept(

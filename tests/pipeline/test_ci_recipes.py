@@ -145,6 +145,7 @@ def pre_commit(repository: Repository, *arguments: str | Path) -> Ended:
     return repository.run(sys.executable, "-P", "-m", "pre_commit", *arguments)
 
 
+@pytest.mark.slow
 def test_pre_commit_knows_the_hooks_and_the_recipe(
     root: Path, committing: Repository
 ) -> None:
@@ -218,6 +219,7 @@ def run_action(root: Path, repository: Repository, **inputs: str) -> dict[str, E
     return ended
 
 
+@pytest.mark.slow
 def test_the_action_checks(root: Path, repository: Repository) -> None:
     repository.write(
         {"a b/a.rig.yaml": WRONG, "b.rig.yaml": WARNED, "c.rig.yaml": RIGHT}

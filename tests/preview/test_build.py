@@ -138,6 +138,7 @@ def test_hostile_names_stay_names(tmp_path: Path) -> None:
     assert scripts[0] == scripts[1]
 
 
+@pytest.mark.slow
 def test_a_thousand_curves_share_a_stream(tmp_path: Path) -> None:
     count = 1000
     controls = "\n".join(f"- {{name: c{i}, range: [0, 1]}}" for i in range(count))

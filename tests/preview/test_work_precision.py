@@ -88,6 +88,7 @@ def drawn(panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return frame
 
 
+@pytest.mark.slow
 def test_names_are_drawn_as_they_are(tmp_path: Path) -> None:
     """Dollars are no formulas, and signs that the font has not warn of nothing."""
     name = "r$\\frac{$ \N{CJK UNIFIED IDEOGRAPH-6F22}"

@@ -146,6 +146,7 @@ def test_a_take_along_z_is_named(
     assert (upright.code, upright.stderr.count("MOT214")) == (0, 0)
 
 
+@pytest.mark.slow
 def test_retarget_takes_it_as_it_stands_unless_told(root: Path, lying: Path) -> None:
     for more, count in (([], 1), (["--up", "Z"], 0), (["--up", "Y"], 0)):
         rig = root / "rigs/biped/biped.rig.yaml"

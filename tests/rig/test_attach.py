@@ -156,6 +156,7 @@ strands = st.tuples(st.integers(1, 4), st.integers(2, 5)).flatmap(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(30))
 @given(
     strands.filter(lambda s: bool((s[:, 1:] != s[:, :-1]).any(axis=-1).all())),

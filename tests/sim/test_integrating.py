@@ -293,6 +293,7 @@ def test_equations_without_a_solution() -> None:
     assert found.times.tolist() == [0]
 
 
+@pytest.mark.slow
 def test_doubling_goes_on_with_shorter_steps_where_one_is_not_solved() -> None:
     steep = RateSystem(lambda _t, y: y * y + 1, [1.0])
     options = IntegrateOptions(

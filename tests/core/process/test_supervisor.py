@@ -152,6 +152,7 @@ def child():
     assert run(child) == (143, "cleaned up\n")
 
 
+@pytest.mark.slow
 def test_a_child_that_does_not_obey_is_killed(tmp_path: Path) -> None:
     child = f"""
 def child():

@@ -243,6 +243,7 @@ def test_names_that_no_file_may_hold_are_changed(tmp_path: Path) -> None:
     assert "URD102" in [notice.code for notice in rig.notices]
 
 
+@pytest.mark.slow
 def test_commands_take_a_robot_as_a_rig(tmp_path: Path) -> None:
     path = write(tmp_path, ARM)
     targets = write(

@@ -35,6 +35,7 @@ def shown(image: np.ndarray) -> np.ndarray:
     return np.abs(image - image[0, 0]).max(axis=-1) > 24
 
 
+@pytest.mark.slow
 def test_a_still_shows_its_frame_and_is_the_same_each_time(
     walk: Path, tmp_path: Path
 ) -> None:
@@ -142,6 +143,7 @@ def test_a_film_plays_at_the_rate_of_the_motion(
     assert np.abs(decoded[0].astype(int).mean() - pixels(still).mean()) < 6
 
 
+@pytest.mark.slow
 def test_a_turntable_goes_round_and_comes_back(tmp_path: Path) -> None:
     from PIL import Image
 

@@ -215,6 +215,7 @@ def test_larger_is_farther_and_nothing_else(kind: str, simulator: Simulator) -> 
             assert_allclose(b, 8 * a, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_turned_and_put_elsewhere_it_moves_alike(
     kind: str, simulator: Simulator
 ) -> None:

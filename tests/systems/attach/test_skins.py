@@ -71,6 +71,7 @@ def test_without_it_cloth_goes_through() -> None:
     assert deepest(blown(posted(), skin=False)[0]) > 0.005
 
 
+@pytest.mark.slow
 def test_a_skin_stands_for_the_capsules_of_its_joints() -> None:
     ball = Collider("post", Capsule(0.08, 0.0, offset=(0.15, -0.2, -0.09)))
     rig = replace(posted(), colliders=(ball,))

@@ -43,6 +43,7 @@ def crossings(take: Take) -> int:
     return max(pierced(x, triangles(RIG)) for x in moved(take))
 
 
+@pytest.mark.slow
 def test_cloth_in_folds_keeps_its_thickness() -> None:
     found, codes = simulated(whirled(), thickness=f"{THICKNESS}m", **OPTIONS)
     places, corners = moved(found), triangles(RIG)
@@ -56,6 +57,7 @@ def test_cloth_in_folds_keeps_its_thickness() -> None:
     assert crossings(simulated(whirled(), self_contact=False, **OPTIONS)[0]) > 30
 
 
+@pytest.mark.slow
 def test_in_blocks_or_from_a_saved_frame_it_moves_the_same(tmp_path: Path) -> None:
     path = tmp_path / "states.npz"
     options = {"thickness": f"{THICKNESS}m", **OPTIONS}

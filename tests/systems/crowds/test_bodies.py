@@ -194,6 +194,7 @@ def between(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(a[..., :, None, :] - b[..., None, :, :], axis=-1).min())
 
 
+@pytest.mark.slow
 def test_clips_are_what_they_show() -> None:
     found = library("walk", "run", "turn", "stand", "stumble")
     assert [one.name for one in found.moving] == ["turn", "walk", "run"]

@@ -57,6 +57,7 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
     check_figures(__file__, "poses", poses)
 
 
+@pytest.mark.slow
 def test_gaits_of_clips() -> None:
     gaits = library("walk", "run", "turn", "stand", "stumble")
     all_ = [*gaits.moving, gaits.idle, *gaits.reactions]
@@ -107,6 +108,7 @@ def test_agents_among_walls_doors_and_queues(simulator: Simulator) -> None:
     check_figures(__file__, "agents", found)
 
 
+@pytest.mark.slow
 def test_people_whom_a_rock_knocks_down(simulator: Simulator) -> None:
     root = BIPED.parents[2]
     (simulator.folder / "animtool.toml").write_text(f'roots = ["{root}"]\n')

@@ -98,6 +98,7 @@ def test_walls_fade_smoothly_with_distance(shape: Any) -> None:
     assert_allclose(each[-1], alone)
 
 
+@pytest.mark.slow
 def test_water_at_rest_stays_and_its_pressure_is_that_of_its_depth(
     simulator: Simulator,
 ) -> None:
@@ -443,6 +444,7 @@ def test_a_drop_swings_as_rayleigh_says_at_any_size(
     assert np.abs(spin).max() < 1e-4 * pulse * alike**2
 
 
+@pytest.mark.slow
 def test_a_drop_at_rest_is_round_and_has_the_pressure_of_laplace(
     simulator: Simulator,
 ) -> None:

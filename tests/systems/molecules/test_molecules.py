@@ -105,6 +105,7 @@ def drift(steps: int) -> float:
     return worst
 
 
+@pytest.mark.slow
 def test_energy_stays() -> None:
     assert drift(1500) < 1e-4
 
@@ -220,6 +221,7 @@ def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
     assert_array_equal(found.velocities, end.velocities)
 
 
+@pytest.mark.slow
 def test_atoms_stay_in_the_box_and_a_trap_draws_them(simulator: Simulator) -> None:
     trap = {"at": [0.4, 5, 0], "stiffness": 300, "radius": 1.4}
     keys = {"at": [0, 5, 0], "scale": 0.5, "pace": 4, "step": 0.0025, "temperature": 60}

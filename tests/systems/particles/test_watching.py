@@ -98,6 +98,7 @@ def test_a_force_that_is_no_number_is_no_blow_up() -> None:
     assert error.value.code == "SIM003"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["midpoint", "rk45", "radau"])
 def test_particles_that_go_with_the_air_are_looked_at(method: str) -> None:
     wind = find_force("wind")(velocity=(30, 0, 0), drag=0.01)

@@ -150,6 +150,7 @@ def test_a_swing_that_no_step_follows_is_said(tmp_path: Path) -> None:
     assert damped.codes() == []
 
 
+@pytest.mark.slow
 def test_a_drive_within_limits_stays_there(tmp_path: Path) -> None:
     for damping in (0.0, 1.0, 100.0):
         body = box(SIZE, mass=MASS)

@@ -87,6 +87,7 @@ def test_a_joint_holds_its_weight_and_no_more(tmp_path: Path, share: float) -> N
         assert ("SIM197" in found.codes()) == fell
 
 
+@pytest.mark.slow
 def test_a_pendulum_breaks_at_the_angle_of_its_tension(tmp_path: Path) -> None:
     """From level, it pulls by three times its weight over the sine of its angle."""
     hook = {"type": "pin", "body": "ball", "axis": [0, 0, 1], "name": "hook"}

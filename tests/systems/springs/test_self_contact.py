@@ -102,6 +102,7 @@ def test_without_contact_it_goes_through_itself() -> None:
     assert max(pierced(x, system.body.triangles) for x in motion.positions) > 10
 
 
+@pytest.mark.slow
 def test_a_curtain_that_is_drawn_keeps_its_folds_apart() -> None:
     body = cloth()
     top = np.arange(COUNT)

@@ -311,6 +311,7 @@ def test_what_does_not_tear_is_drawn_as_it_is(tmp_path: Path) -> None:
     assert len(values(stage, "/shot/flag", "faceVertexCounts", 1)) == 60
 
 
+@pytest.mark.slow
 def test_who_runs_into_it_does_not_change_where_it_tears(tmp_path: Path) -> None:
     snow = """\
 - particles:

@@ -57,6 +57,7 @@ def asked(folder: Path, before: str = "", plugins: str = "") -> list[list[object
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
+@pytest.mark.slow
 def test_usd_loads_our_validator_by_its_plug_in_file(tmp_path: Path) -> None:
     theirs, ours = asked(tmp_path, plugins=package.__path__[0])
     name = "animtool.usd.checks.plugin:Checks.USD203"
@@ -72,5 +73,6 @@ def test_our_validator_registers_in_python(tmp_path: Path) -> None:
     assert ours == ["USD203"]
 
 
+@pytest.mark.slow
 def test_without_either_usd_finds_nothing(tmp_path: Path) -> None:
     assert asked(tmp_path) == [[], ["USD203"]]

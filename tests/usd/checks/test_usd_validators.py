@@ -78,6 +78,7 @@ def test_a_package_with_a_foreign_file_is_found(tmp_path: Path) -> None:
         assert ("USD285" in {fault.code for fault in check_layer(path)}) is wanted
 
 
+@pytest.mark.slow
 def test_a_validator_of_another_plug_in_has_a_code(tmp_path: Path) -> None:
     """In a process of its own: a validator stays registered."""
     path = tmp_path / "a.usda"

@@ -132,6 +132,7 @@ def test_faults_at_random_are_found(name: str, record_property: Any) -> None:
     assert hits >= FOUND.get(name, 0.95) * many
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", range(len(SAMPLES) * len(RATES)))
 def test_clean_takes_have_no_finding(index: int) -> None:
     assert codes(takes()[index]) == set()
@@ -144,6 +145,7 @@ def test_a_body_below_a_root_that_stays_slides(factor: float) -> None:
     assert codes(under_a_root(travel(factor)(walk))) == {"MOT208"}
 
 
+@pytest.mark.slow
 def test_a_pose_of_its_own_is_not_also_a_slide() -> None:
     for take in takes():
         assert codes(reference_first(take)) == {"MOT204"}
