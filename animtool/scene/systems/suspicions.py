@@ -24,12 +24,21 @@ MAX_LENGTH, MAX_LINE = 200.0, 50.0
 MAX_SHEET = 25.0
 # Denser than the densest metal, 22 600 [kg/m³].
 MAX_DENSITY = 30000.0
+# Lighter than foam, so grams per cm³ are meant [kg/m³].
+MIN_DENSITY = 10.0
+# Rubber on rubber has 1.5, and gears mesh [1].
+MAX_FRICTION = 5.0
+# The Sun's is 28 times that of Earth [m/s²].
+MAX_GRAVITY = 300.0
+# Faster than any storm [m/s].
+MAX_WIND = 200.0
 GRAMS = 1000.0
 
 
 def warn_of_sizes(document: Document, at: Location, values: Mapping[str, Any]) -> None:
     """Warn of lengths in mm or cm, masses in grams, and percentages (SIM200)."""
     _warn_of_ratio(document, at, values)
+    _warn_of_forces(document, at, values)
     for i, body in enumerate(values.get("bodies") or ()):
         _warn_of_body(document, (*at, "bodies", i), body)
     if values.get("start") and values.get("end"):
@@ -77,6 +86,25 @@ def _warn_of_ratio(document: Document, at: Location, values: Mapping[str, Any]) 
             return
 
 
+def _warn_of_forces(
+    document: Document, at: Location, values: Mapping[str, Any]
+) -> None:
+    """Warn of gravity that pulls up or is in cm/s², and of wind in mm/s."""
+    gravity, wind = values.get("gravity"), values.get("wind")
+    if isinstance(gravity, int | float) and not 0 <= gravity <= MAX_GRAVITY:
+        message = f"gravity {gravity:g} is {gravity:g} m/s²"
+        hint = f"for {gravity:g} cm/s² write {gravity / 100:g}"
+        if gravity < 0:
+            message = f"gravity {gravity:g} pulls up"
+            hint = f"it is a magnitude: write {-gravity:g}"
+        document.warn("SIM200", (*at, "gravity"), message, hint)
+    if isinstance(wind, list | tuple) and all(isinstance(x, int | float) for x in wind):
+        speed = math.hypot(*wind)
+        if speed > MAX_WIND:
+            message = f"a wind of {speed:g} m/s is faster than any storm"
+            document.warn("SIM200", (*at, "wind"), message, "write metres per second")
+
+
 def _warn_of_rope(document: Document, at: Location, values: Mapping[str, Any]) -> None:
     """Warn of a rope that is too long, or too heavy for its length."""
     length, mass = math.dist(values["start"], values["end"]), values.get("mass") or 0.0
@@ -102,7 +130,16 @@ def _warn_of_sheet(document: Document, at: Location, values: Mapping[str, Any]) 
 
 
 def _warn_of_body(document: Document, at: Location, body: Mapping[str, Any]) -> None:
-    """Warn of a body that is denser than any metal."""
+    """Warn of a body's density in g/cm³, mass in grams and friction in percent."""
+    density, friction = body.get("density"), body.get("friction")
+    if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
+        message = f"density {density:g} is {density:g} kg/m³, lighter than foam"
+        hint = f"for {density:g} g/cm³ write {density * GRAMS:g}"
+        document.warn("SIM200", (*at, "density"), message, hint)
+    if isinstance(friction, int | float) and friction > MAX_FRICTION:
+        message = f"friction {friction:g} is {friction:g} times the normal force"
+        hint = f"for {friction:g}% write {friction / 100:g}"
+        document.warn("SIM200", (*at, "friction"), message, hint)
     volume, mass = _volume(body.get("shape") or {}), body.get("mass")
     if mass and volume > 0 and mass > MAX_DENSITY * volume:
         density_text = f"its density is {mass / volume:.3g} kg/m³"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.beasts import write_beast
 
 from animtool.validation.run import validate
 
@@ -57,6 +58,10 @@ def codes(folder: Path, systems: str, head: str = "") -> list[str]:
         (BOX, "mass: 1.5", "mass: 240", False),  # of gold
         (BALL, "mass: 1.5", "mass: 1500", True),
         (BALL, "mass: 1.5", "mass: 90", False),
+        (BOX, "mass: 1.5", "density: 2.7", True),
+        (BOX, "mass: 1.5", "density: 20", False),  # foam
+        (BOX, "mass: 1.5", "mass: 1.5, friction: 60", True),
+        (BOX, "mass: 1.5", "mass: 1.5, friction: 1.5", False),
     ],
 )
 def test_lengths_masses_and_percentages(
@@ -77,3 +82,24 @@ def test_units_of_the_scene_count(tmp_path: Path) -> None:
     rope = ROPE.replace("[0, 3, 0]", "[0, 300, 0]").replace("0.8", "80")
     assert codes(tmp_path, rope) == ["SIM200"]
     assert codes(tmp_path, rope, "units: {length: cm}\n") == []
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ("gravity: 981", True),
+        ("gravity: -9.81", True),
+        ("gravity: 1.62", False),  # the moon
+        ("gravity: 0", False),
+        ("wind: [0, 0, 3000]", True),
+        ("wind: [0, 0, 60]", False),
+    ],
+)
+def test_gravity_and_wind_of_a_pass(options: str, found: bool, tmp_path: Path) -> None:
+    text = (
+        "scene: animtool/1\nsource: {file: swing.clip.yaml}\noutput: {file: a.usda}\n"
+    )
+    text += f"passes: [{{simulate: {{what: [tail], {options}}}}}]\n"
+    path = write_beast(tmp_path, text, bones=2, last=2, way=0)
+    codes = [fault.code for fault in validate(path)]
+    assert codes.count("SIM200") == found
