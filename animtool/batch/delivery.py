@@ -33,7 +33,7 @@ class Delivery:
         return self._states[absolute_path]
 
     def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
-        """Return inputs whose local content differs from the item's."""
+        """Return the inputs whose local content differs from what the item recorded."""
         paths = [
             (path_of_name(record.path, self.root), record) for record in outcome.inputs
         ]

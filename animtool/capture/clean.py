@@ -138,10 +138,10 @@ def _spikes(
     for _ in range(MAX_SEARCHES if max_length else 0):
         spikes = np.zeros_like(is_spike)
         threshold = SPIKE_FACTOR * _roughness(signal) + min_size
-        for run, size in _runs(signal, max_length, rotation=rotation):
+        for length, size in _runs(signal, max_length, rotation=rotation):
             # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
-                part = slice(first + 2, first + 2 + run)
+                part = slice(first + 2, first + 2 + length)
                 if not spikes[part.start - 1 : part.stop + 1].any():
                     spikes[part] = True
         if not spikes.any() or (is_spike | spikes).mean() > 0.5:

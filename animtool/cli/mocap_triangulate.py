@@ -119,7 +119,7 @@ def triangulate(
 
 
 def _remarks(report: CameraReport) -> str:
-    """Return remarks on a camera: movement and disagreement."""
+    """Return, as text, the frames where a camera moved or disagrees with others."""
     from animtool.core.shot import frame_spans
 
     remarks = [

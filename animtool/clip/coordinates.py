@@ -123,7 +123,7 @@ def _joint_motion(
 def _with_best_revolution(
     rig: Rig, motions: Sequence[JointMotion], j: int, same: Same
 ) -> JointMotion:
-    """Return a pin's motion with its angle on the most likely revolution."""
+    """Return a pin's motion, shifted by whole turns to fit its mimic joints."""
     joint, joint_motion = rig.joints[j], motions[j]
     followers = [
         (motions[i], follower.mimic, follower.type)

@@ -157,7 +157,7 @@ def _blocks(indices: IntArray) -> Iterator[IntArray]:
 
 
 def _bends(values: FloatArray, columns: IntArray) -> FloatArray:
-    """Return the sizes of second differences of values ``(F, A, K)``, ``(F-2, A)``."""
+    """Return norms ``(F-2, A)`` of the second differences of values ``(F, A, K)``."""
     if len(columns) < values.shape[1]:
         values = values[:, columns]
     if values.shape[-1] == 4:

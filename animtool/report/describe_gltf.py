@@ -58,7 +58,7 @@ def gltf_contents(path: Path | str) -> GltfContents:
 
 
 def describe_nodeless(path: Path) -> GltfDescription | None:
-    """Describe a glTF file without nodes; otherwise None."""
+    """Return the description of a glTF file without nodes; None if it has nodes."""
     note_input(path)
     gltf = open_gltf(path)
     if gltf.nodes:

@@ -267,11 +267,11 @@ def _bent_pin(
     """Return world rotations of both bones of a limb whose middle joint is a pin."""
     rig, (_, middle, end_joint) = target.rig, limb
     joint, rest_rotation = rig.joints[middle], rig.rest_rotations[middle]
-    local = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
+    local_rotation = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     pin = np.array(joint.axis, np.float64)
-    angle = swing_twist(so3.multiply(so3.conjugate(rest_rotation), local), joint.axis)[
-        1
-    ]
+    angle = swing_twist(
+        so3.multiply(so3.conjugate(rest_rotation), local_rotation), joint.axis
+    )[1]
     bones = (
         rig.rest_translations[middle],
         so3.rotate(rest_rotation, target.offset(middle, end_joint)),

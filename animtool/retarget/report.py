@@ -378,7 +378,7 @@ def scores_of(report: RetargetReport) -> PassScores:
 
 
 def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
-    """Return the mean fraction of frames with a clamped joint, without fingers."""
+    """Return the fraction of frames with clamped joints, averaged without fingers."""
     fingers = {*FINGERS, MITTEN}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)

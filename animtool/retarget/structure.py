@@ -411,9 +411,9 @@ def _shape_score(
             _BEFORE_SPREAD,
         )
     if end_length > 0 and lower_length > 0:
-        min_end = 0.0 if end_index < n and limb.roles[4] else limb.end
+        min_end_ratio = 0.0 if end_index < n and limb.roles[4] else limb.end
         score -= _ratio_penalty(
-            max(end_length / lower_length, min_end), limb.end, _END_SPREAD
+            max(end_length / lower_length, min_end_ratio), limb.end, _END_SPREAD
         )
     return float(score)
 

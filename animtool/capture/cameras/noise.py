@@ -68,14 +68,14 @@ def measured_noise(
     step = max(1, frames * markers // SAMPLE_POINTS)
     pixels = observations.pixels(0, frames, step)
     trust = observations.trust(0, frames, step)
-    numbers = camera_numbers(cameras)
-    noise = np.full(views, first_noise(pixels, numbers))
+    camera_parameters = camera_numbers(cameras)
+    noise = np.full(views, first_noise(pixels, camera_parameters))
     active = np.ones(pixels.shape[:2], bool)
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
     for round_ in range(_ROUNDS + views):
         *_, residuals, states = _kernels.triangulate_points(
-            pixels, trust, numbers, active, noise, *settings, detailed=True
+            pixels, trust, camera_parameters, active, noise, *settings, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         if trust is not None:
@@ -98,11 +98,13 @@ def measured_noise(
             worst, stale[worst] = left_out[0], left_out[1]
             active[:, worst] = False
             active_frame = active[0]
-            noise[:] = first_noise(pixels[:, active_frame], numbers[active_frame])
+            noise[:] = first_noise(
+                pixels[:, active_frame], camera_parameters[active_frame]
+            )
         elif round_ >= _ROUNDS - 1:
             break
     points, *_ = _kernels.triangulate_points(
-        pixels, trust, numbers, active, noise, *settings, detailed=False
+        pixels, trust, camera_parameters, active, noise, *settings, detailed=False
     )
     visible = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
     triangulated = int(np.isfinite(points[..., 0]).sum())
@@ -110,7 +112,14 @@ def measured_noise(
         # If no two cameras agree, or any two do, all are pooled.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
-            pixels, trust, numbers, active, noise, _OPEN_GATE, condition, detailed=True
+            pixels,
+            trust,
+            camera_parameters,
+            active,
+            noise,
+            _OPEN_GATE,
+            condition,
+            detailed=True,
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         overall = _pooled_noise(lengths, states == USED)
@@ -125,7 +134,7 @@ def _stale_camera(
     pixels: FloatArray,
     trust: FloatArray | None,
     noise: FloatArray,
-    active: BoolArray,
+    active_cameras: BoolArray,
     ratios: FloatArray,
     settings: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
@@ -133,14 +142,14 @@ def _stale_camera(
 
     One at a time: a stale camera makes others look worse than they are.
     """
-    if active[0].sum() < 3:
+    if active_cameras[0].sum() < 3:
         return None
     suspects = np.argsort(-ratios, kind="stable")
     candidates: list[tuple[float, int, PoseChange]] = []
     for camera in suspects[:_MAX_SUSPECTS].tolist():
-        if not active[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
+        if not active_cameras[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
             continue
-        without_camera = active.copy()
+        without_camera = active_cameras.copy()
         without_camera[:, camera] = False
         points, sizes, *_ = _kernels.triangulate_points(
             pixels,

@@ -136,7 +136,7 @@ class _ClipBuilder:
         return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGETS[component]}"
 
     def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
-        """Return channels of a joint's component with the file's keys, if possible."""
+        """Return clip channels with the file's keys; empty if they cannot be kept."""
         model = self.models[self.fbx_rig.rows[j].model]
         track = self._track(model, (TRANSLATION, ROTATION, SCALING)[component])
         keys = None if track is None else joined_keys(track, model.base[component])

@@ -238,8 +238,10 @@ def _segment_interpolations(
     if (is_stepped & is_moving).any():
         return None
     # A step of a split segment is at the end of the curve's own segment.
-    steps = [curve_.is_stepped & curve_.is_split & ~curve_.is_flat for curve_ in curves]
-    if len(curves) > 1 and np.logical_or.reduce(steps).any():
+    split_step_masks = [
+        curve_.is_stepped & curve_.is_split & ~curve_.is_flat for curve_ in curves
+    ]
+    if len(curves) > 1 and np.logical_or.reduce(split_step_masks).any():
         return None
     choices = np.where(is_cubic, 2, np.where(is_stepped, 1, 0))
     interpolations = (Interp.LINEAR, Interp.STEP, Interp.BEZIER)

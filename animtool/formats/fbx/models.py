@@ -134,11 +134,11 @@ def read_models(file: FbxFile) -> list[Model]:
         stack += [(child, index) for child in reversed(children.get(element.id, []))]
     if len(models) < len(objects):
         reachable_ids = {model.object.id for model in models}
-        in_cycle = next(
+        cyclic_node = next(
             element for element in objects if element.id not in reachable_ids
         )
-        message = f"the node {in_cycle.name!r} is its own ancestor"
-        file.notes.fail("FBX009", in_cycle.element.where, message)
+        message = f"the node {cyclic_node.name!r} is its own ancestor"
+        file.notes.fail("FBX009", cyclic_node.element.where, message)
     return models
 
 

@@ -200,7 +200,7 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
 
 
 def _check_lists(root: JsonItem, declared: list[Any], notes: FileNotices) -> None:
-    """Warn about contradicting lists of extensions."""
+    """Warn where extensionsUsed and extensionsRequired contradict each other."""
     required = root.list_of("extensionsRequired")
     for i, name in enumerate(declared):
         where = f"{root.at('extensionsUsed')}/{i}"

@@ -152,7 +152,7 @@ def write_clip(
 
 
 def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
-    """Return the source keys of a take that still equals its clip or glTF."""
+    """Return the keys that a take was read with; empty if it has changed since."""
     start = take.clock.start
     if not is_of_curve(take):
         return {}

@@ -58,13 +58,13 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     """
     names = _names(robot, notes, codes)
     joints: list[Joint] = []
-    frames: list[int] = []
+    link_joints: list[int] = []
     colliders: list[Collider] = []
     masses: list[Mass] = []
     rig_names = names.of_file
     largest_error = 0.0
     for i, link in enumerate(robot.links):
-        parent = frames[link.parent] if link.parent >= 0 else -1
+        parent = link_joints[link.parent] if link.parent >= 0 else -1
         for robot_joint, name in zip(link.joints, names.joints[i], strict=True):
             joints.append(_joint(robot_joint, name, parent, rig_names))
             parent = len(joints) - 1
@@ -74,13 +74,13 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
             joints.append(Joint(name, parent, JointType.FIXED, link.offset))
             if not link.joints or np.any(link.offset):
                 parent = len(joints) - 1
-        frames.append(parent)
+        link_joints.append(parent)
         for site, position, rotation in link.sites:
             site_name = names.sites.get((i, site))
             if site_name is not None:
                 fixed_type = JointType.FIXED
                 joints.append(
-                    Joint(site_name, frames[i], fixed_type, position, rotation)
+                    Joint(site_name, link_joints[i], fixed_type, position, rotation)
                 )
         joint_name = joints[carrier if link.joints else parent].name
         shift = link.offset if link.joints else ORIGIN

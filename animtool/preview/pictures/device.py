@@ -49,7 +49,7 @@ class TextureTable:
         self.texture: Any = None
 
     def send(self, cells: Array) -> None:
-        """Replace the cells ``(N, 4)``."""
+        """Upload cells ``(N, 4)`` to the texture, replacing its content."""
         count = len(cells)
         row_cells = min(MAX_ROW_CELLS, max(count, 64))
         row_count = max(-(-count // row_cells), 1)

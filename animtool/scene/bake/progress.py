@@ -371,11 +371,11 @@ class Meter:
             return None
         source = curve
 
-        def counted(times: FloatArray) -> Motion:
+        def timed_curve(times: FloatArray) -> Motion:
             with self.running(stage):
                 return source(times)
 
-        return counted
+        return timed_curve
 
     def _charge(self) -> None:
         """Charge the time since the last call to the running stage."""

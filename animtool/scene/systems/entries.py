@@ -373,7 +373,7 @@ class EntryReader:
     def array(
         self, at: Location, text: str, default: str | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array of a reference; None with a fault if unreadable.
+        """Return the array that a reference names; report a fault if it is unreadable.
 
         ``default`` is the array's name if the text has none; None uses the key.
         """

@@ -150,8 +150,8 @@ class CyclePath:
         turning = float(headings[2 * length] - headings[length]) / length
         heading = float((headings[frames] - turning * (frames - length)).mean())
         flat = hips[:, [0, 2]]
-        cycle = _arc(heading, turning, np.array([float(length)]))[0]
-        velocity = np.linalg.solve(cycle, flat[2 * length] - flat[length])
+        cycle_integral = _arc(heading, turning, np.array([float(length)]))[0]
+        velocity = np.linalg.solve(cycle_integral, flat[2 * length] - flat[length])
         path = CyclePath(length, length, np.zeros(2), heading, velocity, turning)
         offsets = flat[frames] - path.positions(frames.astype(float))
         return replace(path, origin=offsets.mean(axis=0))

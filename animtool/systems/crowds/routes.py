@@ -110,9 +110,9 @@ class NavGrid:
         """
         last = np.array(self.free.shape) - 1
         nearest_nodes = np.clip((points - self.low) / self.cell, 0, last)
-        first = np.minimum(nearest_nodes.astype(np.int64), np.maximum(last - 1, 0))
-        corner_indices = np.minimum(first[:, None] + np.array([[0], [1]]), last)
-        fraction = nearest_nodes - first
+        lower_node = np.minimum(nearest_nodes.astype(np.int64), np.maximum(last - 1, 0))
+        corner_indices = np.minimum(lower_node[:, None] + np.array([[0], [1]]), last)
+        fraction = nearest_nodes - lower_node
         axis_weights = np.stack([1 - fraction, fraction], axis=1)
         weights = axis_weights[:, :, None, 0] * axis_weights[:, None, :, 1]
         return corner_indices[:, :, None, 0], corner_indices[:, None, :, 1], weights

@@ -205,16 +205,16 @@ class RigidBodies:
             for shape, at, rotation in kind.shapes
         ]
 
-    def excluded_pairs(self, pairs: IntArray, first: int) -> IntArray:
+    def excluded_pairs(self, pairs: IntArray, first_collider: int) -> IntArray:
         """Return pairs that do not collide, as kernel numbers ``(Q, 2)``.
 
         Args:
             pairs: Of all bodies ``(P, 2)``.
-            first: Number of the first of `colliders` among all.
+            first_collider: Number of the first of `colliders` among all.
         """
         shapes_of = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.is_dynamic, 0, shapes_of[self.of])
-        first_shapes = len(self.dynamic) + first + np.cumsum(counts) - counts
+        first_shapes = len(self.dynamic) + first_collider + np.cumsum(counts) - counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         rows: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():

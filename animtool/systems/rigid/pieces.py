@@ -72,7 +72,7 @@ def solid_of_mesh(mesh: Mesh) -> SolidProperties:
 
 
 def excess_volume(mesh: Mesh, cores: Sequence[Core]) -> float:
-    """Return the excess volume of pieces over the mesh, relative to it [1]."""
+    """Return the pieces' volume beyond the mesh's, as a fraction of the mesh's."""
     volume = solid_of_mesh(mesh).volume
     return sum(_volume(core) for core in cores) / volume - 1
 

@@ -137,8 +137,8 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     body = join(
         [strand(row, structural, mass=particle_mass, bend=bend) for row in points]
     )
-    numbers = np.arange(count * length).reshape(count, length)
-    regions = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
+    particle_indices = np.arange(count * length).reshape(count, length)
+    regions = {"roots": particle_indices[:, 0], "tips": particle_indices[:, -1]}
     shape = CurveShape(np.full(count, length), 2 * model.radius, body.springs)
     return SpringBody(body, regions, shape)
 

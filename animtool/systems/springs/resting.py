@@ -100,7 +100,7 @@ def find_rest(
 
 
 def _descended(system: SpringSystem, start: _Configuration) -> _Configuration:
-    """Return the result of a damped descent, or the start if that is expensive.
+    """Return the state after damped descent; the start if that takes too many steps.
 
     Sheets fold during the descent, where Newton's method needs many short steps.
     """

@@ -149,15 +149,15 @@ def _finite_differences(
     ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
     """
     untorn = np.zeros(0, np.uint8)
-    size = NUDGE * max(float(np.abs(state[variable]).max(initial=0.0)), 1e-3)
+    increment = NUDGE * max(float(np.abs(state[variable]).max(initial=0.0)), 1e-3)
     columns = []
     for k in range(3):
         values = []
         for sign in (1.0, -1.0):
             nudged = state.copy()
-            nudged[variable, corner::3, k] += sign * size
+            nudged[variable, corner::3, k] += sign * increment
             values.append(
                 _kernels.spring_accelerations(network, 0.0, 1.0, nudged, untorn)
             )
-        columns.append((values[0] - values[1]) / (2 * size))
+        columns.append((values[0] - values[1]) / (2 * increment))
     return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)

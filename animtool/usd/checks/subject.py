@@ -106,7 +106,7 @@ class StageSubject:
         return self._times[key]
 
     def sampled(self, attr: Any) -> SampledArray:
-        """Return all values of an array attribute; its default without samples.
+        """Return all samples of an array attribute, or its default if it has none.
 
         An attribute without a value has no times.
         """

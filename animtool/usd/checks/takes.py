@@ -270,13 +270,13 @@ def _values(
 
 
 def _motion(
-    of_rig: SkeletonRig,
+    skeleton_rig: SkeletonRig,
     joints: list[str],
     shapes: list[str],
     rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
     """Return T, R and S of every joint, and the weights; None if invalid."""
-    rig = of_rig.rig
+    rig = skeleton_rig.rig
     weights = rows[3]
     if (joints and any(row is None for row in rows[:3])) or (
         not joints and weights is None
@@ -288,9 +288,9 @@ def _motion(
     rests = (
         rig.rest_translations / rig.meters_per_unit,
         rig.rest_rotations,
-        of_rig.rest_scales,
+        skeleton_rig.rest_scales,
     )
-    index = {token: i for i, token in enumerate(of_rig.tokens)}
+    index = {token: i for i, token in enumerate(skeleton_rig.tokens)}
     columns = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
         with_rest(rest, row, columns, frames)

@@ -46,7 +46,7 @@ _GEOMETRY = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "plane": "
 
 
 class PhysicsWriter:
-    """Writer of physics for bodies that have an Xform each.
+    """Writes the UsdPhysics prims of bodies, each of which has its own Xform.
 
     Args:
         spec: The prim spec.

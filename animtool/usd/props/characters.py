@@ -361,7 +361,7 @@ class _Group:
         write_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
     def _animation(self, path: str, joints_: IntArray) -> Any:
-        """Return a new animation of joints that keep their rest translations."""
+        """Author a SkelAnimation whose joints keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
         joints = cast.animated[joints_]
         spec = prim(self.layer, path, "SkelAnimation")

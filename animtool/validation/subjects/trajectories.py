@@ -35,7 +35,7 @@ def open_trajectories(path: Path) -> CheckedFile:
 
 
 def open_coordinates(path: Path) -> CheckedFile:
-    """Return the faults of a MOT or STO file, which may contain markers."""
+    """Open a MOT or STO file for checking, as trajectories if it has markers."""
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import open_source
 
