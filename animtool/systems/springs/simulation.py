@@ -55,7 +55,7 @@ class SpringPlan:
     planning_notices: Sequence[Fault] = ()  # of the runs that planned it
 
     def start(self, begin: float, motion: FloatArray | None = None) -> TimeGrid:
-        """Return the time grid at ``begin`` [s], in a state or the system's initial one."""
+        """Return the time grid at ``begin`` [s], in a state or the initial one."""
         choice, system = self.choice, self.system
         motion = system.state if motion is None else motion
         pulls = None if system.ties is None else np.zeros((len(system.pinned), 6))
