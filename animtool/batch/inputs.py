@@ -123,8 +123,14 @@ def _matched_inputs(
             at: f for at, f in remaining_files.items() if at not in left_out
         }
         if not meant or _is_missing(text, remaining_files):
-            unmatched_patterns.append(_unmatched_fault(spec, i, suffixes))
+            unmatched_patterns.append(_unmatched_fault(spec, "inputs", i, suffixes))
         files = {**remaining_files, **files}
+    # Globs that match nothing yet are usual among those that exclude.
+    unmatched_patterns += [
+        _unmatched_fault(spec, "exclude", i, suffixes)
+        for i, text in enumerate(spec.exclude)
+        if not is_pattern(text) and not exists(spec.folder / text)
+    ]
     ordered_files = [files[path] for path in sorted(files, key=os.fspath)]
     return ordered_files, lambda path: resolve(path) in left_out, unmatched_patterns
 
@@ -139,12 +145,14 @@ def _is_missing(text: str, meant: Mapping[Path, MatchedFile]) -> bool:
     return "://" not in text and len(meant) == 1 and not exists(next(iter(meant)))
 
 
-def _unmatched_fault(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
-    text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
+def _unmatched_fault(
+    spec: BatchSpec, key: str, i: int, suffixes: Sequence[str]
+) -> Fault:
+    text, path = getattr(spec, key)[i], None if spec.path is None else str(spec.path)
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
         hint = f"folders are searched for {', '.join(suffixes)}"
-    where = None if path is None else f"inputs[{i}]"
+    where = None if path is None else f"{key}[{i}]"
     message = f"no file matches {text!r}"
     if not is_pattern(text) and not (spec.folder / text).is_dir():
         message = f"{text!r} does not exist"

@@ -125,6 +125,14 @@ def test_an_input_that_matches_no_file_is_named(
     assert notice.hint == hint or (hint and str(notice.hint).startswith(hint))
 
 
+def test_an_excluded_file_that_does_not_exist_is_named(takes: Path) -> None:
+    exclude = ("wlak.bvh", "takes/old/*.bvh")
+    batch = find_batch(BatchSpec(("takes",), folder=takes, exclude=exclude))
+    (notice,) = batch.notices
+    assert (notice.code, notice.severity) == ("BAT067", Severity.WARNING)
+    assert "'wlak.bvh'" in notice.message
+
+
 def test_strict_counts_inputs_that_match_no_file(takes: Path) -> None:
     spec = BatchSpec(("takes", "nope/*.bvh"), folder=takes)
     with pytest.raises(StrictError) as caught:

@@ -18,6 +18,8 @@ from animtool.systems.springs.records import Solver
 
 # Most steps in a cell of time.
 MAX_SUBSTEPS = 4096
+# More steps per second are no remedy: numbers are of another unit.
+MAX_RATE = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +153,9 @@ def through_notices(through: Piercing, what: str = "the surface") -> list[Fault]
     if through.rate:
         message = f"parts of {what} moved past each other by many thicknesses in a step"
         hint = "use a shorter step"
-        if math.isfinite(through.rate):
+        if MAX_RATE < through.rate < math.inf:
+            hint = "no step resolves it: check speeds, lengths and their units"
+        elif math.isfinite(through.rate):
             hint = f"{math.ceil(through.rate)} steps per second resolve all contacts"
         notices.append(warning("SIM165", message, hint))
     return notices
