@@ -99,11 +99,11 @@ class _Records:
         record_end, count, length, name_length = header
         values_start = at + self.head.size + name_length
         if not values_start <= record_end <= end:
-            _fail(
-                self.notes,
-                at,
-                f"a record ends at byte {record_end}, outside its parent",
-            )
+            message = f"a record ends at byte {record_end}, outside its parent"
+            if record_end > len(self.content):
+                message = f"the file ends at byte {len(self.content)}, but a record "
+                message += f"goes on to byte {record_end}: it is cut off or damaged"
+            _fail(self.notes, at, message)
         if length > record_end - values_start or count > length:
             message = f"{count} values of {length} bytes do not fit in their record"
             _fail(self.notes, at, message)
