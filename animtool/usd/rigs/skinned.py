@@ -91,6 +91,15 @@ def ignored_binding(skeleton: Any) -> str:
     return ""
 
 
+def missing_animation(skeleton: Any) -> str:
+    """Return the path that a skeleton's animation is bound to, if nothing is there."""
+    for prim in upwards(skeleton):
+        relationship = prim.GetRelationship("skel:animationSource")
+        for path in relationship.GetTargets() if relationship else ():
+            return "" if prim.GetStage().GetPrimAtPath(path) else str(path)
+    return ""
+
+
 BINDING_HINT = (
     f"UsdSkel ignores the binding; apply it, as animtool validate {flag('fix')} does"
 )

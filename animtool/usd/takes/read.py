@@ -69,6 +69,7 @@ from animtool.usd.rigs.skinned import (
     MAX_NAMED,
     character_paths,
     ignored_binding,
+    missing_animation,
 )
 from animtool.usd.takes.animation_values import (
     SampleGrid,
@@ -392,6 +393,11 @@ def _rest_take(
     if ignored := ignored_binding(prim):
         message += f": {ignored} binds one, but SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
+    elif missing := missing_animation(prim):
+        message = (
+            f"its animation {missing} does not exist; the skeleton is read at rest"
+        )
+        hint = "correct the targets of skel:animationSource"
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     stream.notices += notices

@@ -422,6 +422,18 @@ def test_a_binding_without_its_schema_is_named(tmp_path: Path) -> None:
     assert stream.collect().clock.count == 1
 
 
+def test_a_binding_to_a_prim_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "take.usda", [1.0, 2.0, 3.0])
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    source = layer.GetRelationshipAtPath("/hero/Rig/Skel.skel:animationSource")
+    source.targetPathList.explicitItems = ["/hero/Rig/Anm"]
+    layer.Save()
+    stream = read_usd(path)
+    (notice,) = stream.notices
+    assert notice.code == "USD103"
+    assert "/hero/Rig/Anm" in notice.message
+
+
 def test_meshes_without_the_binding_schema_are_named(tmp_path: Path) -> None:
     clip = write_pair(tmp_path)
     rig = tmp_path / "pair.usda"
