@@ -138,8 +138,8 @@ class _BlockLayout:
         for part in _CHANNEL_PARTS:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
-                still = np.zeros(len(channel.rest), np.bool_)
-                self.moving.setdefault(part, still)[channel.animated] = True
+                none_moving = np.zeros(len(channel.rest), np.bool_)
+                self.moving.setdefault(part, none_moving)[channel.animated] = True
 
     def has(self, targets: set[tuple[str, int]]) -> bool:
         """Return whether all targets, as part and index, move."""

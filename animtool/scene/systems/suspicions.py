@@ -36,7 +36,7 @@ GRAMS = 1000.0
 
 
 def warn_of_sizes(document: Document, at: Location, values: Mapping[str, Any]) -> None:
-    """Warn of lengths in mm or cm, masses in grams, and percentages (SIM200)."""
+    """Warn of lengths, masses, densities and accelerations in other units (SIM200)."""
     _warn_of_ratio(document, at, values)
     _warn_of_forces(document, at, values)
     for i, body in enumerate(values.get("bodies") or ()):

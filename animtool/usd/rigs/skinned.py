@@ -95,8 +95,10 @@ def missing_animation(skeleton: Any) -> str:
     """Return the path that a skeleton's animation is bound to, if nothing is there."""
     for prim in upwards(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
-        for path in relationship.GetTargets() if relationship else ():
-            return "" if prim.GetStage().GetPrimAtPath(path) else str(path)
+        targets = relationship.GetTargets() if relationship else ()
+        if targets:
+            exists = prim.GetStage().GetPrimAtPath(targets[0])
+            return "" if exists else str(targets[0])
     return ""
 
 
