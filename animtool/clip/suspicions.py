@@ -18,10 +18,12 @@ from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import (
+    ANGLE_NAMES,
     FULL_CIRCLE,
     HALF_CIRCLE,
     HALF_CIRCLE_Z,
     MAX_DEGREES,
+    OTHER_ANGLES,
     are_multiples,
     warn_of_quaternion,
 )
@@ -159,16 +161,16 @@ def _warn_of_angles(
     i, values = max(angles, key=lambda angle_channel: np.abs(angle_channel[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
-    file_unit, likely_unit = ("deg", "rad") if in_degrees else ("rad", "deg")
-    words = {"deg": "degrees", "rad": "radians"}
-    factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
+    file_unit = "deg" if in_degrees else "rad"
+    likely_unit, factor = OTHER_ANGLES[file_unit]
     message = (
         f"rotation keys of {counted(len(angles), 'channel')} look like "
-        f"{words[likely_unit]}, "
+        f"{ANGLE_NAMES[likely_unit]}, "
         f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
     )
     hint = (
-        f"write 'units: {{angle: {likely_unit}}}', or this key in {words[file_unit]}: "
+        f"write 'units: {{angle: {likely_unit}}}', or this key in "
+        f"{ANGLE_NAMES[file_unit]}: "
         f"{largest * factor:.4g}"
     )
     document.warn("CLIP107", (*_at(i, k), "v"), message, hint)

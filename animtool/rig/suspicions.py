@@ -16,6 +16,9 @@ from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicious_shape import HINGE_NAMES
 
+# Names of the units of angles; for each, the other one and the factor from it.
+ANGLE_NAMES = {"deg": "degrees", "rad": "radians"}
+OTHER_ANGLES = {"deg": ("rad", math.degrees(1.0)), "rad": ("deg", math.radians(1.0))}
 # Half a revolution in radians, rounded up: the largest limit of most joints [rad].
 HALF_CIRCLE = 3.2
 # Limits this small are tight in any unit, such as those of a spine [file's angle].
@@ -55,21 +58,20 @@ def warn_of_angles(
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
     limits = [limit for limit in _limits(joints) if limit.largest > 0]
-    intended_unit = "rad" if angle == "deg" else "deg"
+    intended_unit, factor = OTHER_ANGLES[angle]
     suspects = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
     if not suspects:
         return
     largest_limit = max(suspects, key=lambda limit: limit.largest)
-    factor = math.degrees(1.0) if angle == "deg" else math.radians(1.0)
     names = {limit.joint for limit in suspects}
-    unit = {"deg": "degrees", "rad": "radians"}
     message = (
         f"the limits of {counted(len(names), 'joint')} look like "
-        f"{unit[intended_unit]}, but "
+        f"{ANGLE_NAMES[intended_unit]}, but "
         f"units.angle is {angle}: {largest_limit.joint!r} has {largest_limit.text()}"
     )
     hint = (
-        f"write 'angle: {intended_unit}' under units, or this limit in {unit[angle]}: "
+        f"write 'angle: {intended_unit}' under units, or this limit in "
+        f"{ANGLE_NAMES[angle]}: "
         f"{largest_limit.text(factor)}"
     )
     document.warn("RIG107", largest_limit.location, message, hint)
@@ -177,14 +179,13 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             largest = _largest(control, drive, at_rest) if drive.of_angle else 0.0
             if not (_is_radians(largest) if in_degrees else _is_degrees(largest)):
                 continue
-            declared, meant = ("deg", "rad") if in_degrees else ("rad", "deg")
-            words = {"deg": "degrees", "rad": "radians"}
-            factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
+            declared = "deg" if in_degrees else "rad"
+            meant, factor = OTHER_ANGLES[declared]
             message = (
                 f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
-                f"looks like {words[meant]}, but units.angle is {declared}"
+                f"looks like {ANGLE_NAMES[meant]}, but units.angle is {declared}"
             )
-            hint = f"for {words[declared]} the result is {largest * factor:.4g}; "
+            hint = f"for {ANGLE_NAMES[declared]} the result is {largest * factor:.4g}; "
             hint += f"multiply the expression by {factor:.6g}"
             names = [entry.get("name") for entry in document.value["controls"]]
             at = ("controls", names.index(control.name), "drives", k)
