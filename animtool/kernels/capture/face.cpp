@@ -52,7 +52,7 @@ void rotate(double* q, const double* v) {
 // zero. `column` has n.
 void factor(double* a, std::size_t n, std::size_t stride, double floor, double* column) {
   using namespace cholesky;
-  cholesky::factor<Roots, Small::COUNTS_FOR_NOTHING>(a, n, stride, column,
+  cholesky::factor<Roots, Small::IGNORE>(a, n, stride, column,
                                                      [&](std::size_t) { return floor; });
 }
 
@@ -491,9 +491,9 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
   const std::size_t landmarks = neutral.shape(1), shapes = deltas.shape(0),
                     frames = observed.shape(0);
   const std::size_t width = camera ? 2 : 3;
-  check::at_most("observed", frames * landmarks, check::MOST_ROWS);
-  check::at_most("deltas", shapes * landmarks, check::MOST_ROWS);
-  check::at_most("weights", frames * shapes * std::max<std::size_t>(shapes, 1), check::MOST_ROWS);
+  check::at_most("observed", frames * landmarks, check::MAX_ROWS);
+  check::at_most("deltas", shapes * landmarks, check::MAX_ROWS);
+  check::at_most("weights", frames * shapes * std::max<std::size_t>(shapes, 1), check::MAX_ROWS);
   check::shape("neutral", neutral, {neutral.shape(0) == 1 ? 1 : frames, landmarks, 3});
   check::shape("deltas", deltas, {shapes, landmarks, 3});
   check::shape("observed", observed, {frames, landmarks, width});

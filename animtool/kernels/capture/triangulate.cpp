@@ -26,8 +26,8 @@ constexpr std::size_t CAMERA_NUMBERS = 27;
 // Tallies of a camera in a frame, and values of a point.
 constexpr std::size_t TALLIES = 8, POINT_NUMBERS = 5;
 // Most cameras of a point compared in pairs; 24 are 276 pairs.
-constexpr std::size_t MOST_PAIRED = 24;
-constexpr int MOST_STEPS = 12, MOST_ROUNDS = 8, UNDISTORT_STEPS = 20;
+constexpr std::size_t MAX_PAIRED = 24;
+constexpr int MAX_STEPS = 12, MAX_ROUNDS = 8, UNDISTORT_STEPS = 20;
 // A step whose squared length is this much of the variance ends the search: the next one
 // would be about a thousand times as short.
 constexpr double SMALL_STEP = 1e-6;
@@ -65,7 +65,7 @@ struct Factor {
     const double least[3] = {0, SINGULAR * n.yy, SINGULAR * n.zz};
     double column[3];
     l[0] = n.xx, l[3] = n.xy, l[4] = n.yy, l[6] = n.xz, l[7] = n.yz, l[8] = n.zz;
-    return factor<Inverses, Small::FAILS>(l, 3, 3, column, [&](std::size_t i) { return least[i]; });
+    return factor<Inverses, Small::FAIL>(l, 3, 3, column, [&](std::size_t i) { return least[i]; });
   }
 
   // The rows of the inverse of the factor, times a vector.
@@ -234,7 +234,7 @@ class Point {
   // Weighted least squares of the reprojection, from a start.
   Solution refine(Vec p) {
     Solution solution;
-    for (int step = 0; step < MOST_STEPS; ++step) {
+    for (int step = 0; step < MAX_STEPS; ++step) {
       Normal n;
       for (std::size_t i = 0; i < count; ++i) {
         CameraView& s = views[i];
@@ -312,7 +312,7 @@ class Point {
 
   // Cameras with a passing residual, iterated to a fixed set.
   Solution settle(Solution solution) {
-    for (int round = 0; round < MOST_ROUNDS && solution.good; ++round) {
+    for (int round = 0; round < MAX_ROUNDS && solution.good; ++round) {
       for (std::size_t i = 0; i < count; ++i)
         if (!views[i].used && !views[i].look(solution.point))
           views[i].ru = views[i].rv = std::numeric_limits<double>::max();
@@ -355,7 +355,7 @@ class Point {
   // The point that most cameras agree on, among those of all pairs. None if two distinct
   // ones have as many, and no more than two.
   Solution consensus() {
-    const std::size_t most = std::min(count, MOST_PAIRED);
+    const std::size_t most = std::min(count, MAX_PAIRED);
     double best = std::numeric_limits<double>::max();
     std::size_t agreed = 0, ties = 0;
     Vec at{};
@@ -392,7 +392,7 @@ class Point {
 
   // The least median of squared residuals [px^2] over the points of every pair.
   double least_median() {
-    const std::size_t most = std::min(count, MOST_PAIRED);
+    const std::size_t most = std::min(count, MAX_PAIRED);
     double best = NOT;
     std::vector<double> at(count);
     for (std::size_t i = 0; i + 1 < most; ++i)

@@ -70,9 +70,9 @@ void check_arrays(const ColliderArrays& in) {
     check::indices("kinds", kind + 2, 1, 0, static_cast<std::int64_t>(nodes.shape(0)));
   }
   if (!meshes) return;
-  check::at_most("points", points.shape(0), check::MOST_ROWS);
-  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
-  check::at_most("nodes", nodes.shape(0), check::MOST_ROWS);
+  check::at_most("points", points.shape(0), check::MAX_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MAX_ROWS);
+  check::at_most("nodes", nodes.shape(0), check::MAX_ROWS);
   check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
   check_nodes(nodes, triangles.shape(0));
 }

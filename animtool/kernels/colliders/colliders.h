@@ -45,7 +45,7 @@ struct Particle {
 };
 
 // Contacts of one particle in one step.
-constexpr int MOST_CONTACTS = 8;
+constexpr int MAX_CONTACTS = 8;
 // Advancements along a path before it is stepped through in fixed fractions.
 constexpr int LOOKS = 64;
 // Bisections of the fraction in which a surface is crossed.
@@ -129,11 +129,11 @@ class Settling {
     far_ = 0;
     for (std::size_t i = 0; i < std::min(count_, DISTINGUISHABLE); ++i)
       if (out_of_reach(colliders_[i])) far_ |= std::uint64_t{1} << i;
-    for (int i = 0; i < MOST_CONTACTS; ++i) {
+    for (int i = 0; i < MAX_CONTACTS; ++i) {
       double time = path_.left;
       const std::int64_t hit = first_hit(time);
       if (hit < 0) break;
-      respond(hit, time, i + 1 == MOST_CONTACTS);
+      respond(hit, time, i + 1 == MAX_CONTACTS);
       far_ = 0;
       after = {path_.at(path_.left), path_.velocity_at(path_.left)};
     }

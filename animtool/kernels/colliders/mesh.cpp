@@ -149,8 +149,8 @@ void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& tri
   check::shape("points", points, {check::ANY, 3});
   check::shape("triangles", triangles, {check::ANY, 3});
   if (!triangles.shape(0)) check::refuse("triangles", "the array is empty");
-  check::at_most("points", points.shape(0), check::MOST_ROWS);
-  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
+  check::at_most("points", points.shape(0), check::MAX_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MAX_ROWS);
   check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
   // NaN cannot be sorted.
   check::finite("points", points);

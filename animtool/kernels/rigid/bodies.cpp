@@ -45,8 +45,8 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
                          In<std::int64_t, 2> excluded) {
   const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
   check::numbers("inertias", inertias, {check::ANY, 4});
-  check::at_most("inertias", count, check::MOST_ROWS);
-  check::at_most("bodies", shapes, check::MOST_ROWS);
+  check::at_most("inertias", count, check::MAX_ROWS);
+  check::at_most("bodies", shapes, check::MAX_ROWS);
   check::indices("bodies", bodies, 0, static_cast<std::int64_t>(count));
   check::numbers("numbers", numbers, {shapes, 3});
   check::numbers("points", points, {check::ANY, 3});
@@ -94,11 +94,11 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   }
   read_joints(joints, joint_numbers);
   check::shape("apart", excluded, {check::ANY, 2});
-  check::at_most("apart", excluded.shape(0), check::MOST_ROWS);
+  check::at_most("apart", excluded.shape(0), check::MAX_ROWS);
   for (std::size_t k = 0; k < excluded.shape(0); ++k) {
     check::between("apart", excluded.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
     check::between("apart", excluded.data()[2 * k + 1], 0,
-                   static_cast<std::int64_t>(count + check::MOST_ROWS));
+                   static_cast<std::int64_t>(count + check::MAX_ROWS));
   }
   for (std::size_t k = 0; k < excluded.shape(0); ++k)
     exclude(excluded.data()[2 * k], excluded.data()[2 * k + 1]);

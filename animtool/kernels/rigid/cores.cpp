@@ -463,7 +463,7 @@ Manifold meet(const Placed& a, const Placed& b, double reach) {
 
 void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into) {
   into.count = 0;
-  if (points.size() <= MOST_POINTS) {
+  if (points.size() <= MAX_POINTS) {
     for (const Touching& p : points) into.points[static_cast<std::size_t>(into.count++)] = p;
     return;
   }

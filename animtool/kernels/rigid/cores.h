@@ -81,13 +81,13 @@ struct Touching {
   double gap;
 };
 
-constexpr int MOST_POINTS = 4;
+constexpr int MAX_POINTS = 4;
 
 // A contact manifold: the normal is from the first to the second.
 struct Manifold {
   Vec normal;
   int count = 0;
-  std::array<Touching, MOST_POINTS> points{};
+  std::array<Touching, MAX_POINTS> points{};
 };
 
 // The separation along the best axis, negative if they overlap; at most their distance. Stops

@@ -16,7 +16,7 @@ constexpr std::size_t LEGS = 32, CROWD = 256;
 constexpr int AGAIN = 4, ARRIVES = 16;
 // Largest phase of a drive's swing in a substep [rad], the largest factor on substeps for it, and
 // the phase above which it is reported.
-constexpr double SWING = 0.2, MOST_TIMES = 64, TOO_FAR = 0.5;
+constexpr double SWING = 0.2, MAX_TIMES = 64, TOO_FAR = 0.5;
 // Likewise for drives whose motion exceeds their effective mass.
 constexpr double LOSES = 0.02;
 // Bodies penetrating by more than this fraction of their size stay awake.
@@ -75,7 +75,7 @@ void Solver::solve(Island& island) {
   rows_.assign(island.joints.size(), {});
   divide(island);
   patches_.clear(), points_.clear();
-  patches_.reserve(island.contacts.size()), points_.reserve(MOST_POINTS * island.contacts.size());
+  patches_.reserve(island.contacts.size()), points_.reserve(MAX_POINTS * island.contacts.size());
   for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
   bouncy_ = std::any_of(patches_.begin(), patches_.end(),
                         [](const Patch& patch) { return patch.restitution > 0; });
@@ -114,12 +114,12 @@ void Solver::divide(const Island& island) {
     for (const Drive& drive : drives_[k]) {
       const double swing = swing_of(world_.joints[island.joints[k]], drive.mass, small_);
       parts = std::max(parts, swing * small_ / (drive.known ? SWING : LOSES));
-      const double most = (drive.known ? TOO_FAR : LOSES) * MOST_TIMES;
+      const double most = (drive.known ? TOO_FAR : LOSES) * MAX_TIMES;
       if (swing * small_ > most)
         report_.note_drive(step_ * most / (swing * small_), island.joints[k]);
     }
   if (parts > 1)
-    resize(settings_.substeps * static_cast<int>(std::ceil(std::min(parts, MOST_TIMES))));
+    resize(settings_.substeps * static_cast<int>(std::ceil(std::min(parts, MAX_TIMES))));
 }
 
 void Solver::resize(int parts) {

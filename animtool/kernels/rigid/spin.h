@@ -84,7 +84,7 @@ inline void composed(Spin& s, const Ease& ease, double h, const double (&shares)
 // energy within 1e-12 and attitude within 1e-9.
 constexpr double ANGLE_2 = 2e-4, ANGLE_4 = 4e-3, ANGLE_6 = 2e-2;
 // Largest rotation at order 8; longer steps are divided, up to this count: no shot spins faster.
-constexpr double ANGLE_8 = 0.2, MOST_PARTS = 64;
+constexpr double ANGLE_8 = 0.2, MAX_PARTS = 64;
 
 inline void split(Spin& s, const Ease& ease, double h) {
   static constexpr double fourth[] = {0.41449077179437573714, 0.41449077179437573714,
@@ -108,7 +108,7 @@ inline void split(Spin& s, const Ease& ease, double h) {
   if (spread <= ANGLE_2) return split_step(s, ease, h);
   if (spread <= ANGLE_4) return composed(s, ease, h, fourth);
   if (spread <= ANGLE_6) return composed(s, ease, h, sixth);
-  const double parts = std::min(std::ceil(spread / ANGLE_8), MOST_PARTS);
+  const double parts = std::min(std::ceil(spread / ANGLE_8), MAX_PARTS);
   for (int i = 0; i < parts; ++i) composed(s, ease, h / parts, eighth);
 }
 

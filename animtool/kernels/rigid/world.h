@@ -97,8 +97,8 @@ struct Contact {
   int count = 0;
   // Contact points in the frames of both bodies, and the gaps. Rolling shapes change their contact
   // point continuously: these are points of the first's core, and its surface is a radius away.
-  std::array<Vec, MOST_POINTS> on_a, on_b;
-  std::array<double, MOST_POINTS> gaps;
+  std::array<Vec, MAX_POINTS> on_a, on_b;
+  std::array<double, MAX_POINTS> gaps;
   double radius = 0, other_radius = 0;
 
   void take(const Manifold& manifold, const Pose& pose_a, const Pose& pose_b) {
