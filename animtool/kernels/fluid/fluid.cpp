@@ -554,7 +554,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   check::at_most("state", count, check::MAX_ROWS);
   check::positive("sound", sound);
   check::positive("step", step);
-  check::between("parts", substeps, 1, 1 << 24);
+  check::between("substeps", substeps, 1, 1 << 24);
   const fluid::FluidRule rule = rule_of(spacing, density, viscosity, tension);
   std::vector<fluid::Body> moved(pushed);
   for (std::size_t b = 0; b < pushed; ++b) {

@@ -30,7 +30,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
   const std::size_t count = check::points("points", points);
   check::finite("points", points);
   check::positive("reach", reach);
-  check::not_negative("most", static_cast<double>(max_pairs));
+  check::not_negative("max_pairs", static_cast<double>(max_pairs));
   check_box(box, reach);
   Out<std::int32_t, 1> order(count);
   Out<std::int64_t, 1> starts(count + 1);
@@ -62,7 +62,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
                while (listed.size() % WIDE) listed.push_back(padding);
                starts.get()[++row] = static_cast<std::int64_t>(listed.size());
              });
-  if (!fits) check::refuse("most", "there are more pairs than " + check::text(max_pairs));
+  if (!fits) check::refuse("max_pairs", "there are more pairs than " + check::text(max_pairs));
   Out<std::int32_t, 1> partners(listed.size());
   std::copy(listed.begin(), listed.end(), partners.get());
   return {std::move(order), std::move(starts), std::move(partners)};

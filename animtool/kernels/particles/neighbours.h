@@ -3,7 +3,7 @@
 // Cells are at least as wide as the search radius. Points are sorted by cell, row by row, so that
 // the neighbours of a point are in nine runs, which move forwards from cell to cell: no cell table
 // is kept, whatever the extent of the points.
-#pragma later_only
+#pragma once
 
 #include <algorithm>
 #include <cmath>
