@@ -272,7 +272,7 @@ MeshShift MovingSurface::shift_until(double fraction) const {
 
 Vec MovingSurface::shift(const Mesh& mesh, std::int32_t triangle, Vec p) const {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  const collide::Shares at = collide::shares_of_triangle(
+  const collide::Barycentric at = collide::barycentric_of_nearest(
       p, mesh.point(corner[0]), mesh.point(corner[1]), mesh.point(corner[2]));
   const Vec a = load(&shifts_[3 * corner[0]]), b = load(&shifts_[3 * corner[1]]),
             c = load(&shifts_[3 * corner[2]]);

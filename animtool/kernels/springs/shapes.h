@@ -47,7 +47,7 @@ struct Triangle {
       : a(row_of(rows, corners[0])), b(row_of(rows, corners[1])), c(row_of(rows, corners[2])) {}
 
   Nearest nearest(Vec p) const {
-    const collide::Shares at = collide::shares_of_triangle(p, a, b, c);
+    const collide::Barycentric at = collide::barycentric_of_nearest(p, a, b, c);
     return {p - (a + (b - a) * at.b + (c - a) * at.c), {1, -(1 - at.b - at.c), -at.b, -at.c}};
   }
   double distance(Vec p) const { return length(nearest(p).off); }
