@@ -18,9 +18,8 @@ from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import at_stage_origin, reorient
+from animtool.motion.reorient import at_stage_origin, placement_notice, reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.placed import placement_notice
 from animtool.scene.bake.files import FilePlan
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan

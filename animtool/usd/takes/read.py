@@ -19,10 +19,9 @@ from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import at_stage_origin, placed_motion
+from animtool.motion.reorient import at_stage_origin, placed_motion, placement_notice
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
-from animtool.rig.placed import placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
