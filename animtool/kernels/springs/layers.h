@@ -25,21 +25,21 @@ class SpringLayers {
   const std::int32_t* ends(std::size_t edge) const { return &ends_[2 * edge]; }
   // Distance that a particle keeps from a triangle, and an edge from another; 0 of those that
   // are not kept apart.
-  double least(std::size_t triangle, std::int32_t particle) const;
-  double least_of_edges(std::size_t first, std::size_t second) const;
-  double most_of_edges() const;
+  double distance(std::size_t triangle, std::int32_t particle) const;
+  double edge_distance(std::size_t first, std::size_t second) const;
+  double max_edge_distance() const;
   // The same with checked indices.
-  double checked_least(std::int64_t triangle, std::int64_t particle) const;
-  double checked_least_of_edges(std::int64_t first, std::int64_t second) const;
+  double checked_distance(std::int64_t triangle, std::int64_t particle) const;
+  double checked_edge_distance(std::int64_t first, std::int64_t second) const;
 
   const double thickness, friction, speed;
 
  private:
-  void note_edges();
+  void collect_edges();
   void collect_adjacent(const SpringNetwork& network);
   // Whether the surface joins two particles by a short way.
   bool joined(std::int32_t i, std::int32_t j) const;
-  double kept(double at_rest, bool joined) const;
+  double reduced(double at_rest, bool joined) const;
 
   std::size_t particles_;
   std::vector<std::int32_t> corners_, ends_;

@@ -39,62 +39,62 @@ class MeshPatches {
 
   // Slack to begin with.
   MeshPatches(std::size_t particles, double slack) : patches_(particles) {
-    for (Patch& patch : patches_) patch.fine = slack;
+    for (Patch& patch : patches_) patch.next_slack = slack;
   }
 
   // The mesh from a point of its frame: its distance, or, where that is more than is kept
   // and asked for, one that is less but still more than is kept.
-  PatchHit look(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
-             const MeshShift& gone, const KnotBoxes* boxes, double kept, bool bound);
+  PatchHit query(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
+             const MeshShift& motion, const KnotBoxes* boxes, double contact_distance, bool bound);
   // Invalidates the cache.
-  void forget();
+  void invalidate();
 
  private:
-  static constexpr int MOST = 32;
+  static constexpr int MAX_CANDIDATES = 32;
   struct Candidate {
     double distance;
     std::int32_t triangle;
   };
   // Nearest first.
-  using Candidates = std::array<Candidate, MOST>;
+  using Candidates = std::array<Candidate, MAX_CANDIDATES>;
   struct Patch {
     collide::Vec at;
-    MeshShift gone;
+    MeshShift motion;
     // How far it serves, less than 0 not at all; how far the next is to serve.
-    double slack = -1, fine = 0;
+    double slack = -1, next_slack = 0;
     double distance = 0;
     // The same for what is left of the knot, beside the way of what was nearest.
-    double knot_slack = -1, least = 0, back = 0;
+    double knot_slack = -1, min_distance = 0, back = 0;
     collide::Vec shift;
     std::int32_t count = 0, location = -1;
     std::int32_t last = -1;  // a triangle that was near
   };
   // Near a particle: how far, and how far at least in what is left of the knot.
-  struct Around {
-    double distance, least;
+  struct NearbyTriangle {
+    double distance, min_distance;
     std::int32_t triangle;
   };
 
   // How far a particle went since it was looked at, where what was found then serves; else
   // less than 0. With whether that is beside the way of what was nearest.
-  static double since(const Patch& patch, collide::Vec p, const MeshShift& gone, bool& in_knot);
+  static double displacement_since(const Patch& patch, collide::Vec p, const MeshShift& motion, bool& in_knot);
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
-                           double went) const;
+                           double displacement) const;
   PatchHit gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-               const KnotBoxes* boxes, double kept, bool bound);
+               const KnotBoxes* boxes, double contact_distance, bool bound);
   // The nearest, by what was near before, and what else is near, unless it is farther than
   // what is kept by more than that.
-  collide::Nearest look_around(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
-                               collide::Vec p, const KnotBoxes* boxes, double kept);
+  collide::Nearest search(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
+                               collide::Vec p, const KnotBoxes* boxes, double contact_distance);
   // Keeps what is near, if it is not too much; by what is left of the knot or as it is.
-  bool keep(Patch& patch, double reach, bool in_knot);
+  bool store_candidates(Patch& patch, double reach, bool in_knot);
 
   std::vector<Patch> patches_;
   // Of those that were near.
   std::vector<Candidates> candidates_;
   // Of the last look: what is near, and the least that anything comes to in the knot.
-  std::vector<Around> around_;
-  double least_ = 0;
+  std::vector<NearbyTriangle> nearby_;
+  double min_distance_ = 0;
   std::int32_t last_ = -1;  // the triangle that was nearest then
 };
 
@@ -110,9 +110,9 @@ class MovingSurface {
   MovingSurface(const SpringSurface& surface, std::int64_t cells);
 
   // Goes on to a cell of some length. Returns whether it goes on from where it was.
-  bool enter(std::int64_t cell, double length);
+  bool begin_cell(std::int64_t cell, double length);
   // What share of its knot is gone when a share of the cell is.
-  double gone(double fraction) const { return begun_ + fraction / static_cast<double>(lasts_); }
+  double knot_fraction(double fraction) const { return knot_start_ + fraction / static_cast<double>(cells_per_knot_); }
   // As what is met when a share of the knot is gone, and how it has gone until then.
   collide::Collider collider(double fraction) const;
   MeshShift shift_until(double fraction) const;
@@ -133,10 +133,10 @@ class MovingSurface {
   In<double, 3> points_;
   std::array<double, 5> numbers_;
   std::vector<double> shifts_, bounds_, begins_, shift_bounds_;
-  std::int64_t lasts_, first_;
+  std::int64_t cells_per_knot_, first_;
   const double* begin_ = nullptr;
   MeshShift before_, full_;  // until the knot, and in it
-  double travel_ = 0, begun_ = 0;
+  double travel_ = 0, knot_start_ = 0;
   std::int64_t last_ = -1;
 };
 

@@ -20,10 +20,10 @@ struct SpringLines {
   std::vector<std::int32_t> ends;
   std::vector<double> rest;
   std::vector<SpringRunLength> runs;  // those that share no end in fours
-  SpringPulls pulls;
+  SpringForces pulls;
   bool tear = false;  // whether any can
 
-  void line_up(std::size_t particles);
+  void prepare(std::size_t particles);
 };
 
 // Points over knots of time, linear between them and constant outside.
@@ -34,12 +34,12 @@ struct Track {
 };
 
 // Where a time lies between knots.
-struct Spot {
+struct KnotPosition {
   std::size_t row;
   double fraction;
 };
 
-Spot spot_of(const std::vector<double>& knots, double t);
+KnotPosition knot_position(const std::vector<double>& knots, double t);
 
 // From one particle to the next, and from one of its numbers to the next.
 struct Strides {
@@ -78,11 +78,11 @@ class SpringNetwork : public SpringElements {
   explicit SpringNetwork(const SpringArrays& arrays);
 
   // Other paths over the same knots.
-  void lead(In<double, 3> pinned_path, In<double, 3> anchor_path);
+  void set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
-  Spot spot(double t) const { return spot_of(knots, t); }
+  KnotPosition spot(double t) const { return knot_position(knots, t); }
   // Points of a track at a spot, into (P, 3).
-  static void follow(const Track& track, const Spot& spot, double* out);
+  static void sample_track(const Track& track, const KnotPosition& spot, double* out);
 
   // Forces [N] of anchors and air, added to rows of particles. Where anchors are and how
   // they move is given, and so is the wind.
@@ -112,7 +112,7 @@ class SpringNetwork : public SpringElements {
   Track wind_track;
 
  private:
-  void note_edges();
+  void collect_edges();
 };
 
 // State and workspace of a running network.
@@ -133,23 +133,23 @@ class SpringRun {
   const SpringLines& lines() const { return untorn_ ? *untorn_ : network.lines; }
 
   // Anchors and wind at a time; speeds are those of the h before it.
-  void look(double t, double h);
+  void sample_surroundings(double t, double h);
   std::vector<double> points, points_before, speeds;
   double wind[3] = {0, 0, 0};
 
   // Whether forces come of other things than bands of springs; rows of these [N].
-  bool pulled_otherwise() const;
-  void pull_otherwise(const double* x, const double* v, double* forces) const;
+  bool has_other_forces() const;
+  void set_other_forces(const double* x, const double* v, double* forces) const;
 
   // Accelerations in rows at a state: held particles have none.
   void accelerate(const double* x, const double* v, double* out);
 
  private:
-  void leave_out_torn();
+  void exclude_torn();
 
   // Where some are torn, the others.
   std::optional<SpringLines> untorn_;
-  PullRoom room_;
+  ForceBuffers buffers_;
 };
 
 // Solver order of springs: by particle, with independent springs next to each other.

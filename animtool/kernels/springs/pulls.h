@@ -16,32 +16,32 @@ struct Spring {
 };
 
 // Columns of particles, and room for the forces between them.
-struct PullRoom {
-  std::vector<double> x, v, f, kept;
+struct ForceBuffers {
+  std::vector<double> x, v, f, stored;
 };
 
 // What forces need to know of springs: in bands where many lie alike, the others in fours.
-class SpringPulls {
+class SpringForces {
  public:
-  SpringPulls() = default;
-  SpringPulls(const std::vector<Spring>& springs, std::size_t particles);
+  SpringForces() = default;
+  SpringForces(const std::vector<Spring>& springs, std::size_t particles);
 
   // Whether some lie in bands, and whether some do not.
-  bool banded() const { return !pieces_.empty(); }
-  bool loose() const { return !loose_.rest.empty(); }
+  bool has_bands() const { return !pieces_.empty(); }
+  bool has_unbanded() const { return !unbanded_.rest.empty(); }
 
   // Set rows of particles to the forces [N] on them.
-  void set(const double* x, const double* v, PullRoom& room, double* forces) const;
+  void set(const double* x, const double* v, ForceBuffers& buffers, double* forces) const;
 
   // Add those of springs that are in no band.
-  void add_loose(const double* x, const double* v, double* forces) const;
+  void add_unbanded(const double* x, const double* v, double* forces) const;
 
   // Take columns of particles on by a step, with the forces that stand there already and those
   // of bands; then there are none.
-  void step(const PlaneSteps& steps, PullRoom& room) const;
+  void step(const PlaneSteps& steps, ForceBuffers& buffers) const;
 
   // Make room, in which there are no forces; rows to its columns, and back.
-  void make(PullRoom& room) const;
+  void allocate(ForceBuffers& buffers) const;
   void read(const double* rows, std::vector<double>& columns) const;
   void write(const std::vector<double>& columns, double* rows) const;
 
@@ -58,20 +58,20 @@ class SpringPulls {
   };
 
   static Band band_of(const std::vector<Spring>& springs, const std::vector<std::size_t>& chosen);
-  std::vector<Band> lay_bands(const std::vector<Spring>& springs,
+  std::vector<Band> build_bands(const std::vector<Spring>& springs,
                               std::vector<std::size_t>& banded) const;
-  void lay_pieces(std::vector<Band> bands);
-  void lay_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands);
+  void build_pieces(std::vector<Band> bands);
+  void build_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands);
   BandPieces pieces() const;
-  BandPlanes planes(PullRoom& room) const;
+  BandPlanes planes(ForceBuffers& buffers) const;
 
   std::size_t particles_ = 0;
   std::vector<BandPiece> pieces_;
-  std::size_t most_offsets_ = 0;  // of a piece
+  std::size_t max_offsets_ = 0;  // of a piece
   std::vector<std::size_t> offsets_;
   std::vector<double> numbers_;
-  Numbers loose_;
-  std::vector<std::int32_t> loose_ends_;
+  Numbers unbanded_;
+  std::vector<std::int32_t> unbanded_ends_;
 };
 
 }  // namespace animtool

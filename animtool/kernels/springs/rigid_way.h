@@ -34,9 +34,9 @@ class RigidMotion {
         axis = axis + cross(columns_[c], sums[c]);
         along += dot(columns_[c], sums[c]);
       }
-      axis = axis * (1 / (std::abs(along) + LEAST));
+      axis = axis * (1 / (std::abs(along) + EPSILON));
       const double angle = length(axis);
-      if (!(angle > TURNED) || !std::isfinite(angle)) break;
+      if (!(angle > MIN_ROTATION) || !std::isfinite(angle)) break;
       rotation(axis * (1 / angle), angle);
     }
   }
@@ -50,7 +50,7 @@ class RigidMotion {
  private:
   // Turns are made better so often, until they change by less than this [rad].
   static constexpr int MAX_ROTATIONS = 20;
-  static constexpr double TURNED = 1e-10, LEAST = 1e-300;
+  static constexpr double MIN_ROTATION = 1e-10, EPSILON = 1e-300;
 
   void rotation(Vec n, double angle) {
     const double c = std::cos(angle), s = std::sin(angle);

@@ -12,18 +12,18 @@ namespace animtool {
 
 // No particle goes more than this many times the way that two parts come apart: where all
 // but one are held, and that one hardly counts where they are near, it would be thrown off.
-constexpr double FARTHEST = 10;
+constexpr double MAX_RATIO = 10;
 // Who counts for less than a hundredth moves by less, the less it counts.
-constexpr double LEAST = 1e-3;
+constexpr double MIN_WEIGHT = 1e-3;
 // Of what they are to keep, what nearly apart lacks.
-constexpr double NEARLY = 1e-2;
+constexpr double TOLERANCE = 1e-2;
 
 // Two parts that are near, and from which side the first went through the second (1 or -1),
 // 0 where it did not.
 struct LayerHit {
   std::int32_t first, second, side;
   FourParticles who;
-  double gap, travel, least;
+  double gap, travel, distance;
 };
 
 // One step. Momentum is conserved. Where parts only return to the kept distance, the previous
@@ -32,10 +32,10 @@ class Separation {
  public:
   // Back: how far those that are too near come apart in the step without speed. At ends:
   // whether edges that went through each other are parted where they are nearest at an end.
-  Separation(double friction, double back, const std::vector<double>& inverse_masses,
+  Separation(double friction, double return_shift, const std::vector<double>& inverse_masses,
           std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
       : friction_(friction),
-        back_(back),
+        max_return_(return_shift),
         inverse_masses_(inverse_masses),
         before_(before),
         x_(x),
@@ -43,7 +43,7 @@ class Separation {
 
   // Whether they were nearer than to be nearly apart.
   template <class Shape>
-  bool part(const LayerHit& hit);
+  bool separate(const LayerHit& hit);
   // Nothing more is to come.
   void end() {
     if (shifts_) before_ = std::move(shifted_);
@@ -51,10 +51,10 @@ class Separation {
 
  private:
   // Moves four particles by their shares: pressed as a contact, back without speed.
-  void move(const LayerHit& hit, const double* fraction, collide::Vec out, double pressed,
-            double back);
+  void move(const LayerHit& hit, const double* fraction, collide::Vec out, double contact_shift,
+            double return_shift);
 
-  double friction_, back_;
+  double friction_, max_return_;
   const std::vector<double>& inverse_masses_;
   std::vector<double>&before_, &x_;
   bool at_ends_;
@@ -63,13 +63,13 @@ class Separation {
 };
 
 template <class Shape>
-bool Separation::part(const LayerHit& hit) {
+bool Separation::separate(const LayerHit& hit) {
   const Shape now(hit.who.data(), x_.data());
   const shapes::Nearest near = now.nearest();
   if (!near.inside && !(at_ends_ && hit.side)) return false;
   double gap = length(near.off);
   const double height = hit.side ? hit.side * now.height() : gap;
-  if (!(std::min(height, gap) < hit.least)) return false;
+  if (!(std::min(height, gap) < hit.distance)) return false;
   const bool through = height < 0;
   collide::Vec out = near.off * (1 / gap);
   if (through || !(gap > 0)) out = collide::direction(now.normal(), {0, 0, 1});
@@ -79,17 +79,17 @@ bool Separation::part(const LayerHit& hit) {
     return through ? hit.side * was.height() : length(was.nearest().off);
   };
   const double first = distance(before_);
-  const double goal = std::min(hit.least, first + back_);
-  const double begun = std::min(hit.least, shifts_ ? distance(shifted_) : first);
-  const double pressed = std::max(0.0, begun - gap);
-  const double back = std::max(0.0, goal - std::max(gap, begun));
-  move(hit, near.fraction, out, pressed, back);
-  return pressed + back > hit.least * NEARLY;
+  const double goal = std::min(hit.distance, first + max_return_);
+  const double begun = std::min(hit.distance, shifts_ ? distance(shifted_) : first);
+  const double contact_shift = std::max(0.0, begun - gap);
+  const double return_shift = std::max(0.0, goal - std::max(gap, begun));
+  move(hit, near.fraction, out, contact_shift, return_shift);
+  return contact_shift + return_shift > hit.distance * TOLERANCE;
 }
 
 inline void Separation::move(const LayerHit& hit, const double* fraction, collide::Vec out,
-                          double pressed, double back) {
-  if (back > 0 && !shifts_) shifted_ = before_, shifts_ = true;
+                          double contact_shift, double return_shift) {
+  if (return_shift > 0 && !shifts_) shifted_ = before_, shifts_ = true;
   std::vector<double>& was = shifts_ ? shifted_ : before_;
   double weights[4], full = 0, farthest = 0, lightest = 0;
   double *to[4], *from[4];
@@ -103,16 +103,16 @@ inline void Separation::move(const LayerHit& hit, const double* fraction, collid
     lightest = std::max(lightest, inverse_masses_[particle]);
     along = along + (collide::load(to[k]) - collide::load(from[k])) * fraction[k];
   }
-  full = std::max({full, farthest / FARTHEST, lightest * LEAST});
+  full = std::max({full, farthest / MAX_RATIO, lightest * MIN_WEIGHT});
   if (!(full > 0)) return;
   along = along - out * dot(along, out);
-  const double slid = length(along), pinned = friction_ * pressed;
-  const double stop = slid > pinned ? pinned / slid : 1;
-  const collide::Vec back_by = out * (back / full);
-  const collide::Vec by = out * (pressed / full) - along * (stop / full) + back_by;
+  const double slip = length(along), friction_limit = friction_ * contact_shift;
+  const double stop = slip > friction_limit ? friction_limit / slip : 1;
+  const collide::Vec back_by = out * (return_shift / full);
+  const collide::Vec by = out * (contact_shift / full) - along * (stop / full) + back_by;
   for (std::size_t k = 0; k < 4; ++k) {
     collide::store(collide::load(to[k]) + by * weights[k], to[k]);
-    if (back > 0) collide::store(collide::load(from[k]) + back_by * weights[k], from[k]);
+    if (return_shift > 0) collide::store(collide::load(from[k]) + back_by * weights[k], from[k]);
   }
 }
 

@@ -18,13 +18,13 @@ namespace animtool::shapes {
 using collide::Vec;
 
 // Beyond the sides of a triangle or the ends of an edge, what still counts as through it [1].
-constexpr double BRIM = 1e-6;
+constexpr double BOUNDARY_MARGIN = 1e-6;
 // The square of the sine of an angle between edges, below which they are parallel: nearest
 // at an end of one, and on no side of each other.
 constexpr double PARALLEL = 1e-8;
 // The moment of a crossing is looked for so often, up to this of the way through [1].
-constexpr int MAX_LOOKS = 8;
-constexpr double MET = 1e-3;
+constexpr int MAX_ROOT_STEPS = 8;
+constexpr double CROSSING_TOLERANCE = 1e-3;
 
 inline Vec row_of(const double* rows, std::int32_t particle) {
   return collide::load(rows + ROW * static_cast<std::size_t>(particle));
@@ -96,7 +96,7 @@ struct CornerPair {
     if (!(area > 0)) return false;
     const double b = (cc * dot(ap, ab) - bc * dot(ap, ac)) / area;
     const double c = (bb * dot(ap, ac) - bc * dot(ap, ab)) / area;
-    return b >= -BRIM && c >= -BRIM && b + c <= 1 + BRIM;
+    return b >= -BOUNDARY_MARGIN && c >= -BOUNDARY_MARGIN && b + c <= 1 + BOUNDARY_MARGIN;
   }
 };
 
@@ -148,7 +148,7 @@ struct EdgePair {
     if (!(area > PARALLEL * dd * ee)) return false;
     const double s = (de * dot(e, r) - ee * dot(d, r)) / area;
     const double t = (dd * dot(e, r) - de * dot(d, r)) / area;
-    return s >= -BRIM && s <= 1 + BRIM && t >= -BRIM && t <= 1 + BRIM;
+    return s >= -BOUNDARY_MARGIN && s <= 1 + BOUNDARY_MARGIN && t >= -BOUNDARY_MARGIN && t <= 1 + BOUNDARY_MARGIN;
   }
 };
 
@@ -159,11 +159,11 @@ std::int32_t crossed_from(const Pair& from, const Pair& to) {
   const double first = from.height(), last = to.height();
   if ((first >= 0) == (last >= 0) || !(std::abs(first - last) > 0)) return 0;
   double low = 0, high = 1, below = first, above = last;
-  for (int i = 0; i < MAX_LOOKS; ++i) {
+  for (int i = 0; i < MAX_ROOT_STEPS; ++i) {
     const double fraction = low + (high - low) * below / (below - above);
     const Pair then = from.until(to, fraction);
     const double height = then.height();
-    if (std::abs(height) <= MET * std::abs(first - last))
+    if (std::abs(height) <= CROSSING_TOLERANCE * std::abs(first - last))
       return !then.faces() ? 0 : first >= 0 ? 1 : -1;
     if ((height >= 0) == (first >= 0))
       low = fraction, below = height, above /= 2;

@@ -39,7 +39,7 @@ using SpringsStepped =
 // (C, 3), what went through, pushes
 using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
                                     std::int64_t, std::int64_t, std::int64_t,
-                                    Out<std::int64_t, 2>, SelfThrough, Out<double, 2>>;
+                                    Out<std::int64_t, 2>, SelfPiercing, Out<double, 2>>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
 // particles left inside colliders, pushes, what pulled those that are held (2, H, 6): impulses
 // and moments about the origin of all steps, then of the last; nothing unless asked for
@@ -63,7 +63,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
 SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
                                  In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                                  double cell, std::int64_t cells, int substeps, int calm,
-                                 int least, int most, double stretch,
+                                 int min_substeps, int max_substeps, double stretch,
                                  const std::optional<SpringColliders>& colliders,
                                  const SpringLayers* layers, In<std::int64_t, 2> crossed,
                                  double limit);

@@ -46,7 +46,7 @@ class SpringStrands {
   std::vector<SpringElements> segments_;
   std::vector<std::size_t> segments_of_;  // strands
 
-  void note_segments(In<double, 2> rests);
+  void group_segments(In<double, 2> rests);
 };
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,

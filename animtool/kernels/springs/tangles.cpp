@@ -136,7 +136,7 @@ void Tangles::part(double shift, std::vector<double>& before, std::vector<double
       full += inverse * shares[k] * shares[k];
       lightest = std::max(lightest, inverse);
     }
-    full = std::max(full, lightest / FARTHEST);
+    full = std::max(full, lightest / MAX_RATIO);
     if (!(full > 0)) continue;
     for (std::size_t k = 0; k < 5; ++k) {
       const auto n = static_cast<std::size_t>(who[k]);
