@@ -28,9 +28,9 @@ constexpr int MAX_ITERATIONS = 3;
 constexpr std::size_t IMPULSE_WIDTH = 7;
 // Factor of the radius for edge midpoints, which cut corners.
 constexpr double MIDPOINT_FACTOR = 0.25;
-// Of the size of a mesh, how far what is near a particle serves at first.
+// Initial slack of mesh caches, over the size of the mesh.
 constexpr double PATCH_SIZE = 1e-3;
-// Of that, where patches begin: what is near on a fine mesh is more than one holds.
+// Fraction of that to begin with: on a fine mesh, too many triangles are near.
 constexpr double FIRST_SLACK = 0.25;
 
 double thickness_of(const Collider& c, double radius) {
@@ -40,7 +40,7 @@ double thickness_of(const Collider& c, double radius) {
     case Shape::SPHERE: return c.size[3];
     case Shape::CAPSULE: return c.size[6];
     case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
-    // Up to there a particle comes to no more than its surface.
+    // With less, a particle at most reaches the surface.
     case Shape::MESH: return collide::contact_distance(c, radius);
   }
   return 0;
@@ -488,7 +488,7 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
   const Vec gone = transported(c, hit, false, from);
   if (!(length(to - from - gone) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
-  // It is seen from what of the surface is nearest: the rest of that stands as at the end.
+  // In the frame of the nearest triangle; the rest of the mesh is as at the end of the step.
   const Vec start = from + gone, speed = (to - start) * (1 / h_);
   collide::Particle last{to, speed};
   collide::ParticleContacts contacts(&c.collider, 1, h_, radius);

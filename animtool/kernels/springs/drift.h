@@ -5,7 +5,7 @@
 #include <utility>
 #include <vector>
 
-#include "springs/rigid_way.h"
+#include "springs/rigid_motion.h"
 #include "springs/rows.h"
 
 namespace animtool {

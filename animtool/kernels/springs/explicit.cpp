@@ -133,7 +133,7 @@ class Explicit {
     contacts_.resolve(j, before_, run_.x, &run_.v);
   }
 
-  // Where particles are, of all or of those that are held.
+  // Stores the positions of all particles, or of the pinned ones.
   void store_before() {
     if (contacts_.any()) {
       before_ = run_.x;
@@ -145,7 +145,7 @@ class Explicit {
     }
   }
 
-  // Particles are in columns; in rows too where something else than bands asks for them.
+  // Particles are in columns, and in rows too if other forces or contacts need them.
   void advance_cell_in_columns(double start, int substeps, double h) {
     const SpringNetwork& network = run_.network;
     const SpringForces& pulls = run_.lines().pulls;

@@ -11,10 +11,10 @@
 namespace animtool {
 
 // A piercing pair, and the side (1 or -1) that the first came from.
-struct Passage {
+struct Piercing {
   std::int32_t first, second, side;
 
-  bool operator<(const Passage& other) const {
+  bool operator<(const Piercing& other) const {
     return std::pair(first, second) < std::pair(other.first, other.second);
   }
 };
@@ -26,37 +26,36 @@ class LayerContacts {
  public:
   using Shape = typename Kind::Shape;
 
-  std::vector<Passage> crossed;
+  std::vector<Piercing> crossed;
   void sort_crossed() { std::sort(crossed.begin(), crossed.end()); }
 
-  // All pairs this near; and of these, those that are nearer now, where particles went no
-  // farther than some ways over each other since.
+  // Lists all pairs within a reach; and picks those that may be nearer now, given the displacements
+  // of particles since.
   void list(const SpringLayers& layers, const std::vector<double>& x, double reach) {
     listed_ = Kind::near(layers, x, reach);
   }
   void pick(const SpringLayers& layers, const std::vector<double>& x,
-            const std::vector<double>& went, double reach);
+            const std::vector<double>& displacements, double reach);
 
-  // Finds who is near in a step. Most: of ways over each other in it, what is looked at;
-  // more: how much farther those are that only come back.
-  // What is tangled is on no side that is known, and not found.
+  // Finds contacts in a step: `most` is the largest tested relative displacement, `more` the extra
+  // distance of pairs that only return. Tangled pairs have no known side, and are skipped.
   void find(const SpringLayers& layers, const std::vector<double>& before,
             const std::vector<double>& x, double most, double more, const Tangles* tangles);
   void forget() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
   void separate(const SpringLayers& layers, Separation& separation) const;
-  // Adds who of those that are picked, and have a particle that is marked, went through on
-  // the way from where the step began.
+  // Adds the picked pairs with a marked particle that passed through each other since the start of
+  // the step.
   void collect_passed(const SpringLayers& layers, const std::vector<double>& from,
                    const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
                    const Tangles& tangles, std::vector<LayerHit>& passed) const;
   // Drops piercing pairs that are back on their side, or moved away.
   void drop_resolved(const SpringLayers& layers, const std::vector<double>& x);
-  // Notes who is on another side than when the step began.
+  // Records pairs that changed sides since the start of the step.
   void record_crossings(const std::vector<double>& before, const std::vector<double>& x);
 
  private:
-  // How far the parts moved over each other, at most.
+  // The largest relative displacement of the elements.
   static double relative_shift(const FourParticles& who, const std::vector<double>& before,
                          const std::vector<double>& x);
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
@@ -73,10 +72,10 @@ class LayerContacts {
 
 template <class Kind>
 void LayerContacts<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
-                          const std::vector<double>& went, double reach) {
+                          const std::vector<double>& displacements, double reach) {
   const auto most = [&](const std::int32_t* first, const std::int32_t* last) {
     double far = 0;
-    for (; first != last; ++first) far = std::max(far, went[static_cast<std::size_t>(*first)]);
+    for (; first != last; ++first) far = std::max(far, displacements[static_cast<std::size_t>(*first)]);
     return far;
   };
   picked_.clear();
@@ -136,7 +135,7 @@ template <class Kind>
 std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
                                      const std::vector<double>& x) const {
   const auto known = std::lower_bound(crossed.begin(), crossed.end(),
-                                      Passage{hit.first, hit.second, 0});
+                                      Piercing{hit.first, hit.second, 0});
   if (known != crossed.end() && known->first == hit.first && known->second == hit.second)
     return known->side;
   if (hit.gap > hit.travel) return 0;
@@ -144,8 +143,8 @@ std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector
                               Shape(hit.who.data(), x.data()));
 }
 
-// Whether one of them is on the wrong side of what touches the other: the side that it is on
-// of this one says nothing.
+// Whether one of them is on the wrong side of a neighbour of the other, so that its side of the other
+// means nothing.
 template <class Kind>
 bool LayerContacts<Kind>::is_beside_crossed(const SpringLayers& layers, const LayerHit& hit) const {
   const auto is_through = [&](std::int32_t who, const auto& touches) {
@@ -179,7 +178,7 @@ void LayerContacts<Kind>::collect_passed(const SpringLayers& layers, const std::
     const std::int32_t side =
         shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));
     if (!side) continue;
-    // What is tangled is on no side that is known.
+    // Tangled pairs have no known side.
     if (tangled(&who[0], &who[Kind::FIRST]) && tangled(&who[Kind::FIRST], who.data() + 4))
       continue;
     passed.push_back({one.first, one.second, side, who, 0, 0, one.distance});
@@ -188,7 +187,7 @@ void LayerContacts<Kind>::collect_passed(const SpringLayers& layers, const std::
 
 template <class Kind>
 void LayerContacts<Kind>::drop_resolved(const SpringLayers& layers, const std::vector<double>& x) {
-  std::erase_if(crossed, [&](const Passage& one) {
+  std::erase_if(crossed, [&](const Piercing& one) {
     const Shape now(Kind::who(layers, one.first, one.second).data(), x.data());
     return !is_through(one.side, now);
   });

@@ -1,4 +1,4 @@
-// Distances that parts of a surface keep from each other.
+// Contact distances within a surface.
 #include "springs/layers.h"
 
 #include <algorithm>
@@ -15,16 +15,16 @@ namespace {
 using collide::Vec;
 using shapes::row_of;
 
-// At rest along the surface, over the distance that is kept [1].
+// Largest rest distance along the surface of close particles, over the contact distance [1].
 constexpr double NEIGHBOURS = 1.5;
-// Ways along edges are so much longer than straight ones, at most.
+// Largest ratio of a path along edges to the straight distance.
 constexpr double DETOUR = 2;
-// Of the thickness, what edges keep: layers that lie on each other are held by their
-// particles alone, and edges meet only where ridges would cut into each other.
+// Contact distance of edges, over the thickness: resting layers are supported by their particles
+// alone, and edges touch only where ridges would cut into each other.
 constexpr double EDGES = 0.75;
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// Neighbours of particles along edges and springs, with the length of the way.
+// Neighbours of particles along edges and springs, with path lengths.
 class PathLengths {
  public:
   PathLengths(const SpringNetwork& network, const std::vector<double>& rest)
@@ -45,7 +45,7 @@ class PathLengths {
     for (const Spring& spring : network.lines.springs) join(spring.i, spring.j, false);
   }
 
-  // Particles no farther from one than this, beside its longest edge; they ascend.
+  // Particles within this path length of one, plus its longest edge; ascending.
   const std::vector<std::int32_t>& around(std::int32_t from, double farthest) {
     for (const std::int32_t n : hits_) away(n) = INFINITE;
     hits_.clear();

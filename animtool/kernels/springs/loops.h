@@ -1,4 +1,4 @@
-// What of springs is done in fours, whichever way a processor holds them.
+// Loops over springs, four at a time, in versions for several processors.
 #pragma once
 
 #include "base/quads.h"
@@ -14,7 +14,7 @@ struct SpringLoops {
   void (*advance)(std::size_t, double, const double*, double*, double*);
   void (*project)(const ComplianceColumns&, const SpringRunLength*, std::size_t, double*,
                   const double*, double*);
-  // Between rows and planes, and over these.
+  // Conversion between rows and planes, and loops over planes.
   void (*to_planes)(const double* rows, std::size_t count, std::size_t height, double* planes);
   void (*to_rows)(const double* planes, std::size_t count, std::size_t height, double* rows);
   void (*pull_planes)(const BandPieces&, const BandPlanes&);

@@ -39,7 +39,7 @@ MeshPatches::PatchHit MeshPatches::query(const Mesh& mesh, std::int32_t root, st
   if (patch.count == 0)
     return {{(in_knot ? patch.min_distance : patch.distance) - displacement, {0, 1, 0}}, -1};
   const Nearest best = nearest(patch, mesh, p, displacement);
-  // Of what is so far that its square is no number.
+  // So far away that the squared distance overflows.
   if (best.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
   return {collide::sample_nearest(mesh, best, p), best.triangle};
 }
@@ -77,13 +77,13 @@ MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::i
   const Nearest near = search(patch, mesh, root, p, boxes, bound ? contact_distance : collide::FAR);
   if (near.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
   const collide::Sample hit = collide::sample_nearest(mesh, near, p);
-  // What is far on the inside has to be known as well as what is near.
+  // Inside, far triangles matter as well.
   if (bound && hit.distance < 0) search(patch, mesh, root, p, boxes, collide::FAR);
   patch.distance = std::sqrt(near.squared);
   patch.last = last_ = near.triangle;
   const double excess = hit.distance - contact_distance, min_distance = min_distance_ - contact_distance, reach = 2 * patch.next_slack;
   if (bound && excess > reach) {
-    // It is far: that is enough to know, in the knot or as long as all goes alike.
+    // Far away: a bound suffices, in the interval or while particle and mesh move alike.
     patch.slack = excess / 2;
     patch.min_distance = min_distance_;
     if (boxes && min_distance > 0) patch.knot_slack = min_distance / 2;
@@ -105,13 +105,13 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
   Nearest best;
   double farthest = collide::FAR;
   const auto update_reach = [&] {
-    // Of what is far the nearest is enough, and what could be near beside it.
+    // Far away, the nearest triangle and close alternatives suffice.
     const double distance = std::sqrt(best.squared), more = 2 * patch.next_slack;
     const double reach =
         distance > contact_distance + more ? std::max(distance, contact_distance + 2 * more) : distance + more;
     farthest = reach * reach;
   };
-  // Particles that follow each other are near each other.
+  // Consecutive particles are close to each other.
   if (patch.last < 0) patch.last = last_;
   if (patch.last < 0) patch.last = collide::nearest_on_mesh(mesh, root, p, collide::FAR).triangle;
   if (patch.last < 0) return best;
@@ -125,7 +125,7 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
   }
   const double shift[3] = {patch.shift.x, patch.shift.y, patch.shift.z};
   patch.back = boxes ? boxes->back : 0;
-  // Over what is left of the knot, beside the way of what was nearest.
+  // Over the rest of the interval, relative to the nearest triangle.
   const auto squared = [&](std::int32_t node) {
     if (!boxes) return collide::squared_to_box(p, mesh.bounds + 6 * node);
     const double *at = boxes->begins + 6 * node, *go = boxes->shifts + 6 * node;
@@ -181,7 +181,7 @@ bool MeshPatches::store_candidates(Patch& patch, double reach, bool in_knot) {
   return true;
 }
 
-// Cells that a knot lasts, at most.
+// Largest number of cells per knot interval.
 constexpr std::int64_t MAX_LASTING = std::int64_t{1} << 40;
 
 MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)

@@ -26,7 +26,7 @@ Track track_of(const char* name, const In<double, 3>& path, std::size_t points,
   return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
 }
 
-// One number a spring, 0 or more.
+// Checks a column of springs: not negative.
 void check_column(const char* name, const In<double, 1>& column, std::size_t springs,
                   bool finite = true) {
   check::shape(name, column, {springs});
@@ -109,7 +109,7 @@ void SpringNetwork::collect_edges() {
       const auto [i, j] = std::minmax(triangles[t + k], triangles[t + (k + 1) % 3]);
       hit.push_back({i, j});
     }
-  // Without triangles these are ropes and strands: springs from a particle to the next.
+  // Without triangles these are ropes and strands: springs between consecutive particles.
   for (std::size_t s = 0; triangles.empty() && s < lines.springs.size(); ++s) {
     const auto [i, j] = std::minmax(lines.springs[s].i, lines.springs[s].j);
     if (j == i + 1) hit.push_back({i, j});
@@ -182,7 +182,7 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
     const double along = air_drag * std::abs(through) - air_lift * through * through / speed;
     const double across = air_lift * through * speed / area;
     for (std::size_t k = 0; k < 3; ++k) {
-      // Half of it is the area, and each corner bears a third.
+      // n is twice the area; each corner gets a third of the force.
       const double force = (along * flow[k] + across * n[k]) * (area / 6);
       for (const std::size_t corner : corners) forces[corner + k] += force;
     }
@@ -313,8 +313,7 @@ void SpringRun::accelerate(const double* at, const double* velocities, double* o
 
 namespace {
 
-// Springs of a block of components, at least, and of a block, at most: what is near in time
-// is to be near in memory.
+// Smallest and largest number of springs of a block: springs solved together are close in memory.
 constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
 
 }  // namespace
@@ -338,7 +337,7 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
     };
     return key(a) < key(b);
   });
-  // A spring waits for those before it that it shares a particle with.
+  // A spring is solved after the earlier ones that share a particle with it.
   std::vector<std::int64_t> levels(particles, 0);
   std::int64_t full = 0, filled = 0, last = -1;
   for (const std::int64_t s : order) {

@@ -15,7 +15,7 @@ using collide::Vec;
 using collide::load;
 using shapes::row_of;
 
-// A box about points and what is near them.
+// A bounding box of points, enlarged by a reach.
 struct Box {
   double low[3], high[3];
 
@@ -34,7 +34,7 @@ struct Box {
   double widest() const {
     return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]});
   }
-  // Whether a box about two points has something of it.
+  // Whether it overlaps the bounding box of two points.
   bool overlaps(Vec a, Vec b) const {
     return std::max(a.x, b.x) >= low[0] && std::min(a.x, b.x) <= high[0] &&
            std::max(a.y, b.y) >= low[1] && std::min(a.y, b.y) <= high[1] &&
@@ -46,13 +46,13 @@ struct Box {
   }
 };
 
-// Points in cells half as wide as boxes are in the mean.
+// Builds a grid of points with cells half as wide as the mean box.
 void fill(PointGrid& grid, const std::vector<double>& rows, double widths, std::size_t boxes) {
   const double mean = widths / static_cast<double>(std::max<std::size_t>(boxes, 1));
   grid.build(rows.data(), rows.size() / ROW, mean / 2);
 }
 
-// Sorts pairs whose first is below a count.
+// Sorts pairs; first indices are below a count.
 void sort(std::vector<LayerPair>& pairs, std::size_t count) {
   std::vector<std::size_t> starts(count + 1, 0);
   for (const LayerPair& one : pairs) ++starts[static_cast<std::size_t>(one.first) + 1];
@@ -100,7 +100,7 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
                                            const std::vector<double>& x, double reach) {
   const double max_gap = layers.max_edge_distance() + reach;
   std::vector<double> middles(ROW * layers.edges()), lengths(layers.edges());
-  // Of two edges the longer looks for the shorter: its middle is no farther than this.
+  // The longer of two edges finds the shorter, whose midpoint is within this distance.
   const auto box = [&](const shapes::Segment& edge, double along) {
     return Box({edge.a, edge.b}, max_gap + along / 2);
   };
@@ -120,7 +120,7 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
     const Box bounds = box(edge, lengths[e]), close = box(edge, 0);
     const Vec middle = load(&middles[ROW * e]);
     grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* location) {
-      // Behind its middle there is its length.
+      // The length follows the midpoint.
       const double other = location[3], most = max_gap + (lengths[e] + other) / 2;
       const Vec off = load(location) - middle;
       if (dot(off, off) > most * most) return;

@@ -24,16 +24,16 @@ constexpr double RELAXED_FRACTION = 0.125;
 constexpr double COMPLIANT = 2;
 // Springs with a compliance below this fraction of the correction count as stiff [1].
 constexpr double RIGID = 0.1;
-// Rounds of strain limiting in a step.
+// Passes of strain limiting in a step.
 constexpr int LIMIT_PASSES = 4;
-// Strain that contacts may add over the limit, and rounds of reducing it.
+// Strain that contacts may add, over the limit, and passes of reducing it.
 constexpr double LAST_LIMIT = 1.4;
 constexpr int LAST_PASSES = 2;
-// Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
-// where these help.
+// Strain over the limit above which a cell is repeated in shorter steps, and ratio of strains
+// below which these help.
 constexpr double BEYOND_LIMIT = 2, MIN_IMPROVEMENT = 0.7;
 
-// What of a spring a step of length h moves: by its length beyond rest, by the change of it.
+// Correction factors of a spring in a step of h: of its elongation, and of the change of it.
 struct Compliance {
   double length, change;
 };
@@ -55,8 +55,8 @@ class Projection {
         limit_(limit),
         before_(run.size) {}
 
-  // One cell in a number of steps; returns the largest stretch of a spring that is not for
-  // the most part what its own stiffness gives under what it bears.
+  // Advances a cell in a number of steps; returns the largest strain of a spring that is not mostly
+  // due to its own compliance under load.
   double advance_cell(std::int64_t index, double start, int substeps) {
     prepare(substeps);
     const double h = cell_ / substeps;
@@ -109,7 +109,7 @@ class Projection {
     collect_limited();
   }
 
-  // Springs that hardly give, with what their ends move by.
+  // Collects stiff springs, with the weights of their ends.
   void collect_limited() {
     limited_.clear();
     if (!(limit_ > 0)) return;
@@ -155,8 +155,8 @@ class Projection {
                            before_.data(), excess);
   }
 
-  // Contacts with colliders and, where strain is limited, what holds the surface together
-  // after these: what they strained too much gives way once more.
+  // Resolves contacts with colliders and, if strain is limited, piercing and the strain that
+  // contacts caused.
   void resolve(int step, double h) {
     contacts_.resolve(step, before_, run_.x, nullptr);
     if (!(limit_ > 0)) return;
@@ -185,8 +185,8 @@ class Projection {
     }
   }
 
-  // Brings back to their limits what many springs in a row left beyond these; both ends move,
-  // so that momentum stays. Whether there was any; those are marked.
+  // Clamps the strain of stiff springs; both ends move, so that momentum is conserved. Returns
+  // whether any moved; those are marked.
   bool limit_strains(double limit, std::vector<std::uint8_t>* marks = nullptr) {
     bool moved = false;
     for (int pass = 0; pass < LIMIT_PASSES; ++pass) {
@@ -212,8 +212,7 @@ class Projection {
     return moved;
   }
 
-  // Takes from ends how fast they come apart or together: what brought an edge back to its
-  // length throws nothing.
+  // Removes the relative speed of ends along stiff edges, so that strain limiting adds no speed.
   void damp_edge_speeds() {
     for (const LimitedEdge& one : limited_) {
       const double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
@@ -258,10 +257,10 @@ class Projection {
     double rest, first, last;
   };
   std::vector<LimitedEdge> limited_;
-  std::vector<double> start_;        // where a step began
-  std::vector<std::uint8_t> moved_;  // particles, since they were last looked at
+  std::vector<double> start_;        // positions at the start of a step
+  std::vector<std::uint8_t> moved_;  // particles moved since the last test
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
-  std::vector<double> excess_;  // by how much springs are longer right after their own turn
+  std::vector<double> excess_;  // elongation of springs right after their correction
   std::vector<Compliance> anchor_compliances_;
 };
 
@@ -306,7 +305,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
       const double last = strain;
       strain = projection.advance_cell(i, grid.start(i), substeps);
       total_steps += substeps;
-      // What contacts and held particles ask for, shorter steps do not mend.
+      // Shorter steps do not reduce the strain that contacts and pinned particles impose.
       if (limit > 0) improves = has_new_crossings() || strain <= MIN_IMPROVEMENT * last;
     }
     if (limit > 0 && strain <= bound && !has_new_crossings() && substeps > min_substeps)

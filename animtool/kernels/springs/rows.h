@@ -8,25 +8,25 @@
 
 namespace animtool {
 
-// Numbers to a particle.
+// Numbers of a particle.
 constexpr std::size_t ROW = 4;
 
-// What of springs the loops read, a column each; ends two by two.
+// Springs as columns; both ends are adjacent.
 struct SpringColumns {
   const std::int32_t* ends;
   const double *rest, *stiffness, *damping;
 };
 
-// What of springs a step of extended position based dynamics reads.
+// Springs in a step of extended position based dynamics.
 struct ComplianceColumns {
   const std::int32_t* ends;
   const double *rest, *length, *change;
-  // Weights of both ends, two by two.
+  // Weights of both ends, adjacent.
   const double* weights;
 };
 
-// Forces of springs over their lengths, from the squares of these and from how their ends
-// move apart times these. Ends at one place have no direction, and no force.
+// Forces of springs over their lengths, from squared lengths, and from relative velocities of the
+// ends dotted with the offsets. Coincident ends have no direction, and no force.
 template <class N>
 N force_over_length(const N& rest, const N& stiffness, const N& damping, const N& square,
           const N& closing) {
@@ -34,7 +34,7 @@ N force_over_length(const N& rest, const N& stiffness, const N& damping, const N
   return stiffness * (1.0 - length) + damping * (closing * over);
 }
 
-// One particle or spring by itself, for what is written for several.
+// A single particle or spring, for code that works on several.
 template <class On>
 using One = Wide<double, 1, On>;
 
@@ -49,7 +49,7 @@ void add_to_row(const Vector3<One<On>>& shift, double* row) {
   (One<On>::of(row + 2) + shift.z).store(row + 2);
 }
 
-// Add the forces of springs to rows of particles.
+// Adds the forces of springs to rows of particles.
 template <class On>
 void add_forces(const SpringColumns& springs, std::size_t count, const double* x,
                const double* v, double* forces) {
@@ -88,13 +88,12 @@ void add_forces(const SpringColumns& springs, std::size_t count, const double* x
   }
 }
 
-// Of particles, by number.
+// Particles as columns.
 struct ParticleColumns {
   const double *inverse_masses, *drags;
 };
 
-// Turn rows of forces into accelerations: those of held particles are 0. What falls freely is
-// a row.
+// Converts rows of forces to accelerations, 0 for pinned particles. `fall` is the gravity, as a row.
 template <class On>
 void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* fall,
                      const double* v, double* rows) {
@@ -107,7 +106,7 @@ void accelerate_rows(const ParticleColumns& particles, std::size_t count, const 
   }
 }
 
-// Go on for a time: velocities first, and places with the new ones.
+// Takes a step: velocities first, then positions with the new velocities.
 template <class On>
 void advance_rows(std::size_t count, double h, const double* rates, double* x, double* v) {
   using N = Four<On>;
@@ -118,8 +117,8 @@ void advance_rows(std::size_t count, double h, const double* rates, double* x, d
   }
 }
 
-// Move the ends of four springs that share none together, and keep by how much these are longer
-// than at rest right after.
+// Corrects four springs without a shared end, and stores how much longer than at rest they are
+// right after.
 template <class On>
 void project_four(const ComplianceColumns& springs, std::size_t s, double* x, const double* before,
                   double* excess) {
@@ -134,7 +133,7 @@ void project_four(const ComplianceColumns& springs, std::size_t s, double* x, co
   }
   const N square = dots(d, d), over = inverse(square), size = sqrt(square);
   const N beyond = if_distinct(square, 1.0 - N::of(springs.rest + s) * (size * over));
-  // The pull over the length, with which the ends come together.
+  // The correction over the length, which moves the ends together.
   double pulls[WIDE];
   (N::of(springs.length + s) * beyond + N::of(springs.change + s) * (dots(d, e) * over))
       .store(pulls);
@@ -172,7 +171,7 @@ void project_one(const ComplianceColumns& springs, std::size_t s, double* x, con
   add_to_row<On>(-(d * (pull * weights[1])), x + j);
 }
 
-// Runs of springs, of which each four share no end or are done one by one.
+// A run of springs: groups of four without a shared end, then single ones.
 struct SpringRunLength {
   std::size_t begin, fours, ones;
 };

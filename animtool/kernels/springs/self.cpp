@@ -15,15 +15,15 @@ namespace {
 using collide::Vec;
 using collide::load;
 
-// Of a way in a step, over that of all, what is looked at for crossings [thickness].
+// Largest relative displacement in a step that is tested for crossings [thickness].
 constexpr double MAX_TRAVEL = 4;
-// How much farther pairs are listed than they come in a step [thickness].
+// Extra reach of the list of pairs [thickness].
 constexpr double LIST_MARGIN = 4;
-// Steps that those which are near are picked from them for, and bounds of that [thickness].
+// Steps for which near pairs are picked from the list, and bounds of their reach [thickness].
 constexpr double PICK_STEPS = 6, MIN_PICK = 0.03, MAX_PICK = 0.5;
-// How fast what is tangled comes free [m/s].
+// Speed of untangling [m/s].
 constexpr double UNTANGLING_SPEED = 1;
-// Width of cells that hold what may come near [longest edge, thickness].
+// Width of the cells of nearby elements [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
 
 RigidMotion common_motion(const std::vector<double>& from, const std::vector<double>& to) {
@@ -80,7 +80,7 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
 }
 
 void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
-  // What began whole is kept so.
+  // A surface without piercing stays so.
   if (tangles_ && cell != cell_ && (cell_ < 0 || tangles_->any() || crossings() > 0))
     tangles_->find(x);
   if (cell == cell_) {
@@ -144,7 +144,7 @@ void SelfContacts::separate(double h, std::vector<double>& before, std::vector<d
   if (!layers_ || x.empty()) return;
   corners_.forget();
   edges_.forget();
-  // Of what has blown up nothing is known any more.
+  // After divergence, no side is known.
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return;
   if (pair_list_.reach < 0)
     rebuild_cells(h, before, x);
@@ -211,15 +211,15 @@ Out<std::int64_t, 2> SelfContacts::ended() const {
   const auto add = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
     for (const std::int64_t number : {first, second, side}) *to++ = number;
   };
-  for (const Passage& one : corners_.crossed) add(one.second, one.first, one.side);
-  for (const Passage& one : edges_.crossed)
+  for (const Piercing& one : corners_.crossed) add(one.second, one.first, one.side);
+  for (const Piercing& one : edges_.crossed)
     add(std::int64_t(layers_->particles()) + one.first, one.second, one.side);
   return result;
 }
 
 void SelfContacts::record_piercing() {
   std::vector<std::int32_t> who;
-  for (const Passage& one : corners_.crossed) who.push_back(one.second);
+  for (const Piercing& one : corners_.crossed) who.push_back(one.second);
   std::sort(who.begin(), who.end());
   passed_ = std::max<std::int64_t>(passed_, std::unique(who.begin(), who.end()) - who.begin());
   cut_ = std::max(cut_, static_cast<std::int64_t>(edges_.crossed.size()));
@@ -243,7 +243,7 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
   for (std::size_t n = 0; n < count; ++n)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t row = ROW * n + k, at = 3 * n + k;
-      // What friction and pressing took from the way, they take from the speed.
+      // The velocity changes by the correction of the displacement.
       const double taken = (x[row] - locations[at]) - (from[row] - before.data()[at]);
       result.get()[at] = x[row];
       result.get()[3 * count + at] = speeds[at] + taken / h;

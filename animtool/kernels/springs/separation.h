@@ -10,28 +10,28 @@
 
 namespace animtool {
 
-// No particle goes more than this many times the way that two parts come apart: where all
-// but one are held, and that one hardly counts where they are near, it would be thrown off.
+// No particle moves by more than this many times the separation: a single free particle with a small
+// weight would be thrown away.
 constexpr double MAX_RATIO = 10;
-// Who counts for less than a hundredth moves by less, the less it counts.
+// Smallest effective weight, over the largest inverse mass: with less, particles move less.
 constexpr double MIN_WEIGHT = 1e-3;
-// Of what they are to keep, what nearly apart lacks.
+// Missing fraction of the contact distance below which two elements count as separated.
 constexpr double TOLERANCE = 1e-2;
 
-// Two parts that are near, and from which side the first went through the second (1 or -1),
-// 0 where it did not.
+// Two nearby elements, and the side from which the first pierced the second (1 or -1), 0 if it did
+// not.
 struct LayerHit {
   std::int32_t first, second, side;
   FourParticles who;
   double gap, travel, distance;
 };
 
-// One step. Momentum is conserved. Where parts only return to the kept distance, the previous
-// positions move too, so that no velocity is added.
+// Separation in one step. Momentum is conserved. If elements only return to the contact distance, the
+// previous positions move too, so that no velocity is added.
 class Separation {
  public:
-  // Back: how far those that are too near come apart in the step without speed. At ends:
-  // whether edges that went through each other are parted where they are nearest at an end.
+  // `return_shift` is the largest separation in the step without added speed. With `at_ends`,
+  // piercing edges are separated even if they are closest at an end.
   Separation(double friction, double return_shift, const std::vector<double>& inverse_masses,
           std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
       : friction_(friction),
@@ -41,16 +41,17 @@ class Separation {
         x_(x),
         at_ends_(at_ends) {}
 
-  // Whether they were nearer than to be nearly apart.
+  // Separates two elements; returns whether they were too close.
   template <class Shape>
   bool separate(const LayerHit& hit);
-  // Nothing more is to come.
+  // Ends the step.
   void end() {
     if (shifts_) before_ = std::move(shifted_);
   }
 
  private:
-  // Moves four particles by their shares: pressed as a contact, back without speed.
+  // Moves four particles by their weights: `contact_shift` with friction, `return_shift` without
+  // adding speed.
   void move(const LayerHit& hit, const double* fraction, collide::Vec out, double contact_shift,
             double return_shift);
 
@@ -58,7 +59,7 @@ class Separation {
   const std::vector<double>& inverse_masses_;
   std::vector<double>&before_, &x_;
   bool at_ends_;
-  std::vector<double> shifted_;  // before, with what gives no speed, once there is such
+  std::vector<double> shifted_;  // previous positions, shifted so that no speed is added
   bool shifts_ = false;
 };
 

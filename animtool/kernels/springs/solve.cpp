@@ -2,8 +2,8 @@
 // are solved by conjugate gradients without a matrix; those of chains directly.
 //
 // D. Baraff, A. Witkin, Large Steps in Cloth Simulation, 1998; K.-J. Choi, H.-S. Ko,
-// Stable but Responsive Cloth, 2002 (what a pressed spring takes from the stiffness across
-// it is left out, so that the matrix stays positive).
+// Stable but Responsive Cloth, 2002 (the negative transverse stiffness of compressed springs is
+// left out, so that the matrix stays positive definite).
 #include <algorithm>
 #include <tuple>
 #include <utility>
@@ -18,10 +18,10 @@ namespace {
 
 constexpr int MAX_CORRECTIONS = 40, MAX_HALVINGS = 8, MAX_SPLITS = 6;
 constexpr int MAX_PRODUCTS = 400;
-// What conjugate gradients leave of a residual: the next correction takes that.
+// Relative residual at which conjugate gradients end: the next correction removes it.
 constexpr double CG_TOLERANCE = 1e-3;
 
-// The stiffness of a spring in a step: `across` in every direction, `along` beside it.
+// The stiffness of a spring in a step: `across` in all directions, plus `along` in its own.
 struct Link {
   std::int32_t i, j;
   double across, along, u[3];
@@ -42,7 +42,7 @@ class Implicit {
         trial_x_(run.size),
         trial_v_(run.size) {}
 
-  // The v with m (bv - v) + s F(bx + s v, v) = 0, from a guess in run.v; whether found.
+  // Solves m (bv - v) + s F(bx + s v, v) = 0 for v, from a guess in run.v; returns success.
   bool solve(const std::vector<double>& bx, const std::vector<double>& bv, double s, double t) {
     set_pinned(bx, s, t, run_.v);
     move(bx, s, run_.v, run_.x);
@@ -70,7 +70,7 @@ class Implicit {
   std::int64_t corrections = 0;
 
  private:
-  // Held particles go where their track is.
+  // Pinned particles follow their track.
   void set_pinned(const std::vector<double>& bx, double s, double t, std::vector<double>& v) {
     run_.network.set_pinned(t, s, bx.data(), trial_x_.data(), v.data());
   }
@@ -80,7 +80,7 @@ class Implicit {
     for (std::size_t k = 0; k < run_.size; ++k) x[k] = bx[k] + s * v[k];
   }
 
-  // Fill in the residual, and return its square over the masses.
+  // Computes the residual, and returns its square over the masses.
   double measure(const std::vector<double>& bv, double s, const std::vector<double>& x,
                  const std::vector<double>& v) {
     run_.accelerate(x.data(), v.data(), residual_.data());
@@ -138,7 +138,7 @@ class Implicit {
     for (const Link& link : links_) {
       const auto [low, high] = std::minmax(link.i, link.j);
       const std::size_t i = static_cast<std::size_t>(low), j = static_cast<std::size_t>(high);
-      // What is held does not move: nothing else hangs on it.
+      // Pinned particles do not move, so they couple nothing.
       if (network.inverse_masses[i] == 0 || network.inverse_masses[j] == 0) continue;
       for (std::size_t row = 0; row < 3; ++row)
         for (std::size_t c = 0; c < 3; ++c)
@@ -195,7 +195,7 @@ class Implicit {
     links_.push_back(link);
   }
 
-  // Of a symmetric positive 3 by 3 matrix, in place.
+  // Inverts a symmetric positive 3 by 3 matrix in place.
   static void invert(double* m) {
     const double a = m[0], b = m[1], c = m[2], d = m[4], e = m[5], f = m[8];
     const double A = d * f - e * e, B = c * e - b * f, C = b * e - c * d;
@@ -245,7 +245,7 @@ class Implicit {
     return sum;
   }
 
-  // Fill in the step that takes the residual away, and return its largest component.
+  // Computes the step that removes the residual, and returns its largest component.
   double correct() {
     std::fill(step_.begin(), step_.end(), 0.0);
     r_ = residual_;
@@ -274,19 +274,18 @@ class Implicit {
   SpringRun& run_;
   double tolerance_;
   std::vector<Link> links_;
-  std::size_t reach_ = 0;  // numbers that the ends of springs lie apart, at most
+  std::size_t reach_ = 0;  // largest index distance of spring ends
   ChainFactor chain_;
   std::vector<double> residual_, step_, r_, z_, p_, q_, blocks_, diagonal_, trial_x_, trial_v_;
 };
 
-// A state, and the one a step before it.
+// Positions and velocities.
 struct Pair {
   std::vector<double> x, v;
 };
 
-// Impulses that the network gives what holds its held particles, each with its moment about
-// the origin: of the last step, and of all. They are summed as steps sum accelerations, so
-// that what particles gain is what holders lose.
+// Impulses on the carriers of pinned particles, with their moments about the origin: of the last
+// step, and of all. They are summed as steps sum accelerations, so that momentum is conserved.
 class PinImpulses {
  public:
   PinImpulses(const SpringRun& run, const std::optional<In<double, 2>>& last)
@@ -301,7 +300,7 @@ class PinImpulses {
     forces_.resize(run.size);
   }
 
-  // After a step [s] that went on from a share of what the last one gave.
+  // Adds a step of h [s], which continues from a fraction of the last impulse.
   void add(double h, double fraction) {
     if (!enabled) return;
     const double *x = run_.x.data(), *v = run_.v.data();
@@ -328,12 +327,12 @@ class PinImpulses {
     }
   }
 
-  // All, and the last.
+  // The sum, and the last.
   using Sums = std::pair<std::vector<double>, std::vector<double>>;
   Sums sums() const { return {sum_, last_}; }
   void restore(const Sums& begun) { std::tie(sum_, last_) = begun; }
 
-  // (2, H, 6): all, then the last.
+  // (2, H, 6): the sum, then the last.
   Out<double, 3> arrays() const {
     Out<double, 3> result(2, sum_.size() / WIDTH, WIDTH);
     std::copy(sum_.begin(), sum_.end(), result.get());
@@ -366,7 +365,7 @@ class PinImpulses {
 
   const SpringRun& run_;
   const std::vector<std::int32_t>& pinned_;
-  std::vector<std::int32_t> pin_of_;  // of each particle its number among the held, or -1
+  std::vector<std::int32_t> pin_of_;  // index of each particle among the pinned ones, or -1
   std::vector<double> last_, sum_, forces_;
 };
 
@@ -380,7 +379,7 @@ class CellSolver {
         two_steps_(two_steps),
         pulls_(pulls) {}
 
-  // One cell in a number of steps; whether all were solved.
+  // Solves a cell in a number of steps; returns success.
   bool solve_cell(std::int64_t index, double start, double cell, int substeps) {
     const double h = cell / substeps;
     contacts_.begin_cell(index, substeps, h);
@@ -403,7 +402,7 @@ class CellSolver {
       pulls_.add(s, two_steps_ && known ? 1.0 / 3.0 : 0.0);
       run_.network.set_pinned(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
-      // What two steps go on from is smooth.
+      // The two-step method needs a smooth history.
       const bool met = contacts_.resolve(j, now.x, run_.x, &run_.v);
       known = two_steps_ && !met;
       ++steps;

@@ -1,5 +1,5 @@
-// Strands over a frame, four at a time from its begin to its end, so that all that they need
-// stays near.
+// Strands over a frame, four at a time from its start to its end, so that their data stays in the
+// cache.
 #include "springs/strands.h"
 
 #include <algorithm>
@@ -21,12 +21,12 @@ using collide::store;
 
 std::size_t bundles_of(std::size_t strands) { return (strands + WIDE - 1) / WIDE; }
 
-// Those beyond the last are as the last.
+// Padding strands repeat the last one.
 std::size_t strand_of(std::size_t bundle, std::size_t lane, std::size_t strands) {
   return std::min(bundle * WIDE + lane, strands - 1);
 }
 
-// Rows of strands (S, count) side by side by bundles, room for `width` in each.
+// Rows of strands (S, count), interleaved by bundle and padded to `width`.
 std::vector<double> interleaved(In<double, 2> rows, std::size_t strands, std::size_t width) {
   std::vector<double> built(bundles_of(strands) * WIDE * width);
   for (std::size_t b = 0; b < bundles_of(strands); ++b)
@@ -37,10 +37,10 @@ std::vector<double> interleaved(In<double, 2> rows, std::size_t strands, std::si
   return built;
 }
 
-// Colliders of all steps of a frame, and what loops over bundles read of them.
+// Colliders of all steps of a frame, in the layout of bundle loops.
 class FrameColliders {
  public:
-  // All particles drift about as the first one does, whose path is known.
+  // The common drift is that of the first particle, whose path is known.
   FrameColliders(const MovingColliders& colliders,
                  const std::optional<SpringColliders>& arrays, std::size_t cells,
                  int substeps, double h, const double* targets, std::size_t particles)
@@ -152,7 +152,7 @@ class FrameColliders {
   std::vector<unsigned char> is_rod_, is_bounded_;
 };
 
-// Room for one bundle after the other, and the frame's arrays that they are of.
+// Buffers for one bundle at a time, and the frame's arrays.
 class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
@@ -273,7 +273,7 @@ class Bundles {
     return segments_[strands_.segments_of(strand_of(first_ / WIDE, lane, strands_.strands()))];
   }
 
-  // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
+  // Converts rows of particles (N, 3) to interleaved rows of a bundle, and back.
   void load_strands(std::size_t index, const double* rows, double* out) const {
     for (std::size_t l = 0; l < WIDE; ++l) {
       const std::size_t strand = strand_of(index, l, strands_.strands());
@@ -303,10 +303,10 @@ class Bundles {
   std::vector<double> row_before_, row_;  // of one strand, in rows
 };
 
-// Bundles that are worth a thread of their own.
+// Smallest number of bundles per thread.
 constexpr std::size_t MIN_BUNDLES = 16;
 
-// All bundles, each by one of some threads: which, makes no difference to any.
+// Advances all bundles in several threads; results do not depend on their number.
 void advance_all(std::vector<Bundles>& workers, std::size_t bundles) {
   const auto work = [&](std::size_t w) {
     const std::size_t end = (w + 1) * bundles / workers.size();
@@ -325,7 +325,7 @@ void advance_all(std::vector<Bundles>& workers, std::size_t bundles) {
   for (std::thread& one : others) one.join();
 }
 
-// How far springs of a stiffness over the mass give way in a step, of what they are longer.
+// Fraction of an elongation that a spring corrects in a step; stiffness and damping are per mass.
 double compliance_of(double stiffness, double damping, double weight, double h) {
   return stiffness * h * h / ((stiffness * h * h + damping * h) * weight + 1);
 }

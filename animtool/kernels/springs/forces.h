@@ -15,32 +15,33 @@ struct Spring {
   double rest, stiffness, damping, limit;  // limit: the length at which it tears
 };
 
-// Columns of particles, and room for the forces between them.
+// Particles as columns, and the forces of springs between them.
 struct ForceBuffers {
   std::vector<double> x, v, f, stored;
 };
 
-// What forces need to know of springs: in bands where many lie alike, the others in fours.
+// Springs for force computation: bands of equal index offset where there are many, the others four
+// at a time.
 class SpringForces {
  public:
   SpringForces() = default;
   SpringForces(const std::vector<Spring>& springs, std::size_t particles);
 
-  // Whether some lie in bands, and whether some do not.
+  // Whether there are bands, and springs outside them.
   bool has_bands() const { return !pieces_.empty(); }
   bool has_unbanded() const { return !unbanded_.rest.empty(); }
 
-  // Set rows of particles to the forces [N] on them.
+  // Writes the forces on particles [N], in rows.
   void set(const double* x, const double* v, ForceBuffers& buffers, double* forces) const;
 
-  // Add those of springs that are in no band.
+  // Adds the forces of springs outside bands.
   void add_unbanded(const double* x, const double* v, double* forces) const;
 
-  // Take columns of particles on by a step, with the forces that stand there already and those
-  // of bands; then there are none.
+  // Advances particles in columns by a step, under the forces of the buffers and of bands; clears
+  // the forces.
   void step(const PlaneSteps& steps, ForceBuffers& buffers) const;
 
-  // Make room, in which there are no forces; rows to its columns, and back.
+  // Allocates buffers without forces; converts rows to columns, and back.
   void allocate(ForceBuffers& buffers) const;
   void read(const double* rows, std::vector<double>& columns) const;
   void write(const std::vector<double>& columns, double* rows) const;
@@ -51,7 +52,7 @@ class SpringForces {
 
     void add(double length, double stiff, double damps);
   };
-  // From some particles to those an offset on, whole fours of them.
+  // Springs from particles first to last, in multiples of four, to those an offset later.
   struct Band {
     std::size_t offset, first, last;
     Numbers numbers;

@@ -1,4 +1,4 @@
-#include "springs/pulls.h"
+#include "springs/forces.h"
 
 #include <algorithm>
 #include <array>
@@ -11,7 +11,7 @@ namespace animtool {
 
 namespace {
 
-// A band has as many springs, at least half of its places, and no gap of more places.
+// A band has at least this many springs, one for at least half of its particles, and no larger gap.
 constexpr std::size_t MIN_SPRINGS = 4 * WIDE, MAX_GAP = 4 * WIDE;
 
 std::size_t low(const Spring& spring) {
@@ -22,7 +22,7 @@ std::size_t offset(const Spring& spring) {
   return static_cast<std::size_t>(std::max(spring.i, spring.j)) - low(spring);
 }
 
-// Numbers of springs, by their offsets and then by where they begin.
+// Indices of springs, sorted by offset and then by first particle.
 std::vector<std::size_t> order_by_offset(const std::vector<Spring>& springs) {
   std::vector<std::size_t> order(springs.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -52,7 +52,7 @@ SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t parti
     : particles_(particles) {
   std::vector<std::size_t> banded;
   std::vector<Band> bands = build_bands(springs, banded);
-  // What bands cost besides is by particle.
+  // Bands have a cost for each particle, too.
   if (2 * banded.size() < particles) banded.clear();
   if (!banded.empty()) build_pieces(std::move(bands));
   std::vector<bool> is_banded(springs.size());
@@ -76,7 +76,7 @@ std::vector<SpringForces::Band> SpringForces::build_bands(const std::vector<Spri
     for (++k; k < order.size(); ++k) {
       const Spring &last = springs[chosen.back()], &next = springs[order[k]];
       if (offset(next) != offset(first) || low(next) > low(last) + MAX_GAP) break;
-      // Of several springs between two particles one is in a band.
+      // Of several springs between two particles, only one is in a band.
       if (low(next) != low(last)) chosen.push_back(order[k]);
     }
     const std::size_t locations = low(springs[chosen.back()]) - low(first) + 1;
