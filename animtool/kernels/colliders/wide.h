@@ -20,7 +20,7 @@ struct Rod {
   double travel[3], rotation[3], origin[3];
   double friction;
   // How far a particle that starts too deep is moved out.
-  double rise;
+  double max_rise;
 };
 
 // For one particle, components are single numbers.
@@ -58,11 +58,11 @@ WideSample<N> sample_rod(const Rod::Axis& axis, double radius, const Vector3<N>&
 // they started too deep, with friction along the surface. Slow motion outwards adds no speed: the
 // position that counts as at rest moves too. Returns which particles were moved.
 template <class N>
-unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& begun, const N& depth,
+unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& start_distance, const N& depth,
                   const Vector3<N>& from, Vector3<N>& to, Vector3<N>& unmoved) {
   using V = Vector3<N>;
-  const N slow = min(begun + rod.rise, depth);
-  const auto deep = less(begun, depth - INSIDE);
+  const N slow = min(start_distance + rod.max_rise, depth);
+  const auto deep = less(start_distance, depth - INSIDE);
   const N goal = select(deep, slow, depth);
   const N out = goal - hit.distance;
   const N pushed = less(N(TOUCH), out);

@@ -1,4 +1,4 @@
-// Edges that go through triangles.
+// Edges that pierce triangles.
 #include <algorithm>
 #include <optional>
 #include <utility>
