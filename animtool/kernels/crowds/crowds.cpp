@@ -154,10 +154,10 @@ struct Agents {
   // of the same depth if its shoulders are turned.
   double half_width(std::size_t i, const Vec2& direction) const {
     const Vec2 line = vec2(shoulders + 2 * i);
-    const double turn = line.length();
-    if (turn < TINY) return radii[i];
-    const double along = line.dot(direction) / turn, square = std::min(along * along, 1.0);
-    return radii[i] * (1 - std::min(turn, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
+    const double amount = line.length();
+    if (amount < TINY) return radii[i];
+    const double along = line.dot(direction) / amount, square = std::min(along * along, 1.0);
+    return radii[i] * (1 - std::min(amount, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
   }
 
   bool turned(std::size_t i) const { return shoulders[2 * i] != 0 || shoulders[2 * i + 1] != 0; }
@@ -226,9 +226,9 @@ class Walker {
       const Vec2 other = vec2(agents_.preferred + 2 * one.which);
       const bool against = other.dot(forward) < ALONG * other.length();
       const double near = std::clamp(1 - gap / (SHOULDER_GAP * wide), 0.0, 1.0);
-      double turn = against ? blocked * near : 0.0;
-      if (gap < 0) turn = std::max(turn, yaw);
-      if (turn > most) most = turn, side = one.off.dot(left_of(forward)) < 0 ? -1 : 1;
+      double strength = against ? blocked * near : 0.0;
+      if (gap < 0) strength = std::max(strength, yaw);
+      if (strength > most) most = strength, side = one.off.dot(left_of(forward)) < 0 ? -1 : 1;
     }
     return side * most;
   }
@@ -255,7 +255,7 @@ class Walker {
       const Vec2 off = vec2(agents_.points + 2 * which) - here;
       insert_sorted({off, off.dot(off), which});
       const double along = off.dot(near);
-      if (along > 0) add_lane_cost(off.dot(sideways), 1 - along, which, fast);
+      if (along > 0) add_cost(off.dot(sideways), 1 - along, which, fast);
     }
     crossing_ = std::min(crossing_, 1.0);
   }
@@ -280,7 +280,7 @@ class Walker {
 
   // Adds the cost of walking in the lanes of an agent ahead: higher the nearer, and the slower
   // along or the faster against.
-  void add_lane_cost(double sideways, double near, std::size_t which, const Vec2& fast) {
+  void add_cost(double sideways, double near, std::size_t which, const Vec2& fast) {
     // One extra lane on each side, so that both lanes an agent covers exist.
     const double slot = sideways + (LANES + 1);
     if (!(slot >= 0 && slot < 2 * LANES + 2)) return;

@@ -63,7 +63,7 @@ class LayerContacts {
   static bool is_through(std::int32_t side, const Shape& now) {
     return side * now.height() < 0 && now.nearest().inside;
   }
-  bool is_beside_crossed(const SpringLayers& layers, const LayerHit& hit) const;
+  bool is_next_to_crossed(const SpringLayers& layers, const LayerHit& hit) const;
 
   std::vector<LayerPair> listed_, picked_;
   std::vector<LayerHit> hits_;
@@ -146,20 +146,20 @@ std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector
 // Whether one of them is on the wrong side of a neighbour of the other, so that its side of the other
 // means nothing.
 template <class Kind>
-bool LayerContacts<Kind>::is_beside_crossed(const SpringLayers& layers, const LayerHit& hit) const {
+bool LayerContacts<Kind>::is_next_to_crossed(const SpringLayers& layers, const LayerHit& hit) const {
   const auto is_through = [&](std::int32_t who, const auto& touches) {
     auto one = std::lower_bound(through_.begin(), through_.end(), std::pair(who, -1));
     for (; one != through_.end() && one->first == who; ++one)
       if (touches(one->second)) return true;
     return false;
   };
-  return Kind::is_beside_crossed(layers, hit.first, hit.second, is_through);
+  return Kind::is_next_to_crossed(layers, hit.first, hit.second, is_through);
 }
 
 template <class Kind>
 void LayerContacts<Kind>::separate(const SpringLayers& layers, Separation& separation) const {
   for (const LayerHit& hit : hits_)
-    if (hit.side || through_.empty() || !is_beside_crossed(layers, hit)) separation.separate<Shape>(hit);
+    if (hit.side || through_.empty() || !is_next_to_crossed(layers, hit)) separation.separate<Shape>(hit);
 }
 
 template <class Kind>

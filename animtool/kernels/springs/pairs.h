@@ -37,7 +37,7 @@ struct TrianglesAndCorners {
     through.push_back({particle, triangle});
   }
   template <class IsThrough>
-  static bool is_beside_crossed(const SpringLayers& layers, std::int32_t triangle,
+  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t triangle,
                          std::int32_t particle, IsThrough is_through) {
     return is_through(particle, [&](std::int32_t other) {
       const std::int32_t *one = layers.corners(static_cast<std::size_t>(triangle)),
@@ -66,7 +66,7 @@ struct EdgesAndEdges {
     through.push_back({second, first});
   }
   template <class IsThrough>
-  static bool is_beside_crossed(const SpringLayers& layers, std::int32_t first, std::int32_t second,
+  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t first, std::int32_t second,
                          IsThrough is_through) {
     const auto relative = [&](std::int32_t edge) {
       return [&layers, edge](std::int32_t other) {

@@ -217,7 +217,13 @@ def _project(rng: Rng) -> dict[str, Any]:
     crossed = np.zeros((0, 3), np.int64)
     if layers is not None and len(cloth.arguments["triangles"]):
         crossed = np.array([[0, 0, 1], [len(cloth.points), 1, -1]])
-    steps = {"calm": 0, "min_substeps": 1, "max_substeps": 16, "stretch": 0.01, "crossed": crossed}
+    steps = {
+        "calm": 0,
+        "min_substeps": 1,
+        "max_substeps": 16,
+        "stretch": 0.01,
+        "crossed": crossed,
+    }
     return {**made, **steps}
 
 
