@@ -43,8 +43,7 @@ def bake(
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        FormatError: A source is malformed, or the takes of a library have other
-            joints.
+        FormatError: A source is malformed, or the takes of a library have other joints.
         OptionError: An option is invalid, or the output exists or is no USD file.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.

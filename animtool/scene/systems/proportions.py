@@ -111,8 +111,7 @@ def _out_of_scale(
     counted_name = _UNIT_NAMES[length_unit]
     message = (
         f"{system.name} {description}, but the joints of {rig.name!r} span "
-        f"{plain(joint_size)} m; "
-        f"systems use {counted_name}, this rig is in {unit}"
+        f"{plain(joint_size)} m; systems use {counted_name}, this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counted_name}"
     yield warning("SIM169", message, hint)
@@ -174,8 +173,7 @@ def _faults(
     unit = unit_name(rig.meters_per_unit)
     message = (
         f"the pinned end is {plain(distance, 4)} m from {description}, but the joints "
-        "of "
-        f"{rig.name!r} span {plain(joint_size)} m"
+        f"of {rig.name!r} span {plain(joint_size)} m"
     )
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:
