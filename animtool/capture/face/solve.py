@@ -23,7 +23,14 @@ from animtool.capture.face.model import MIN_MOTION, FaceModel, spread
 from animtool.capture.face.poses import camera_pose, head_poses
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    names_fault,
+)
 from animtool.core.record import dataclass
 from animtool.maths.so3 import align_signs, slerp
 
@@ -469,5 +476,7 @@ def _notices(
     ):  # fmt: skip
         if names:
             message = f"{counted(len(names), 'landmark')} {problem}"
-            notices.append(naming("FAC105", message, names, severity=Severity.WARNING))
+            notices.append(
+                names_fault("FAC105", message, names, severity=Severity.WARNING)
+            )
     return notices

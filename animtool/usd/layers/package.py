@@ -12,7 +12,7 @@ from pathlib import Path
 from pxr import Sdf, Tf
 
 from animtool.core.files.placing import output_error
-from animtool.core.readers import PACKAGE
+from animtool.core.readers import USD_PACKAGE_SUFFIX
 
 PACK_FAILED = "USD could not pack it"
 # The earliest date of a zip file.
@@ -28,7 +28,7 @@ def layer_to_package(path: Path, temporary: Path) -> Iterator[Path]:
 
     ``temporary`` is renamed to ``path`` if all succeeds.
     """
-    if path.suffix.lower() != PACKAGE:
+    if path.suffix.lower() != USD_PACKAGE_SUFFIX:
         yield temporary
         return
     # In the same folder, so that its dependencies are found.
