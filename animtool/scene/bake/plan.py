@@ -13,7 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.core.files.output import STDOUT, protect_inputs
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
@@ -211,7 +211,7 @@ def _with_others(
         file_plan.names[0] if file_plan.names else source_stem(source)
         for source, file_plan in zip(sources, (plan, *others), strict=True)
     ]
-    take_names = names or tuple(distinct(default_names))
+    take_names = names or tuple(numbered_names(default_names))
     return replace(
         plan, others=tuple(file_plan.take for file_plan in others), names=take_names
     )
