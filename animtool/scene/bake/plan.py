@@ -20,7 +20,6 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
 from animtool.motion.reorient import at_stage_origin, placement_notice, reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.scene.bake.files import FilePlan
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
@@ -41,6 +40,7 @@ from animtool.usd.layers.jobs import LayerForm
 from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
+    from animtool.scene.bake.files import FilePlan
     from animtool.scene.scene import Scene
     from animtool.usd.rigs.joint_map import RigJointMap
     from animtool.usd.rigs.target import RigTarget
@@ -165,6 +165,8 @@ def _planned_file(
     notices: list[Fault],
 ) -> FilePlan:
     """Return the plan of a take in a format other than USD."""
+    from animtool.scene.bake.files import FilePlan
+
     options, left_out = entry.options, []
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)

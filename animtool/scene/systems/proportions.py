@@ -111,7 +111,8 @@ def _out_of_scale(
     counted_name = _UNIT_NAMES[length_unit]
     message = (
         f"{system.name} {description}, but the joints of {rig.name!r} span "
-        f"{plain_number(joint_size)} m; systems use {counted_name}, this rig is in {unit}"
+        f"{plain_number(joint_size)} m; systems use {counted_name}, "
+        f"this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counted_name}"
     yield warning("SIM169", message, hint)
