@@ -40,7 +40,7 @@ from animtool.systems.attach.simulation import (
     SavedFrame,
     saved_state,
 )
-from animtool.systems.framework.meter import Peak
+from animtool.systems.framework.meter import VISIBLE_DEPTH, Peak
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
@@ -232,12 +232,14 @@ def _warnings(report: AttachReport) -> list[Fault]:
 
 def _cycle_notice(names: str, closing: Closing) -> Fault:
     message = f"{names}: the cycle was simulated {counted(closing.repeats, 'time')}; "
+    if closing.steered:
+        message += "it did not close by itself and was steered to the cycle before; "
     message += f"its ends differ by {1000 * closing.residual:.3g} mm"
-    if closing.residual <= closing.tolerance:
+    visible = VISIBLE_DEPTH if closing.steered else 0.0
+    if closing.residual <= max(closing.tolerance, visible):
         return Fault("SIM130", message, severity=Severity.NOTE)
     message += f", but {1000 * closing.tolerance:g} mm was requested"
-    hint = "the rest is blended over the last quarter; raise loop_repeats, or "
-    hint += "the ratio or drag of what oscillates irregularly"
+    hint = "raise loop_repeats, or the ratio or drag of what oscillates irregularly"
     return warning("SIM133", message, hint)
 
 
