@@ -50,7 +50,6 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
     error_texts = [
         f"{plain_number(error.error)} {error.unit or ''}".rstrip()
         + f" ({error.target})"
-        + f" ({error.target})"
         for error in largest_by_unit.values()
         if error.error > ROUNDING
     ]

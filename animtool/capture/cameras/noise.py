@@ -8,6 +8,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from animtool import _kernels
 from animtool.capture.cameras.camera import Camera, camera_numbers
 from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.stale import PoseChange, pose_change
-from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.record import dataclass
 
 # Points for the noise estimate: enough for a few percent.
@@ -77,7 +78,7 @@ def measured_noise(
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, camera_parameters, active, noise, *settings, detailed=True
         )
-        lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
+        lengths = _lengths(residuals)
         if trust is not None:
             lengths = lengths * np.sqrt(np.maximum(trust, 0))
         pooled = _pooled_noise(lengths, states == USED)
@@ -86,11 +87,7 @@ def measured_noise(
         noises = _camera_noise(lengths, states)
         middle = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
         ratios = np.nan_to_num(noises / middle, nan=1.0)
-        similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
-        scaled = np.where(
-            similar, 1.0, np.clip(ratios, 1 / _MAX_NOISE_RATIO, _MAX_NOISE_RATIO)
-        )
-        noise = np.maximum(pooled * scaled, MIN_NOISE)
+        noise = np.maximum(pooled * _noise_factors(ratios), MIN_NOISE)
         left_out = _stale_camera(
             cameras, pixels, trust, noise, active, ratios, settings
         )
@@ -121,12 +118,23 @@ def measured_noise(
             condition,
             detailed=True,
         )
-        lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
-        overall = _pooled_noise(lengths, states == USED)
+        overall = _pooled_noise(_lengths(residuals), states == USED)
         noise[:] = noise if overall is None else max(overall, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
     return Noise(noise, stale)
+
+
+def _lengths(residuals: Float32Array) -> Any:
+    """Return the lengths of residuals ``(F, C, M)`` [px]."""
+    return np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
+
+
+def _noise_factors(ratios: FloatArray) -> FloatArray:
+    """Return factors of the pooled noise by camera: 1 for similar ones, bounded."""
+    similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
+    bounded = np.clip(ratios, 1 / _MAX_NOISE_RATIO, _MAX_NOISE_RATIO)
+    return np.asarray(np.where(similar, 1.0, bounded))
 
 
 def _stale_camera(

@@ -71,26 +71,47 @@ def transfer_weights(
     """
     links = link_shapes(source, target, remap)
     if faces is None:
-        if not links.links:
-            message = "no shape of the source has its name in the target"
-            hint = "pair them in a remap file"
-            raise OptionError(Fault("FAC009", message, hint=hint))
-        moves = np.abs(weights).max(axis=0, initial=0) > 0
-        moving_shapes = {
-            name for name, m in zip(source, moves.tolist(), strict=True) if m
-        }
-        unlinked_names = [name for name in links.lost if name in moving_shapes]
-        notices = []
-        if unlinked_names:
-            message = f"{len(unlinked_names)} shapes that move are not in the target: "
-            notices.append(
-                names_fault(
-                    "FAC108", message, unlinked_names, severity=Severity.WARNING
-                )
-            )
-        linked_weights = links.apply(weights, len(target))
-        return TransferredWeights(linked_weights, links, None, tuple(notices))
-    source_face, target_face = faces
+        return _by_name(weights, links, source, len(target))
+    points = _landmarks(weights, source, *faces)
+    fit = fit_face(faces[1], points, fps, smooth=smooth)
+    target_weights = np.zeros((len(weights), len(target)))
+    for i, name in enumerate(faces[1].shapes):
+        if name in set(target):
+            target_weights[:, list(target).index(name)] = fit.weights[:, i]
+    return TransferredWeights(target_weights, links, fit, fit.notices)
+
+
+def _by_name(
+    weights: FloatArray, links: ShapeLinks, source: Sequence[str], count: int
+) -> TransferredWeights:
+    """Return the weights of linked shapes; ``count`` is that of the target's."""
+    if not links.links:
+        message = "no shape of the source has its name in the target"
+        hint = "pair them in a remap file"
+        raise OptionError(Fault("FAC009", message, hint=hint))
+    moves = np.abs(weights).max(axis=0, initial=0) > 0
+    moving_shapes = {name for name, m in zip(source, moves.tolist(), strict=True) if m}
+    unlinked_names = [name for name in links.lost if name in moving_shapes]
+    notices = []
+    if unlinked_names:
+        message = f"{len(unlinked_names)} shapes that move are not in the target: "
+        notices.append(
+            names_fault("FAC108", message, unlinked_names, severity=Severity.WARNING)
+        )
+    linked_weights = links.apply(weights, count)
+    return TransferredWeights(linked_weights, links, None, tuple(notices))
+
+
+def _landmarks(
+    weights: FloatArray,
+    source: Sequence[str],
+    source_face: FaceModel,
+    target_face: FaceModel,
+) -> FloatArray:
+    """Return the target's landmarks, moved as the source's are ``(F, N, 3)``.
+
+    They are scaled by the sizes of the faces, and NaN where the source has none.
+    """
     shared_names = [
         name for name in target_face.names if name in set(source_face.names)
     ]
@@ -119,12 +140,7 @@ def transfer_weights(
     points[:, shared_columns] = (
         target_face.neutral[shared_columns] + scale * linked_weights
     )
-    fit = fit_face(target_face, points, fps, smooth=smooth)
-    target_weights = np.zeros((len(weights), len(target)))
-    for i, name in enumerate(target_face.shapes):
-        if name in set(target):
-            target_weights[:, list(target).index(name)] = fit.weights[:, i]
-    return TransferredWeights(target_weights, links, fit, fit.notices)
+    return points
 
 
 def _size(points: FloatArray) -> float:

@@ -121,35 +121,30 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
     rotated_offsets = np.einsum(
         "feij,ej->fei", world.linear[:, model.joints], model.offsets
     )
-    points = world.positions[:, model.joints] + rotated_offsets
-    rotations = world.rotations[:, model.joints]
-    rotation = up_from_up(model.rig.up, markers.up)
-    if rotation is not None:
-        inverse_rotation = so3.conjugate(np.array(rotation))
-        points, rotations = (
-            so3.rotate(inverse_rotation, points),
-            so3.multiply(inverse_rotation, rotations),
-        )
-    shape = len(markers), len(markers.names)
-    positions = np.full((*shape, 3), np.nan)
-    matrices = np.full((*shape, 3, 3), np.nan)
-    positions[:, model.columns] = points
-    matrices[:, model.columns] = so3.to_matrix(rotations)
-    origins, parent_matrices = (
-        np.full_like(positions, np.nan),
-        np.full_like(matrices, np.nan),
-    )
-    joint_positions = world.positions[:, model.joints]
     above_joint = np.asarray(model.rig.parents, np.int64)
-    parent_rotations = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
-    if rotation is not None:
-        joint_positions, parent_rotations = (
-            so3.rotate(inverse_rotation, joint_positions),
-            so3.multiply(inverse_rotation, parent_rotations),
+    rotation = up_from_up(model.rig.up, markers.up)
+    count = len(markers.names)
+
+    def by_marker(
+        points: FloatArray, rotations: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return positions and matrices of all markers, as the take is upright."""
+        if rotation is not None:
+            inverse_rotation = so3.conjugate(np.array(rotation))
+            points = so3.rotate(inverse_rotation, points)
+            rotations = so3.multiply(inverse_rotation, rotations)
+        return (
+            _spread(points, model.columns, count),
+            _spread(so3.to_matrix(rotations), model.columns, count),
         )
-    origins[:, model.columns] = joint_positions
-    parent_matrices[:, model.columns] = so3.to_matrix(parent_rotations)
-    joints = np.full(shape[1], -1)
+
+    joint_positions = world.positions[:, model.joints]
+    positions, matrices = by_marker(
+        joint_positions + rotated_offsets, world.rotations[:, model.joints]
+    )
+    parents = np.maximum(above_joint[model.joints], 0)
+    origins, parent_matrices = by_marker(joint_positions, world.rotations[:, parents])
+    joints = np.full(count, -1)
     joints[model.columns] = model.joints
     has_pose = np.ones(len(markers), np.bool_)
     has_pose[solve.score.sparse] = False
@@ -167,3 +162,10 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
         has_pose,
         notices,
     )
+
+
+def _spread(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
+    """Return values of some columns for ``count`` of them; the others are NaN."""
+    spread = np.full((len(values), count, *values.shape[2:]), np.nan)
+    spread[:, columns] = values
+    return spread

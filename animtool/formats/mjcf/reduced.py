@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import field
 from xml.sax.saxutils import quoteattr
 
 from animtool.core.errors import Severity, counted, excerpt
@@ -82,75 +83,82 @@ def reduced_model(
     """Return a model's moving parts; record omissions and faults."""
     _check_files(root, packages, notes)
     _name_bodies(root)
-    meshes = _MeshClasses(root)
-    lines: list[str] = []
-    elements: list[XmlElement] = []
-    bodies: list[str] = []
-    with_unknown_mass: set[str] = set()
-
-    def add_line(element: XmlElement, text: str, body: str = "") -> None:
-        lines.append(text)
-        elements.append(element)
-        bodies.append(body)
-
-    def write(element: XmlElement, section: str, classes: str, body: str) -> None:
-        tag = element.tag
-        kept_children = [
-            child
-            for child in element.children
-            if _is_kept(element, child, section, notes)
-        ]
-        of_body = tag == "geom" and section == "worldbody"
-        if of_body and meshes.is_mesh(element, classes):
-            notes.leave_out(["geoms of meshes"])
-            with_unknown_mass.add(body)
-            return
-        if tag in {"body", "frame", "replicate"}:
-            classes = element.attributes.get("childclass", classes)
-        if tag == "body":
-            body = element.attributes.get("name", "")
-        add_line(element, f"<{tag}{_attributes(element, section, notes)}>", body)
-        for child in kept_children:
-            write(child, section or child.tag, classes, body)
-        add_line(element, f"</{tag}>", body)
-
-    compiler = XmlElement("compiler", {}, root.path, root.line, root.column)
+    reduction = _Reduction(_MeshClasses(root), notes)
     model = root.attributes.get("model")
-    add_line(
+    reduction.add(
         root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>"
     )
     # Written before the file's defaults, which may override these.
-    add_line(
-        compiler, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>'
+    reduction.add(
+        XmlElement("compiler", {}, root.path, root.line, root.column),
+        f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>',
     )
     for section in root.children:
         if section.tag in _SECTIONS:
             notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
         else:
-            write(section, section.tag, "", "")
-    add_line(root, "</mujoco>")
+            reduction.write(section, section.tag, "", "")
+    reduction.add(root, "</mujoco>")
     with_inertia = {
         body.attributes.get("name", "")
         for body in root.walk()
         if body.tag == "body" and body.all("inertial")
     }
-    acts = [
-        actuator
+    actuated_joints = frozenset(
+        actuator.attributes.get("joint", "")
         for section in root.all("actuator")
         for actuator in section.children
         if actuator.tag != "plugin"
-    ]
-    actuated_joints = frozenset(
-        actuator_.attributes.get("joint", "") for actuator_ in acts
     )
     return ReducedModel(
-        "\n".join(lines),
-        elements,
-        bodies,
-        frozenset(with_unknown_mass - with_inertia),
-        bool(acts) and "" not in actuated_joints,
+        "\n".join(reduction.lines),
+        reduction.elements,
+        reduction.bodies,
+        frozenset(reduction.with_unknown_mass - with_inertia),
+        bool(actuated_joints) and "" not in actuated_joints,
         actuated_joints,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Reduction:
+    """Lines of a reduced model, with the source of each."""
+
+    meshes: _MeshClasses
+    notes: XmlNotes
+    lines: list[str] = field(default_factory=list)
+    elements: list[XmlElement] = field(default_factory=list)
+    bodies: list[str] = field(default_factory=list)
+    with_unknown_mass: set[str] = field(default_factory=set)
+
+    def add(self, element: XmlElement, text: str, body: str = "") -> None:
+        """Add a line."""
+        self.lines.append(text)
+        self.elements.append(element)
+        self.bodies.append(body)
+
+    def write(self, element: XmlElement, section: str, classes: str, body: str) -> None:
+        """Add an element with its kept children, or record that it is left out."""
+        tag = element.tag
+        kept_children = [
+            child
+            for child in element.children
+            if _is_kept(element, child, section, self.notes)
+        ]
+        of_body = tag == "geom" and section == "worldbody"
+        if of_body and self.meshes.is_mesh(element, classes):
+            self.notes.leave_out(["geoms of meshes"])
+            self.with_unknown_mass.add(body)
+            return
+        if tag in {"body", "frame", "replicate"}:
+            classes = element.attributes.get("childclass", classes)
+        if tag == "body":
+            body = element.attributes.get("name", "")
+        attributes = _attributes(element, section, self.notes)
+        self.add(element, f"<{tag}{attributes}>", body)
+        for child in kept_children:
+            self.write(child, section or child.tag, classes, body)
+        self.add(element, f"</{tag}>", body)
 
 
 def _is_kept(

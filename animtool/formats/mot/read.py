@@ -93,18 +93,10 @@ def read_mot(
         notices.append(
             names_fault("MOF102", message, unmatched, str(path), hint, warning)
         )
-    degrees = table.degrees
-    if degrees is None:
-        degrees = False
-        message = "has no inDegrees in its header: using radians, as OpenSim does"
-        if table.in_degrees:
-            message = f"inDegrees is {excerpt(table.in_degrees)}, not yes or no: "
-            message += "using radians, as OpenSim does"
-        hint = "write inDegrees=yes or no in its header"
-        warning = Severity.WARNING
-        notices.append(Fault("MOF107", message, str(path), (), hint, warning))
+    if table.degrees is None:
+        notices.append(_radians_notice(table, path))
     values = fill_gaps(table.values[:, table_columns], table.times)
-    if not degrees:
+    if not table.degrees:
         is_angle = [coordinate.is_angle for coordinate in columns]
         names = [
             table.names[c]
@@ -119,7 +111,7 @@ def read_mot(
         "format": "OpenSim motion",
         "columns": len(table.names),
         "coordinates": len(columns),
-        "angles": "degrees" if degrees else "radians",
+        "angles": "degrees" if table.degrees else "radians",
         "first_time": float(table.times[0]),
         "units": unit_name(target.meters_per_unit),
     }
@@ -137,6 +129,16 @@ def read_mot(
         [*notices, *even_notices],
         details,
     )
+
+
+def _radians_notice(table: MotionTable, path: Path) -> Fault:
+    """Warn that a header does not state the unit of angles (MOF107)."""
+    message = "has no inDegrees in its header: using radians, as OpenSim does"
+    if table.in_degrees:
+        message = f"inDegrees is {excerpt(table.in_degrees)}, not yes or no: "
+        message += "using radians, as OpenSim does"
+    hint = "write inDegrees=yes or no in its header"
+    return Fault("MOF107", message, str(path), (), hint, Severity.WARNING)
 
 
 def read_mot_rig(path: Path) -> Rig:
