@@ -44,6 +44,7 @@ from animtool.usd.rigs.placement import (
     animated_ancestors,
     refuse_uneven,
     rest_rig,
+    rotates_or_scales,
     skeleton_placement,
     uneven_notice,
     unit_mismatch_notice,
@@ -76,6 +77,7 @@ from animtool.usd.takes.animation_values import (
     animated_shapes,
     nearest_samples,
     normalised,
+    on_every_frame,
     sample_grid,
     sampled_values,
     scale_channel,
@@ -310,7 +312,7 @@ def _bound_animation(skeleton: Any) -> Any:
         return UsdSkel.Animation(source)
     # Includes an animation that UsdSkel cannot use: reading it reports why.
     binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
-    return UsdSkel.Animation(binding) if binding else None
+    return UsdSkel.Animation(binding) if binding and binding.IsActive() else None
 
 
 def _first_animation(stage: Any, root_path: str) -> Any:
@@ -394,10 +396,8 @@ def _rest_take(
         message += f": {ignored} binds one, but SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
     elif missing := missing_animation(prim):
-        message = (
-            f"its animation {missing} does not exist; the skeleton is read at rest"
-        )
-        hint = "correct the targets of skel:animationSource"
+        message = f"its animation {missing}; the skeleton is read at rest"
+        hint = "activate it, or correct the targets of skel:animationSource"
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     stream.notices += notices
@@ -424,6 +424,8 @@ def _read(
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
     grid = sample_grid(stage, animation, times, where)
+    if prim is not None and rotates_or_scales(prim):
+        grid = on_every_frame(grid, stage, where)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
     codes = clock.times.tolist()
