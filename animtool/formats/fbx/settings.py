@@ -99,8 +99,8 @@ def in_ticks(times: IntArray) -> IntArray:
 
     Times beyond any take are clamped, so that they stay out of range.
 
-    >>> in_ticks(np.array([-141_120_000, 5_880_000, 2**62])) / TICKS
-    array([-1.00000000e+00,  4.16666667e-02,  9.98504742e+07])
+    >>> (in_ticks(np.array([-141_120_000, 5_880_000])) / TICKS).tolist()
+    [-1.0, 0.041666666666666664]
     """
     ratio = Fraction(TICKS, _NEW_TICKS)
     limit = 2**62 // (ratio.numerator // ratio.denominator + 1)

@@ -19,11 +19,13 @@ from animtool.core.shot import Shot
 from animtool.core.units import up_from_up
 from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
+from animtool.motion.driving import with_combined_weights
 from animtool.motion.motion import Channel
 from animtool.motion.reorient import rotated_rig
 from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
+from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Pose, Rig
 from animtool.scene.bake.frames import TakePlan, in_frames
 from animtool.scene.bake.progress import OutputCost, Progress
@@ -174,26 +176,36 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
     rotation = up_from_up(take.rig.up, full_rig.up)
     if rotation is not None:
         full_rig = rotated_rig(full_rig, np.array(rotation), take.rig.up)
-    names = [shape.name for shape in full_rig.shapes]
-    shape_names = [shape.name for shape in take.rig.shapes]
-    if not {*shape_names} <= {*names}:
-        return take, []
+    full_names = {shape.name for shape in full_rig.shapes}
+    without_mesh = [s for s in take.rig.shapes if s.name not in full_names]
+    shapes = (*full_rig.shapes, *without_mesh)
     rig = replace(
         take.rig,
         meters_per_unit=full_rig.meters_per_unit,
         meshes=full_rig.meshes,
-        shapes=full_rig.shapes,
+        shapes=shapes,
         bind=_bind_poses(take.rig, full_rig),
     )
-    weights = take.motion.weights
-    if weights is not None and shape_names != names:
-        # The animation may have only some of the shapes.
-        indices = np.array([names.index(name) for name in shape_names], np.int64)
-        order = np.argsort(indices)
-        zero_weights = Channel.static(np.zeros((len(names), 1)), take.clock.count)
-        weights = zero_weights.put(indices[order], weights.gather(order)).compact()
+    weights = _shape_weights(take, shapes)
     motion = replace(take.motion, weights=weights)
     return replace(take, rig=rig, motion=motion), notices
+
+
+def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
+    """Return the weights of a take for more shapes.
+
+    Shapes that the take has no weight for combine others, or are at 0.
+    """
+    weights, all_names = take.motion.weights, [shape.name for shape in shapes]
+    names = [shape.name for shape in take.rig.shapes]
+    if weights is None or names == all_names:
+        return weights
+    indices = np.array([all_names.index(name) for name in names], np.int64)
+    order = np.argsort(indices)
+    zero_weights = Channel.static(np.zeros((len(shapes), 1)), take.clock.count)
+    weights = zero_weights.put(indices[order], weights.gather(order))
+    missing = np.setdiff1d(np.arange(len(shapes)), indices)
+    return with_combined_weights(weights, shapes, missing).compact()
 
 
 def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:

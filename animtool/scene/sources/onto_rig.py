@@ -14,6 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, naming
 from animtool.core.readers import USD, find_reader
 from animtool.core.record import dataclass
+from animtool.motion.driving import with_combined_weights
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import TakeStream
@@ -79,9 +80,16 @@ class NameMap:
             _gather_entries(motion.translations, self.joints, rig.rest_translations),
             _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
             _moved_if(motion.scales, self.joints, one_frame),
-            _moved_if(motion.weights, self.shapes, zero_weights),
+            self._with_combined(_moved_if(motion.weights, self.shapes, zero_weights)),
             _moved_if(motion.controls, self.controls, defaults),
         )
+
+    def _with_combined(self, weights: Channel | None) -> Channel | None:
+        """Return weights with those of combined shapes that only this rig has."""
+        if weights is None:
+            return None
+        missing = np.flatnonzero(self.shapes < 0)
+        return with_combined_weights(weights, self.rig.shapes, missing)
 
 
 def map_names(rig: Rig, other: Rig) -> NameMap:

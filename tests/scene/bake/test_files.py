@@ -1,4 +1,4 @@
-"""Takes in other formats: the meshes of a stage where its bind pose has them."""
+"""Takes in other formats: the meshes of a stage, in its bind pose and its shapes."""
 
 from __future__ import annotations
 
@@ -59,6 +59,13 @@ def posed_stage(path: Path, up: str) -> Usd.Stage:
     return stage
 
 
+def read_glb(path: Path) -> Reference:
+    """Return the states of a glTF, as the specification has them."""
+    content = path.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    return Reference(json.loads(content[20 : 20 + length]), content[28 + length :])
+
+
 def skinned_points(stage: Usd.Stage, time: float) -> npt.NDArray[np.float64]:
     """Return the world points of the skin, as UsdSkel has them [cm]."""
     cache, root = UsdSkel.Cache(), UsdSkel.Root.Get(stage, "/leg/Rig")
@@ -84,9 +91,7 @@ def test_a_skin_that_was_bound_in_another_pose_than_rest(
     output = tmp_path / "leg.glb"
     done = animtool("convert", tmp_path / "leg.usda", output, *options)
     assert done.code == 0, done.stderr
-    content = output.read_bytes()
-    (length,) = struct.unpack_from("<I", content, 12)
-    reference = Reference(json.loads(content[20 : 20 + length]), content[28 + length :])
+    reference = read_glb(output)
     for time in (1, 2):
         _, points, _ = reference.state(0, (time - 1) / 24)
         (found,) = points.values()
@@ -96,3 +101,82 @@ def test_a_skin_that_was_bound_in_another_pose_than_rest(
         if up == "Z":
             expected = expected @ TO_Y_UP.T
         np.testing.assert_allclose(found * 100, expected, atol=1e-4)
+
+
+MESHES = ["face", "teeth"]
+# What each mesh's first point moves by, in each of its shapes.
+OFFSETS = {
+    "face": {"smile": (1.0, 0.0, 0.0), "jaw": (0.0, 2.0, 0.0)},
+    "teeth": {"jaw": (0.0, 0.0, 3.0), "smile": (0.0, 4.0, 0.0)},
+}
+
+
+def talking_stage(path: Path, animated: list[str]) -> None:
+    """Write two meshes with shapes of equal names, at weights .25, .5 and so on."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/hero").GetPrim())
+    UsdSkel.Root.Define(stage, "/hero/Rig")
+    skeleton = UsdSkel.Skeleton.Define(stage, "/hero/Rig/Skel")
+    skeleton.CreateJointsAttr(["head"])
+    skeleton.CreateRestTransformsAttr([Gf.Matrix4d(1)])
+    skeleton.CreateBindTransformsAttr([Gf.Matrix4d(1)])
+    animation = UsdSkel.Animation.Define(stage, "/hero/Rig/Anim")
+    animation.CreateJointsAttr(["head"])
+    animation.SetTransforms(Vt.Matrix4dArray([Gf.Matrix4d(1)]))
+    animation.CreateBlendShapesAttr(animated)
+    weights = [0.25 * (k + 1) for k in range(len(animated))]
+    animation.CreateBlendShapeWeightsAttr().Set([0.0] * len(animated), 1)
+    animation.CreateBlendShapeWeightsAttr().Set(weights, 2)
+    for name in MESHES:
+        mesh = UsdGeom.Mesh.Define(stage, f"/hero/Rig/{name}")
+        mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        mesh.CreateFaceVertexCountsAttr([3])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+        binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+        binding.CreateJointIndicesPrimvar(True, 1).Set([0])
+        binding.CreateJointWeightsPrimvar(True, 1).Set([1.0])
+        binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+        binding.CreateBlendShapesAttr(list(OFFSETS[name]))
+        for shape_name, offset in OFFSETS[name].items():
+            shape = UsdSkel.BlendShape.Define(stage, f"/hero/Rig/{name}/{shape_name}")
+            shape.CreateOffsetsAttr([Gf.Vec3f(*offset)])
+            shape.CreatePointIndicesAttr([0])
+            binding.CreateBlendShapeTargetsRel().AddTarget(shape.GetPath())
+    of_skeleton = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    of_skeleton.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    stage.Save()
+
+
+@pytest.mark.parametrize("animated", [["jaw"], ["smile", "jaw"], ["other", "jaw"]])
+@pytest.mark.parametrize("onto", [False, True])
+def test_meshes_that_share_the_name_of_a_shape(
+    tmp_path: Path, animated: list[str], onto: bool
+) -> None:
+    path, output = tmp_path / "hero.usda", tmp_path / "hero.glb"
+    talking_stage(path, animated)
+    source = path
+    if onto:
+        # The motion alone, put on the rig again.
+        assert animtool("bake", path, "-o", tmp_path / "take.usdc").code == 0
+        source = tmp_path / "hero.scene.yaml"
+        source.write_text(
+            "scene: animtool/1\nrig: hero.usda\nsource: {file: take.usdc}\n"
+        )
+    done = animtool("bake", source, "-o", output)
+    assert done.code == 0, done.stderr
+    reference = read_glb(output)
+    _, points, _ = reference.state(0, 1 / 24)
+    found = {
+        reference.json["meshes"][reference.nodes[node]["mesh"]]["name"]: rows
+        for node, rows in points.items()
+    }
+    assert sorted(found) == MESHES
+    for name, shapes in OFFSETS.items():
+        expected = sum(
+            0.25 * (k + 1) * np.array(shapes[shape])
+            for k, shape in enumerate(animated)
+            if shape in shapes
+        )
+        np.testing.assert_allclose(found[name][0], expected, atol=1e-6)
