@@ -104,10 +104,10 @@ def in_ticks(times: IntArray) -> IntArray:
     """
     ratio = Fraction(TICKS, _NEW_TICKS)
     limit = 2**62 // (ratio.numerator // ratio.denominator + 1)
-    whole, remainder = np.divmod(np.clip(times, -limit, limit), ratio.denominator)
+    quotient, remainder = np.divmod(np.clip(times, -limit, limit), ratio.denominator)
     half = ratio.denominator // 2
     parts = (remainder * ratio.numerator + half) // ratio.denominator
-    return np.asarray(whole * ratio.numerator + parts, np.int64)
+    return np.asarray(quotient * ratio.numerator + parts, np.int64)
 
 
 def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:

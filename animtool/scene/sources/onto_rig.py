@@ -95,16 +95,19 @@ class NameMap:
 def map_names(rig: Rig, other: Rig) -> NameMap:
     """Return the indices of a rig's tracks in another rig, by name.
 
-    A joint that was renamed on reading is found under both names.
+    A joint that was renamed on reading is found under both names. Of several joints
+    with one name, it is the one below the joint that its parent is.
     """
-    index_by_name: dict[str, int] = {}
+    by_name: dict[str, list[int]] = {}
     for j, joint in enumerate(other.joints):
-        index_by_name.setdefault(joint.source_name or joint.name, j)
-        index_by_name.setdefault(joint.name, j)
-    joints = [
-        index_by_name.get(joint.name, index_by_name.get(joint.source_name, -1))
-        for joint in rig.joints
-    ]
+        for name in dict.fromkeys((joint.source_name or joint.name, joint.name)):
+            by_name.setdefault(name, []).append(j)
+    joints: list[int] = []
+    for joint in rig.joints:
+        matches = [*by_name.get(joint.name, ()), *by_name.get(joint.source_name, ())]
+        parent = joints[joint.parent] if joint.parent >= 0 else -1
+        below = [j for j in matches if other.joints[j].parent == parent]
+        joints.append(next(iter(below or matches), -1))
     return NameMap(
         rig,
         np.array(joints, np.int64),
