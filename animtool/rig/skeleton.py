@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 # Limit of all joint paths together [character], since paths in chains grow
 # quadratically.
 MAX_PATHS = 500_000_000
+# Nothing that is animated is larger [m].
+MAX_SIZE = 30.0
 
 # BVH channel names.
 ChannelName: TypeAlias = Literal[

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from animtool.capture.face.fit import FaceFit
 from animtool.capture.face.model import FaceModel
-from animtool.capture.face.solve import FaceFit, fit_face
+from animtool.capture.face.solve import fit_face
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, naming
 from animtool.core.record import dataclass

@@ -18,7 +18,7 @@ from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.values import picked
 from animtool.motion.driving import driven_stream
-from animtool.motion.reorient import at_stage_origin
+from animtool.motion.reorient import at_stage_origin, placement_notice
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
@@ -26,7 +26,7 @@ from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
 from animtool.retarget.take_pass import checked_blocks, onto_rig
 from animtool.retarget.verdict import FrameNumbers, Verdict
-from animtool.rig.placed import at_origin, placement_notice
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions

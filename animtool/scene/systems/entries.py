@@ -16,12 +16,11 @@ from animtool.core.options import OF_ENTRY, Checked, range_faults
 from animtool.documents.arrays import load_array
 from animtool.documents.check import (
     FileModel,
-    LocatedFaults,
     record_of_options,
-    unknown_options,
 )
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER, record_of
+from animtool.documents.model_faults import LocatedFaults, unknown_options
 from animtool.documents.references import (
     referred,
     referred_input,

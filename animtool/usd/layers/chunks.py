@@ -22,12 +22,12 @@ from animtool.core.clock import FrameSpan
 from animtool.core.files.output import STDOUT, after_commit, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
-from animtool.usd.layers.package import layer_to_package
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
     export_layer,
     new_layer,
+    packaged,
     save_layer,
     usd_reason,
 )
@@ -91,7 +91,7 @@ def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
         return
     with replacing(path) as temporary:
         with (
-            layer_to_package(path, temporary) as file,
+            packaged(path, temporary) as file,
             growing_crate(file, path) as growing,
         ):
             growing.layer.TransferContent(layer)

@@ -6,7 +6,7 @@ import gc
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,6 @@ from animtool.usd.layers.finite import (
     float_letter,
 )
 from animtool.usd.layers.names import legal_name
-from animtool.usd.layers.package import layer_to_package
 from animtool.usd.layers.text_faults import layer_fault
 
 # Hint for files with a valid name that are not USD.
@@ -312,9 +311,21 @@ def save_layer(layer: Any, path: Path) -> int:
         sys.stdout.flush()
         return len(text.encode())
     with replacing(path) as temporary:
-        with layer_to_package(path, temporary) as file:
+        with packaged(path, temporary) as file:
             export_layer(layer, file, path)
         return temporary.stat().st_size
+
+
+def packaged(path: Path, temporary: Path) -> AbstractContextManager[Path]:
+    """Context with the file to write a layer to; packaged at the end for .usdz.
+
+    ``temporary`` is renamed to ``path`` if all succeeds.
+    """
+    if path.suffix.lower() != PACKAGE:
+        return nullcontext(temporary)
+    from animtool.usd.layers.package import layer_to_package
+
+    return layer_to_package(path, temporary)
 
 
 def export_layer(
