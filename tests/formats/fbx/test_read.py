@@ -157,6 +157,30 @@ def test_files_that_count_other_ticks(
     np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("span", "frames", "severity"),
+    [
+        ((0.0, 1.0), (0, 25), None),
+        ((0.0, 0.5), (0, 13), Severity.NOTE),
+        ((5.0, 6.0), (120, 25), Severity.WARNING),
+    ],
+)
+def test_keys_outside_the_span_of_a_take_are_named(
+    tmp_path: Path,
+    span: tuple[float, float],
+    frames: tuple[int, int],
+    severity: Severity | None,
+) -> None:
+    trees = small_fbx()
+    rows = part(trees, "AnimationStack", 11)[0][2]
+    for row, time in zip(rows, span, strict=True):
+        row[1][-1] = round(time * TICKS)
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    found = [n.severity for n in stream.notices if n.code == "FBX123"]
+    assert found == ([] if severity is None else [severity])
+    assert (stream.start, stream.collect().motion.frames) == frames
+
+
 def test_an_unknown_time_definition_or_mode_is_named(tmp_path: Path) -> None:
     content = as_binary(in_new_ticks(small_fbx(), 5), 7700)
     codes = [one.code for one in read_fbx(written(tmp_path, content)).notices]
