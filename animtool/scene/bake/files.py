@@ -239,9 +239,8 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
 
 def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:
     """Return the base take of an additive take, at the frames of that take."""
-    from animtool.edit.combine import check_same_rig, other_frames
+    from animtool.edit.combine import on_same_rig, other_frames
 
-    base_take = open_source(path, options).collect()
-    check_same_rig(take.rig, base_take.rig)
+    base_take = on_same_rig(take.rig, open_source(path, options).collect())
     motion = other_frames(base_take, take.clock.rate, 0, take.clock.count)
     return replace(take, motion=motion)
