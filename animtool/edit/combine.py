@@ -112,23 +112,21 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
             differ (SCN017).
     """
     check_same_rig(rig, other.rig)
-    maps: dict[str, IntArray | None] = {
-        "weights": _order("shapes", rig.shapes, other.rig.shapes),
-        "controls": _order("controls", rig.controls, other.rig.controls),
-    }
+    shapes = _order("shapes", rig.shapes, other.rig.shapes)
+    controls = _order("controls", rig.controls, other.rig.controls)
     rotation = up_from_up(rig.up, other.rig.up)
-    if rotation is None and all(order is None for order in maps.values()):
+    if rotation is None and shapes is None and controls is None:
         return other
     roots, placement = np.array(rig.roots, np.int64), None
     if rotation is not None:
         placement = Placement.from_rotation(np.array(rotation))
 
     def matched(motion: Motion) -> Motion:
-        for name, order in maps.items():
-            channel: Channel | None = getattr(motion, name)
-            if channel is not None and order is not None:
-                ordered = Channel.from_dense(channel.dense()[:, order])
-                motion = replace(motion, **{name: ordered})
+        motion = replace(
+            motion,
+            weights=_ordered(motion.weights, shapes),
+            controls=_ordered(motion.controls, controls),
+        )
         if placement is None:
             return motion
         rotations = motion.rotations
@@ -136,10 +134,10 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         return replace(motion, rotations=rotations) if is_additive else motion
 
     matched_rig, curve = other.rig, other.curve
-    if (shapes := maps["weights"]) is not None:
+    if shapes is not None:
         parts = tuple(matched_rig.shapes[i] for i in shapes)
         matched_rig = replace(matched_rig, shapes=parts)
-    if (controls := maps["controls"]) is not None:
+    if controls is not None:
         matched_rig = replace(
             matched_rig, controls=tuple(matched_rig.controls[i] for i in controls)
         )
@@ -165,6 +163,12 @@ def _order(
         message = f"the takes are of different rigs: {noun} that only one of them has: "
         raise OptionError(Fault("SCN017", f"{message}{listed(unmatched, MAX_NAMED)}"))
     return np.array([other_names.index(name) for name in names], np.int64)
+
+
+def _ordered(channel: Channel | None, order: IntArray | None) -> Channel | None:
+    if channel is None or order is None:
+        return channel
+    return Channel.from_dense(channel.dense()[:, order])
 
 
 def combine(
