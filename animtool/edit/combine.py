@@ -14,18 +14,25 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, listed
 from animtool.core.record import dataclass
+from animtool.core.units import up_from_up
 from animtool.edit.between import Between
 from animtool.edit.travel import even_positions
 from animtool.maths import additive, so3
 from animtool.motion.motion import Channel, Motion
+from animtool.motion.reorient import placed_motion
 from animtool.motion.take import Take
+from animtool.rig.controls import Control
+from animtool.rig.parts import Shape
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
 # A dot product of quaternions above this is positive despite rounding.
 POSITIVE_DOT = 1e-12
+MAX_NAMED = 6
 
 
 def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
@@ -87,6 +94,81 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
             hint="retarget one of them first",
         )
     )
+
+
+def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
+    """Return another take of a rig in the axes and the order of that rig.
+
+    Its up axis becomes that of the rig, and its shapes and controls have its order.
+
+    Args:
+        rig: The rig.
+        other: A take of the same joints.
+        is_additive: Whether its values are deltas: rotations of these are in the frames
+            of the joints, whatever the up axis.
+
+    Raises:
+        OptionError: The joints differ, or both have shapes or controls, and these
+            differ (SCN017).
+    """
+    check_same_rig(rig, other.rig)
+    shapes = _order("shapes", rig.shapes, other.rig.shapes)
+    controls = _order("controls", rig.controls, other.rig.controls)
+    rotation = up_from_up(rig.up, other.rig.up)
+    if rotation is None and shapes is None and controls is None:
+        return other
+    roots, placement = np.array(rig.roots, np.int64), None
+    if rotation is not None:
+        placement = Placement.from_rotation(np.array(rotation))
+
+    def matched(motion: Motion) -> Motion:
+        motion = replace(
+            motion,
+            weights=_ordered(motion.weights, shapes),
+            controls=_ordered(motion.controls, controls),
+        )
+        if placement is None:
+            return motion
+        rotations = motion.rotations
+        motion = placed_motion(motion, roots, placement)
+        return replace(motion, rotations=rotations) if is_additive else motion
+
+    matched_rig, curve = other.rig, other.curve
+    if shapes is not None:
+        parts = tuple(matched_rig.shapes[i] for i in shapes)
+        matched_rig = replace(matched_rig, shapes=parts)
+    if controls is not None:
+        matched_rig = replace(
+            matched_rig, controls=tuple(matched_rig.controls[i] for i in controls)
+        )
+    if placement is not None:
+        matched_rig = placed_rig(matched_rig, placement, rig.up)
+    return replace(
+        other,
+        rig=matched_rig,
+        motion=matched(other.motion).map(Channel.compact),
+        curve=None if curve is None else lambda times: matched(curve(times)),
+    )
+
+
+def _order(
+    noun: str, parts: Sequence[Shape | Control], others: Sequence[Shape | Control]
+) -> IntArray | None:
+    """Return the index in another rig of each part; None if both have one order."""
+    names, other_names = ([part.name for part in row] for row in (parts, others))
+    if names == other_names or not names or not other_names:
+        return None
+    if sorted(names) != sorted(other_names):
+        unmatched = sorted({*names} ^ {*other_names})
+        message = f"the takes are of different rigs: {noun} that only one of them has: "
+        raise OptionError(Fault("SCN017", f"{message}{listed(unmatched, MAX_NAMED)}"))
+    return np.array([other_names.index(name) for name in names], np.int64)
+
+
+def _ordered(channel: Channel | None, order: IntArray | None) -> Channel | None:
+    if channel is None or order is None:
+        return channel
+    return Channel.from_dense(channel.dense()[:, order])
 
 
 def combine(

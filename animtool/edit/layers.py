@@ -19,9 +19,9 @@ from animtool.edit.between import Between
 from animtool.edit.combine import (
     Strength,
     add,
-    check_same_rig,
     continuous,
     mix,
+    on_same_rig,
     other_frames,
     subtract,
 )
@@ -90,7 +90,7 @@ def blend(
             (SCN017), there would be too many frames (SCN021), or there is no such
             interpolation (SCN025).
     """
-    check_same_rig(take.rig, other.rig)
+    other = on_same_rig(take.rig, other)
     clock = take.clock
     delay_frames = exact(delay, "delay") / clock.step
     length = (other.clock.count - 1) * clock.rate / other.clock.rate
@@ -193,7 +193,7 @@ def _base(base: Take, frame: float | None) -> Take:
 
 
 def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
-    check_same_rig(stream.rig, base.rig)
+    base = on_same_rig(stream.rig, base)
     return replace(stream, blocks=_blocks(stream, base))
 
 
@@ -323,20 +323,21 @@ class _Plan:
     delay: float
 
     def over(self, stream: TakeStream) -> TakeStream:
-        check_same_rig(stream.rig, self.other.rig)
+        is_additive = self.mode is LayerMode.ADDITIVE
+        other = on_same_rig(stream.rig, self.other, is_additive=is_additive)
         self._weights(time_codes(Fraction(1), Fraction(1), 1))
-        return replace(stream, blocks=self._blocks(stream))
+        return replace(stream, blocks=self._blocks(stream, other))
 
     def _weights(self, times: FloatArray) -> FloatArray:
         is_bounded = self.mode is LayerMode.OVERRIDE
         return weights_at(self.weight, times, self.interpolation, bounded=is_bounded)
 
-    def _blocks(self, stream: TakeStream) -> Iterator[Motion]:
+    def _blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
         first_code = Fraction(1) if stream.start is None else stream.start
         delay = exact(self.delay, "delay") / stream.step
         operation = mix if self.mode is LayerMode.OVERRIDE else add
         is_constant = isinstance(self.weight, (int, float))
-        sampler = Between.of(self.other)
+        sampler = Between.of(other)
         frame_count, previous = 0, None
         for block in stream.blocks:
             block_code = first_code + frame_count * stream.step

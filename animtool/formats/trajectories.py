@@ -156,14 +156,18 @@ class MarkerFile:
     def cleaned(self, positions: FloatArray, meters: float) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
 
-        Invalid are points with an infinity or a number beyond float32 (MKR102), and
-        points exactly at the origin, which many systems write for missing points.
+        Invalid are points with an infinity or a number beyond float32, points with one
+        large number in all coordinates, such as 9999999 (MKR102), and points exactly at
+        the origin: what systems write for missing points.
 
         ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """
         with np.errstate(invalid="ignore"):
             beyond_float32 = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
             origin = (positions == 0.0).all(axis=-1)
+            is_code = (positions == positions[..., :1]).all(axis=-1)
+            is_code &= np.abs(positions[..., 0]) * meters > FARTHEST_METERS
+            is_code &= ~beyond_float32
         if beyond_float32.any():
             count = counted(int(beyond_float32.sum()), "position")
             message = f"{count} beyond the largest float32, treated as missing"
@@ -172,7 +176,13 @@ class MarkerFile:
             count = counted(int(origin.sum()), "position")
             message = f"{count} at exactly 0, 0, 0, treated as missing"
             self.note("MKR105", message)
-        positions[beyond_float32 | origin | np.isnan(positions).any(axis=-1)] = np.nan
+        if is_code.any():
+            count = counted(int(is_code.sum()), "position")
+            number = float(positions[is_code][0, 0])
+            message = f"{count} at {number:g} in every coordinate, treated as missing"
+            self.warn("MKR102", message, "the number is a code for missing points")
+        is_missing = beyond_float32 | origin | is_code
+        positions[is_missing | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters
         return positions
 
@@ -186,6 +196,8 @@ def _unit(text: str) -> LengthUnit | None:
 
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
+# Equal coordinates beyond this are a code for a missing point [m].
+FARTHEST_METERS = 1000.0
 # Maximum positions of a take; larger files are refused before memory is allocated. An
 # hour of 100 markers at 240 Hz has 86 million.
 MAX_POSITIONS = 200_000_000

@@ -7,15 +7,17 @@ from the first frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
+from animtool.rig.parts import Shape
+from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
 
 # Codes that drivers report again for the same joint after every pass.
@@ -103,3 +105,38 @@ def _first_name(notice: Fault) -> str:
     """Return the joint or control that a driver's notice names first."""
     parts = notice.message.split("'")
     return parts[1] if len(parts) > 2 else notice.message.split(" ")[0]
+
+
+def with_combined_weights(
+    weights: Channel, shapes: Sequence[Shape], missing: IntArray
+) -> Channel:
+    """Return weights of shapes, with the products of those a motion has no weight for.
+
+    Args:
+        weights: Weights of S shapes; 0 for the missing ones.
+        shapes: The shapes of the rig.
+        missing: Indices of shapes that the motion lacks.
+
+    >>> shapes = [Shape("a"), Shape("b", combine=("a",)), Shape("c", combine=("a",))]
+    >>> weights = Channel(np.zeros((3, 1)), np.array([0]), np.full((2, 1, 1), 0.5))
+    >>> with_combined_weights(weights, shapes, np.array([1])).dense()[0, :, 0].tolist()
+    [0.5, 0.5, 0.0]
+    """
+    index = {shape.name: i for i, shape in enumerate(shapes)}
+    absent, rest = set(missing.tolist()), weights.rest.copy()
+    frames = {int(i): weights.values[:, k] for k, i in enumerate(weights.animated)}
+    for shape in combination_order(shapes):
+        i, parts = index[shape.name], [index[name] for name in shape.combine]
+        if i not in absent or not parts:
+            continue
+        rest[i] = np.prod([rest[part] for part in parts], axis=0)
+        if any(part in frames for part in parts):
+            product = np.ones((len(weights.values), 1))
+            for part in parts:
+                product = product * frames.get(part, rest[part])
+            frames[i] = product
+    if len(frames) == len(weights.animated):
+        return Channel(rest, weights.animated, weights.values)
+    animated = sorted(frames)
+    values = np.stack([frames[i] for i in animated], axis=1)
+    return Channel(rest, np.array(animated, np.int64), values)

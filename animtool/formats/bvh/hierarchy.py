@@ -280,7 +280,7 @@ def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
     except ValueError:
         message = f"Frame Time is {excerpt(header.frame_time)}"
         hint = "a positive number of seconds is needed"
-        if header.frame_time.replace(",", "", 1).isdigit():
+        if "," in header.frame_time and header.frame_time.replace(",", "").isdigit():
             hint = f"write {header.frame_time.replace(',', '.')}, with a decimal point"
         lines.fail("BVH009", message, hint)
 

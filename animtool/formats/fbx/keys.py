@@ -19,7 +19,7 @@ from animtool.formats.fbx.curves import (
     FbxExtrapolation,
 )
 from animtool.formats.fbx.elements import Element, floats, integers, number
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS, in_ticks
 from animtool.formats.fbx.tangents import CURVED, NEXT_VALUE, STEPPED, TCB, key_slopes
 from animtool.formats.file_notices import FileNotices
 
@@ -27,8 +27,12 @@ from animtool.formats.file_notices import FileNotices
 WEIGHT_STEP = 1e-4
 
 
-def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
+def curve_of_object(
+    element: Element, notes: FileNotices, *, new_ticks: bool = False
+) -> FbxCurve | None:
     """Return the curve of an AnimationCurve object (FBX 7000 and newer).
+
+    ``new_ticks`` is whether its times count 141,120,000 ticks per second.
 
     Raises:
         FormatError: Its arrays do not match, or times descend (FBX006).
@@ -36,6 +40,8 @@ def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
     times = integers(element, "KeyTime", notes)
     if times is None or not len(times):
         return None
+    if new_ticks:
+        times = in_ticks(times)
     count = len(times)
     values = floats(element, "KeyValueFloat", notes, count)
     flags = integers(element, "KeyAttrFlags", notes)

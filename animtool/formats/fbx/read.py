@@ -19,6 +19,7 @@ from animtool.formats.fbx.sampling import (
     animates_rig,
     between_notices,
     frames_of,
+    outside_notices,
     take_stream,
 )
 from animtool.formats.fbx.scene import FbxScene, open_fbx
@@ -86,6 +87,7 @@ def read_fbx(
     stream = take_stream(fbx_rig, sampler, frames)
     stream.notices[:] = [*scene.file.notes.notices, *notices, *fbx_rig.notices, *notes]
     stream.notices += between_notices(scene, fbx_rig, sampler, frames)
+    stream.notices += outside_notices(scene, anim_take, frames)
     stream.notices += _unread_notice(scene, anim_take)
     return finish_stream(
         stream,

@@ -223,6 +223,31 @@ def between_notices(
     return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
 
 
+def outside_notices(
+    scene: FbxScene, take: AnimTake | None, frames: FbxFrames
+) -> list[Fault]:
+    """Return a notice of keys outside the span of a take; a warning if all are."""
+    moving = [] if take is None else [c for c in take.curves() if not c.is_static()]
+    if take is None or not moving:
+        return []
+    keys = np.unique(np.concatenate([curve.times for curve in moving]))
+    codes = keys / float(Fraction(TICKS) / frames.fps)
+    last = frames.first + frames.count - 1
+    is_outside = (codes < frames.first - ON_FRAME) | (codes > last + ON_FRAME)
+    count = int(is_outside.sum())
+    if not count:
+        return []
+    message = (
+        f"{count} of {len(keys)} key times of take {take.name!r}, {codes[0]:.6g} to "
+        f"{codes[-1]:.6g}, lie outside its frames {frames.first} to {last}, which are "
+        "read"
+    )
+    hint = "if they belong to it, make the take longer in the program that wrote it"
+    severity = Severity.WARNING if count == len(keys) else Severity.NOTE
+    path = str(scene.path)
+    return [Fault("FBX123", message, path, (), hint, severity, where=take.where)]
+
+
 def _nearest(ticks: int, rate: Fraction) -> int:
     return round(ticks * rate / TICKS)
 

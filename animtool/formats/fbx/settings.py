@@ -6,15 +6,20 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import excerpt
 from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.objects import FbxFile, scalar
 
-# Ticks per second.
+# Ticks per second. Times of files that count others are converted, see `in_ticks`.
 TICKS = 46_186_158_000
+# Ticks per second of files whose TCDefinition is 0, which FBX 2019.5 introduced.
+_NEW_TICKS = 141_120_000
+# Values of TCDefinition: 127 is `TICKS`.
+_NEW, _OLD = 0, 127
 # Frame rate by TimeMode, as numbered in `FbxTime::EMode`.
 _RATES = {
     0: Fraction(30),
@@ -74,6 +79,36 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     return FbxSettings(factor / 100.0, *up_and_basis, _rate(file))
 
 
+def counts_new_ticks(file: FbxFile) -> bool:
+    """Return whether a file counts 141,120,000 ticks per second."""
+    header = file.root.find("FBXHeaderExtension")
+    flags = None if header is None else header.find("OtherFlags")
+    element = None if flags is None else flags.find("TCDefinition")
+    if element is None or not element.values:
+        return False
+    definition = element.values[0]
+    if definition not in {_NEW, _OLD}:
+        message = f"unknown TCDefinition {excerpt(str(definition))}: using {_OLD}"
+        file.notes.warn("FBX106", element.where, message)
+    return bool(definition == _NEW)
+
+
+def in_ticks(times: IntArray) -> IntArray:
+    """Return times in units of 141,120,000 per second as ticks, rounded.
+
+    Times beyond any take are clamped, so that they stay out of range.
+
+    >>> (in_ticks(np.array([-141_120_000, 5_880_000])) / TICKS).tolist()
+    [-1.0, 0.041666666666666664]
+    """
+    ratio = Fraction(TICKS, _NEW_TICKS)
+    limit = 2**62 // (ratio.numerator // ratio.denominator + 1)
+    quotient, remainder = np.divmod(np.clip(times, -limit, limit), ratio.denominator)
+    half = ratio.denominator // 2
+    parts = (remainder * ratio.numerator + half) // ratio.denominator
+    return np.asarray(quotient * ratio.numerator + parts, np.int64)
+
+
 def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """Return the up axis, and the rotation from file axes to it.
 
@@ -108,7 +143,7 @@ def _rate(file: FbxFile) -> Fraction:
     if "TimeMode" not in file.settings.properties:
         return _old_rate(file)
     if mode not in _RATES:
-        message = f"unknown time mode {mode}: using 24 frames per second"
+        message = f"unknown time mode {mode}: using {_RATES[0]} frames per second"
         file.notes.warn("FBX106", file.settings.element.where, message)
     return _RATES.get(mode, _RATES[0])
 

@@ -34,6 +34,7 @@ from animtool.formats.fbx.objects import (
     scalar,
 )
 from animtool.formats.fbx.old_keys import LAYOUT, LAYOUT_OF_5000, curve_of_channel
+from animtool.formats.fbx.settings import counts_new_ticks, in_ticks
 
 # Component names of each animatable property, as in curve nodes.
 _VECTORS = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *OUTER_ROTATIONS)
@@ -135,10 +136,11 @@ class _Stacks:
         self.file = file
         self._curves: dict[Id, FbxCurve | None] = {}
         self._times: dict[bytes, IntArray] = {}
+        self._new_ticks = counts_new_ticks(file)
 
     def take(self, stack: Object) -> AnimTake:
         file = self.file
-        begin, end = (_ticks(stack, name) for name in ("LocalStart", "LocalStop"))
+        begin, end = (self._ticks(stack, n) for n in ("LocalStart", "LocalStop"))
         take = AnimTake(stack.name, stack.element.where, begin, end)
         layers = file.sources(stack.id, "AnimationLayer")
         if len(layers) > MAX_LAYERS:
@@ -214,7 +216,9 @@ class _Stacks:
             if item is None or item.kind != "AnimationCurve" or component in curves:
                 continue
             if source not in self._curves:
-                curve = curve_of_object(item.element, self.file.notes)
+                curve = curve_of_object(
+                    item.element, self.file.notes, new_ticks=self._new_ticks
+                )
                 if curve is not None:
                     # Most curves of a take have the same keys; equal times are stored
                     # once.
@@ -226,6 +230,14 @@ class _Stacks:
                 self._curves[source] = curve
             curves[component] = self._curves[source]
         return curves
+
+    def _ticks(self, stack: Object, name: str) -> int:
+        """Return a time of a stack; 0 if it is missing."""
+        values = stack.values(name)
+        if not values or not isinstance(values[0], int):
+            return 0
+        ticks = _in_range(values[0])
+        return int(in_ticks(np.array([ticks]))[0]) if self._new_ticks else ticks
 
     def _layer(self, layer_object: Object) -> Layer:
         notes = self.file.notes
@@ -247,13 +259,6 @@ class _Stacks:
             int(scalar(layer_object, "RotationAccumulationMode", 0, notes)) == 0,
             int(scalar(layer_object, "ScaleAccumulationMode", 0, notes)) == 0,
         )
-
-
-def _ticks(stack: Object, name: str) -> int:
-    values = stack.values(name)
-    if not values or not isinstance(values[0], int):
-        return 0
-    return _in_range(values[0])
 
 
 def _in_range(ticks: int) -> int:

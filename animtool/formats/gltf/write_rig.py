@@ -335,7 +335,7 @@ def _unstored_notice(
     rig: Rig, left_out: dict[str, list[str]], rig_indices: RigIndices
 ) -> list[Fault]:
     """Return one notice about rig contents that glTF cannot store."""
-    corrective_names = [shape.name for shape in rig.shapes if shape.combine]
+    corrective_names = [shape.name for shape in rig.shapes if len(shape.combine) > 1]
     if corrective_names:
         left_out["products of shapes (each gets its own weight)"] += corrective_names
     unwritten = [

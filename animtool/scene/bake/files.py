@@ -16,15 +16,19 @@ from animtool.core.files.output import check_outputs, write_arrays, write_parts
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
+from animtool.core.units import up_from_up
 from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
+from animtool.motion.driving import with_combined_weights
 from animtool.motion.motion import Channel
+from animtool.motion.reorient import rotated_rig
 from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
+from animtool.rig.parts import Shape
+from animtool.rig.skeleton import Pose, Rig
 from animtool.scene.bake.frames import TakePlan, in_frames
 from animtool.scene.bake.progress import OutputCost, Progress
-from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
@@ -120,8 +124,9 @@ class FilePlan:
         other_takes = tuple(other.collect() for other in other_streams)
         write = replace(write, others=other_takes, names=self.names)
         writer = take_writer(path)
+        mesh_notices: list[Fault] = []
         if "meshes" in writer.holds:
-            take = _with_meshes(take, plan)
+            take, mesh_notices = _with_meshes(take, plan)
         outputs = _files(writer, take, path, write)
         take_notices = [
             notice for notice in take.notices if notice not in stream.notices
@@ -129,7 +134,13 @@ class FilePlan:
         other_notices = [notice for other in other_streams for notice in other.notices]
         notices = list(
             dict.fromkeys(
-                [*stream.notices, *other_notices, *take_notices, *outputs.notices]
+                [
+                    *stream.notices,
+                    *other_notices,
+                    *take_notices,
+                    *mesh_notices,
+                    *outputs.notices,
+                ]
             )
         )
         refuse_warnings(notices, strict=options.strict)
@@ -146,26 +157,64 @@ class FilePlan:
         )
 
 
-def _with_meshes(take: Take, plan: TakePlan) -> Take:
-    """Return a take of a USD file with the meshes that its motion leaves out."""
+def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
+    """Return a take of a USD file with the meshes that its motion leaves out.
+
+    The notices are those of the meshes and of the bind pose.
+    """
     if take.rig.meshes or not is_usd(plan.source):
-        return take
-    full_rig, _ = open_rig(plan.source, plan.options.source.prim_path)
+        return take, []
+    from animtool.usd.rigs.stored import read_rig_with_data
+
+    options = plan.options
+    full_rig, notices = read_rig_with_data(
+        plan.source, options.source.prim_path, options.placement
+    )
     if full_rig.names != take.rig.names:
-        return take  # passes have put another rig there
-    names = [shape.name for shape in full_rig.shapes]
-    shape_names = [shape.name for shape in take.rig.shapes]
-    if not {*shape_names} <= {*names}:
-        return take
-    rig = replace(take.rig, meshes=full_rig.meshes, shapes=full_rig.shapes)
-    weights = take.motion.weights
-    if weights is not None and shape_names != names:
-        # The animation may have only some of the shapes.
-        indices = np.array([names.index(name) for name in shape_names], np.int64)
-        order = np.argsort(indices)
-        zero_weights = Channel.static(np.zeros((len(names), 1)), take.clock.count)
-        weights = zero_weights.put(indices[order], weights.gather(order)).compact()
-    return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
+        return take, []  # passes have put another rig there
+    rotation = up_from_up(take.rig.up, full_rig.up)
+    if rotation is not None:
+        full_rig = rotated_rig(full_rig, np.array(rotation), take.rig.up)
+    full_names = {shape.name for shape in full_rig.shapes}
+    without_mesh = [s for s in take.rig.shapes if s.name not in full_names]
+    shapes = (*full_rig.shapes, *without_mesh)
+    rig = replace(
+        take.rig,
+        meters_per_unit=full_rig.meters_per_unit,
+        meshes=full_rig.meshes,
+        shapes=shapes,
+        bind=_bind_poses(take.rig, full_rig),
+    )
+    weights = _shape_weights(take, shapes)
+    motion = replace(take.motion, weights=weights)
+    return replace(take, rig=rig, motion=motion), notices
+
+
+def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
+    """Return the weights of a take for more shapes.
+
+    Shapes that the take has no weight for combine others, or are at 0.
+    """
+    weights, all_names = take.motion.weights, [shape.name for shape in shapes]
+    names = [shape.name for shape in take.rig.shapes]
+    if weights is None or names == all_names:
+        return weights
+    indices = np.array([all_names.index(name) for name in names], np.int64)
+    order = np.argsort(indices)
+    zero_weights = Channel.static(np.zeros((len(shapes), 1)), take.clock.count)
+    weights = zero_weights.put(indices[order], weights.gather(order))
+    missing = np.setdiff1d(np.arange(len(shapes)), indices)
+    return with_combined_weights(weights, shapes, missing).compact()
+
+
+def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
+    """Return the bind poses of a full rig that differ from the rest pose of a rig."""
+    poses = dict(full_rig.bind)
+    for joint, other in zip(rig.joints, full_rig.joints, strict=True):
+        rest = other.translation, other.rotation
+        if (joint.translation, joint.rotation) != rest:
+            poses.setdefault(other.name, Pose(*rest))
+    return poses
 
 
 def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:
@@ -189,9 +238,8 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
 
 def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:
     """Return the base take of an additive take, at the frames of that take."""
-    from animtool.edit.combine import check_same_rig, other_frames
+    from animtool.edit.combine import on_same_rig, other_frames
 
-    base_take = open_source(path, options).collect()
-    check_same_rig(take.rig, base_take.rig)
+    base_take = on_same_rig(take.rig, open_source(path, options).collect())
     motion = other_frames(base_take, take.clock.rate, 0, take.clock.count)
     return replace(take, motion=motion)

@@ -14,6 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, names_fault
 from animtool.core.readers import USD, find_reader
 from animtool.core.record import dataclass
+from animtool.motion.driving import with_combined_weights
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import TakeStream
@@ -79,24 +80,34 @@ class NameMap:
             _gather_entries(motion.translations, self.joints, rig.rest_translations),
             _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
             _moved_if(motion.scales, self.joints, one_frame),
-            _moved_if(motion.weights, self.shapes, zero_weights),
+            self._with_combined(_moved_if(motion.weights, self.shapes, zero_weights)),
             _moved_if(motion.controls, self.controls, defaults),
         )
+
+    def _with_combined(self, weights: Channel | None) -> Channel | None:
+        """Return weights with those of combined shapes that only this rig has."""
+        if weights is None:
+            return None
+        missing = np.flatnonzero(self.shapes < 0)
+        return with_combined_weights(weights, self.rig.shapes, missing)
 
 
 def map_names(rig: Rig, other: Rig) -> NameMap:
     """Return the indices of a rig's tracks in another rig, by name.
 
-    A joint that was renamed on reading is found under both names.
+    A joint that was renamed on reading is found under both names. Of several joints
+    with one name, it is the one below the joint that its parent is.
     """
-    index_by_name: dict[str, int] = {}
+    by_name: dict[str, list[int]] = {}
     for j, joint in enumerate(other.joints):
-        index_by_name.setdefault(joint.source_name or joint.name, j)
-        index_by_name.setdefault(joint.name, j)
-    joints = [
-        index_by_name.get(joint.name, index_by_name.get(joint.source_name, -1))
-        for joint in rig.joints
-    ]
+        for name in dict.fromkeys((joint.source_name or joint.name, joint.name)):
+            by_name.setdefault(name, []).append(j)
+    joints: list[int] = []
+    for joint in rig.joints:
+        matches = [*by_name.get(joint.name, ()), *by_name.get(joint.source_name, ())]
+        parent = joints[joint.parent] if joint.parent >= 0 else -1
+        below = [j for j in matches if other.joints[j].parent == parent]
+        joints.append(next(iter(below or matches), -1))
     return NameMap(
         rig,
         np.array(joints, np.int64),

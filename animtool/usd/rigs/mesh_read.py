@@ -214,7 +214,11 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
 def _shapes(
     query: Any, mesh: str, points: int, where: str, known_shapes: set[str]
 ) -> list[Shape]:
-    """Return the blend shapes of a mesh; shapes shared by name keep one name."""
+    """Return the blend shapes of a mesh.
+
+    A shape with the name of another mesh's is renamed, and combines that one: UsdSkel
+    gives both the same weight.
+    """
     if not query.HasBlendShapes():
         return []
     order = [str(token) for token in query.GetBlendShapeOrder() or ()]
@@ -227,16 +231,13 @@ def _shapes(
         if not stage.GetPrimAtPath(target):
             message = f"a blendShapeTarget, {target}, does not exist"
             PrimLocation.of(where, query.GetPrim()).fail("USD208", message)
-    return [
-        _shape(
-            UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
-            token if token not in known_shapes else f"{mesh}_{token}",
-            mesh,
-            points,
-            where,
-        )
-        for token, target in zip(order, targets, strict=True)
-    ]
+    shapes = []
+    for token, target in zip(order, targets, strict=True):
+        prim, is_shared = stage.GetPrimAtPath(target), token in known_shapes
+        name = f"{mesh}_{token}" if is_shared else token
+        shape = _shape(UsdSkel.BlendShape(prim), name, mesh, points, where)
+        shapes.append(replace(shape, combine=(token,)) if is_shared else shape)
+    return shapes
 
 
 def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:

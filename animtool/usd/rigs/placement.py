@@ -88,6 +88,16 @@ def animated_ancestors(skeleton: Any) -> list[Any]:
     return chain if is_animated else []
 
 
+def rotates_or_scales(skeleton: Any) -> bool:
+    """Return whether transforms above a Skeleton move it other than by translation."""
+    translate = UsdGeom.XformOp.TypeTranslate
+    return any(
+        operation.GetOpType() != translate and operation.MightBeTimeVarying()
+        for xformable in animated_ancestors(skeleton)
+        for operation in xformable.GetOrderedXformOps()
+    )
+
+
 def skeleton_placement(
     skeleton: Any, rig: Rig, codes: Sequence[float] | None = None
 ) -> SkeletonPlacement:

@@ -160,12 +160,17 @@ def has_extra_data(rig: Rig) -> bool:
     Types of joints with channels follow from the channels, which are stored separately.
     """
     extras = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
-    return any(map(bool, extras)) or any(
-        (joint.type is not JointType.FREE and joint.channels is None)
-        or joint.limits is not None
-        or joint.mimic is not None
-        or joint.mirror
-        for joint in rig.joints
+    has_products = any(shape.combine for shape in rig.shapes)
+    return (
+        has_products
+        or any(map(bool, extras))
+        or any(
+            (joint.type is not JointType.FREE and joint.channels is None)
+            or joint.limits is not None
+            or joint.mimic is not None
+            or joint.mirror
+            for joint in rig.joints
+        )
     )
 
 

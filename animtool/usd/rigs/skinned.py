@@ -92,13 +92,15 @@ def ignored_binding(skeleton: Any) -> str:
 
 
 def missing_animation(skeleton: Any) -> str:
-    """Return the path that a skeleton's animation is bound to, if nothing is there."""
+    """Return which animation a skeleton is bound to, and why it has no effect."""
     for prim in upwards(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         targets = relationship.GetTargets() if relationship else ()
         if targets:
-            exists = prim.GetStage().GetPrimAtPath(targets[0])
-            return "" if exists else str(targets[0])
+            animation = prim.GetStage().GetPrimAtPath(targets[0])
+            if not animation:
+                return f"{targets[0]} does not exist"
+            return "" if animation.IsActive() else f"{targets[0]} is deactivated"
     return ""
 
 

@@ -294,9 +294,11 @@ def read_rig(path: Path) -> Rig:
 
 
 def read_rig_with_data(
-    path: Path, prim_path: str | None = None
+    path: Path, prim_path: str | None = None, choice: str | None = None
 ) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton; the default prim's comes first.
+
+    ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
     Includes bind pose, meshes, shapes and strands, and the customData that USD cannot
     express.
@@ -339,7 +341,8 @@ def read_rig_with_data(
         complete, losses = with_attachments(merged_rig, rig, data, path)
         placement = local_placement(skeleton.GetPrim(), of_skeleton.rig)
         notices += uneven_notice(placement, where)
-        return rest_rig(complete, placement), notices + edits + losses
+        placed = rest_rig(complete, placement, choice)
+        return placed, notices + edits + losses
 
 
 def _bind_poses(

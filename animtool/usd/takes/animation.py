@@ -24,7 +24,7 @@ from animtool.usd.layers.faults import (
     transform_attributes,
     unknown_joints,
 )
-from animtool.usd.rigs.placement import animated_ancestors
+from animtool.usd.rigs.placement import animated_ancestors, rotates_or_scales
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     check_moves,
@@ -37,6 +37,7 @@ from animtool.usd.takes.animation_values import (
     SampleGrid,
     animated_shapes,
     normalised,
+    on_every_frame,
     sample_grid,
     sampled_values,
     scale_channel,
@@ -74,6 +75,8 @@ def read_animation(
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
     grid = sample_grid(stage, animation, times, where)
+    if prim is not None and rotates_or_scales(prim):
+        grid = on_every_frame(grid, stage, where)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
     codes = clock.times.tolist()

@@ -207,6 +207,24 @@ def sample_grid(
     return _with_standard_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
+def on_every_frame(grid: SampleGrid, stage: Any, where: PrimLocation) -> SampleGrid:
+    """Return a grid with steps of at most one frame that contains a grid's frames.
+
+    Linear steps between samples are not those of transforms that rotate or scale: two
+    keys of a turntable are a circle, of which joints would walk the chord.
+    """
+    fps = rate_from_float(stage.GetTimeCodesPerSecond())
+    frame = Fraction(1)
+    if stage.HasAuthoredMetadata("framesPerSecond") and stage.GetFramesPerSecond() > 0:
+        frame = fps / rate_from_float(stage.GetFramesPerSecond())
+    parts = math.ceil(grid.step / frame)
+    count = (grid.count - 1) * parts + 1
+    if count > MAX_FRAMES and parts > 1:
+        message = f"its moving placement spans {count} frames"
+        where.fail("USD016", message, "is one of its samples a stray one?")
+    return replace(grid, step=grid.step / parts, count=count)
+
+
 def _with_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     """Return a grid with the step of the standard rate near its own rate.
 

@@ -298,7 +298,7 @@ def _bound_animation(skeleton: Any) -> Any:
         return UsdSkel.Animation(source)
     # Includes an animation that UsdSkel cannot use: reading it reports why.
     binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
-    return UsdSkel.Animation(binding) if binding else None
+    return UsdSkel.Animation(binding) if binding and binding.IsActive() else None
 
 
 def _rest_take(
@@ -332,10 +332,8 @@ def _rest_take(
         message += f": {ignored} binds one, but SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
     elif missing := missing_animation(prim):
-        message = (
-            f"its animation {missing} does not exist; the skeleton is read at rest"
-        )
-        hint = "correct the targets of skel:animationSource"
+        message = f"its animation {missing}; the skeleton is read at rest"
+        hint = "activate it, or correct the targets of skel:animationSource"
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     stream.notices += notices

@@ -132,6 +132,68 @@ def test_unit_and_axis_can_be_told(tmp_path: Path) -> None:
     assert take_names(path) == ["bend"]
 
 
+def in_new_ticks(trees: list[Tree], definition: int) -> list[Tree]:
+    """Return a file whose times count 141,120,000 ticks per second."""
+    put_flags = ("OtherFlags", [], [("TCDefinition", [definition], [])])
+    part(trees, "FBXHeaderExtension").append(put_flags)
+    for own in (16, 17):
+        put(part(trees, "AnimationCurve", own), "KeyTime", array([0, 141120000], "<i8"))
+    rows = part(trees, "AnimationStack", 11)[0][2]
+    rows[1][1][-1] = 141_120_000
+    return trees
+
+
+@pytest.mark.parametrize("form", [as_text, as_binary])
+def test_files_that_count_other_ticks(
+    tmp_path: Path, form: Callable[..., bytes]
+) -> None:
+    path = written(tmp_path, form(in_new_ticks(small_fbx(), 0), 7700))
+    stream = read_fbx(path)
+    take = stream.collect()
+    same = read_fbx(written(tmp_path, form(small_fbx(), 7700))).collect()
+    assert not stream.notices
+    assert take.motion.frames == same.motion.frames == 25
+    mine, theirs = (one.motion.rotations.dense() for one in (take, same))
+    np.testing.assert_allclose(mine, theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("span", "frames", "severity"),
+    [
+        ((0.0, 1.0), (0, 25), None),
+        ((0.0, 0.5), (0, 13), Severity.NOTE),
+        ((5.0, 6.0), (120, 25), Severity.WARNING),
+    ],
+)
+def test_keys_outside_the_span_of_a_take_are_named(
+    tmp_path: Path,
+    span: tuple[float, float],
+    frames: tuple[int, int],
+    severity: Severity | None,
+) -> None:
+    trees = small_fbx()
+    rows = part(trees, "AnimationStack", 11)[0][2]
+    for row, time in zip(rows, span, strict=True):
+        row[1][-1] = round(time * TICKS)
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    found = [n.severity for n in stream.notices if n.code == "FBX123"]
+    assert found == ([] if severity is None else [severity])
+    assert (stream.start, stream.collect().motion.frames) == frames
+
+
+def test_an_unknown_time_definition_or_mode_is_named(tmp_path: Path) -> None:
+    content = as_binary(in_new_ticks(small_fbx(), 5), 7700)
+    codes = [one.code for one in read_fbx(written(tmp_path, content)).notices]
+    assert "FBX106" in codes
+    trees = small_fbx()
+    (row,) = (r for r in part(trees, "GlobalSettings")[0][2] if r[1][0] == "TimeMode")
+    row[1][-1] = 99
+    stream = read_fbx(written(tmp_path, as_binary(trees)))
+    (notice,) = stream.notices
+    assert notice.code == "FBX106"
+    assert f"using {stream.fps} " in notice.message
+
+
 def test_another_take_or_character_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, as_text(small_fbx()))
     for options, code in (({"take": "run"}, "FBX015"), ({"prim_path": "x"}, "FBX014")):

@@ -68,6 +68,16 @@ def test_empty_cells_and_nan_are_not_seen(tmp_path: Path, end: str) -> None:
     assert not [n for n in markers.notices if n.code != "MKR103"]
 
 
+@pytest.mark.parametrize("code", ["9999999.0", "-3.697314e28", "99999"])
+def test_a_number_for_points_that_were_not_seen(tmp_path: Path, code: str) -> None:
+    rows = f"1\t0.0\t1\t2\t3\t{code}\t{code}\t{code}\n"
+    rows += "2\t0.01\t4\t4\t4\t2000\t2001\t2000\n"
+    markers = read(tmp_path, HEAD + rows)
+    assert markers.visible.tolist() == [[True, False], [True, True]]
+    (notice,) = [n for n in markers.notices if n.code == "MKR102"]
+    assert f"{float(code):g}" in notice.message
+
+
 def test_a_short_row_ends_in_empty_cells(tmp_path: Path) -> None:
     markers = read(tmp_path, HEAD + "1\t0\t1\t2\t3\n2\t.01\t1\t2\t3\n")
     assert markers.visible.tolist() == [[True, False]] * 2

@@ -270,6 +270,35 @@ def test_a_skelroot_that_moves_and_is_scaled(
     assert_allclose(found.world().positions / 0.01, truth, atol=1e-4)
 
 
+@pytest.mark.parametrize("times", [[1.0], [1.0, 4.0, 7.0, 10.0]])
+def test_a_turntable_of_two_keys_is_a_circle(
+    tmp_path: Path, times: list[float]
+) -> None:
+    path = author_samples(tmp_path / "take.usda", times)
+    stage = Usd.Stage.Open(str(path))
+    table = UsdGeom.Xformable(stage.GetPrimAtPath("/hero"))
+    table.AddTranslateOp().Set((30, 0, 0))
+    turn = table.AddRotateYOp()
+    turn.Set(0.0, 1)
+    turn.Set(180.0, 10)
+    stage.Save()
+    found = read_usd(path).collect()
+    assert found.clock.times.tolist() == list(range(1, 11))
+    truth = joint_positions(Usd.Stage.Open(str(path)), found.clock.times)
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    assert_allclose(found.world().positions / unit, truth, atol=1e-4)
+
+
+def test_a_placement_that_only_moves_keeps_the_samples(tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "take.usda", [1.0, 4.0, 7.0, 10.0])
+    stage = Usd.Stage.Open(str(path))
+    move = UsdGeom.Xformable(stage.GetPrimAtPath("/hero")).AddTranslateOp()
+    move.Set((0, 0, 0), 1)
+    move.Set((9, 0, 0), 10)
+    stage.Save()
+    assert read_usd(path).collect().clock.times.tolist() == [1, 4, 7, 10]
+
+
 @pytest.mark.parametrize(
     ("times", "code"),
     [([0, 1, 2, 3_000_000], "USD016"), ([0, 0.1, 0.3, 2 / 7, 9.77], "")],
@@ -432,6 +461,23 @@ def test_a_binding_to_a_prim_that_does_not_exist_is_named(tmp_path: Path) -> Non
     (notice,) = stream.notices
     assert notice.code == "USD103"
     assert "/hero/Rig/Anm" in notice.message
+
+
+def test_an_animation_that_is_deactivated_does_not_play(tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "take.usda", [1.0, 2.0, 3.0])
+    stage = Usd.Stage.Open(str(path))
+    (target,) = (
+        UsdSkel.BindingAPI(stage.GetPrimAtPath("/hero/Rig/Skel"))
+        .GetAnimationSourceRel()
+        .GetTargets()
+    )
+    stage.GetPrimAtPath(target).SetActive(False)
+    stage.Save()
+    stream = read_usd(path)
+    (notice,) = stream.notices
+    assert notice.code == "USD103"
+    assert f"{target} is deactivated" in notice.message
+    assert stream.collect().clock.count == 1
 
 
 def test_meshes_without_the_binding_schema_are_named(tmp_path: Path) -> None:

@@ -1,0 +1,71 @@
+"""Takes of one rig that state other axes, or their shapes in another order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.takes import assert_same_motion, motion_of, takes
+
+from animtool.core.errors import OptionError
+from animtool.core.units import UpAxis
+from animtool.edit.layers import LayerMode, blend, difference, layer
+from animtool.motion.motion import Channel
+from animtool.motion.reorient import reorient
+from animtool.motion.take import Take, TakeStream
+from animtool.rig.parts import Shape
+
+WITHIN = 1e-12  # [m], [rad], [1], a few roundings
+
+
+@st.composite
+def pairs(draw: st.DrawFn) -> tuple[Take, Take]:
+    """Return two takes of one rig with Y up, on one clock."""
+    take = draw(takes())
+    take = replace(take, rig=replace(take.rig, up=UpAxis.Y))
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    motion = motion_of(take.rig, take.clock.count, rng, False, uniform=True)
+    return take, replace(take, motion=motion)
+
+
+def z_up(take: Take) -> Take:
+    return reorient(TakeStream.of(take), UpAxis.Z).collect()
+
+
+@given(pairs())
+def test_the_up_axis_of_the_other_take_does_not_matter(both: tuple[Take, Take]) -> None:
+    take, other = both
+    for found, expected in (
+        (blend(take, z_up(other), weight=0.3), blend(take, other, weight=0.3)),
+        (layer(take, z_up(other)), layer(take, other)),
+        (difference(take, z_up(other)), difference(take, other)),
+    ):
+        assert found.rig.up is UpAxis.Y
+        assert_same_motion(found, expected, WITHIN)
+    delta = difference(z_up(take), z_up(other))
+    summed = layer(other, delta, mode=LayerMode.ADDITIVE)
+    assert_same_motion(summed, layer(take, take), 10 * WITHIN)
+
+
+def shaped(take: Take, **weights: float) -> Take:
+    """Return the take with shapes at constant weights."""
+    values = np.tile(np.array([*weights.values()])[:, None], (take.clock.count, 1, 1))
+    return replace(
+        take,
+        rig=replace(take.rig, shapes=tuple(map(Shape, weights))),
+        motion=replace(take.motion, weights=Channel.from_dense(values)),
+    )
+
+
+@given(takes())
+def test_shapes_are_matched_by_name(take: Take) -> None:
+    one, other = shaped(take, a=0.0, b=0.0), shaped(take, b=0.25, a=1.0)
+    found = layer(one, other).motion.weights
+    assert found is not None
+    assert found.dense()[0, :, 0].tolist() == [1.0, 0.25]
+    with pytest.raises(OptionError) as caught:
+        layer(one, shaped(take, a=1.0, c=0.25))
+    assert caught.value.code == "SCN017"
