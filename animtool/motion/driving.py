@@ -17,7 +17,6 @@ from animtool.core.errors import Fault
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
-from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
 
 # Codes that drivers report again for the same joint after every pass.
@@ -122,6 +121,8 @@ def with_combined_weights(
     >>> with_combined_weights(weights, shapes, np.array([1])).dense()[0, :, 0].tolist()
     [0.5, 0.5, 0.0]
     """
+    from animtool.rig.shapes import combination_order
+
     index = {shape.name: i for i, shape in enumerate(shapes)}
     absent, rest = set(missing.tolist()), weights.rest.copy()
     frames = {int(i): weights.values[:, k] for k, i in enumerate(weights.animated)}

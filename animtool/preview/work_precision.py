@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.sim.trials.trial import CostMeasure
 
 if TYPE_CHECKING:
-    from animtool.sim.trials.measuring import TrialTable
+    from animtool.sim.trials.table import TrialTable
 
 
 SUFFIXES = (".png", ".svg", ".pdf")

@@ -12,7 +12,7 @@ from animtool.report.text import Each, Line, Table, Template, render, table_cell
 from animtool.sim.trials.trial import CostMeasure, Figure
 
 if TYPE_CHECKING:
-    from animtool.sim.trials.measuring import TrialRow, TrialTable
+    from animtool.sim.trials.table import TrialRow, TrialTable
 
 LEGEND = "> current setting   * Pareto front   + recommended"
 _HEAD: tuple[Line, ...] = (

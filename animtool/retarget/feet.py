@@ -16,7 +16,7 @@ from animtool.motion.contacts import (
     gaussian_smoothed,
     without_short_runs,
 )
-from animtool.rig.limits import RangeLimit
+from animtool.retarget.bending import MAX_EXTENSION
 
 # Time within which the hips shift from one foot to the other at a contact [s].
 HANDOVER_SECONDS = 0.15
@@ -38,8 +38,6 @@ MAX_ITERATIONS, MAX_PENETRATION = 3, 1e-4
 FADE_SECONDS = 0.06
 # A planted foot that leans more than this is not on level ground [rad].
 MAX_LEAN = np.radians(20.0)
-# Largest extension of a leg, as a fraction of its length.
-MAX_EXTENSION = 0.9995
 # Window around each frame in which a leg is as straight as the source's leg, and the
 # width of its Gaussian smoothing [s]. Both fade within a second, so that block
 # boundaries leave no trace.
@@ -416,125 +414,3 @@ def upper(values: FloatArray, width: float, smooth: float | None = None) -> Floa
     return gaussian_smoothed(
         windows.max(axis=1), width / 4 if smooth is None else smooth
     )
-
-
-def bend_limb(
-    hip: FloatArray,
-    joints: tuple[FloatArray, FloatArray],
-    goal: FloatArray,
-    rotations: tuple[FloatArray, FloatArray],
-    hinge: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return rotations of thigh and shin that bring ankles to goals ``(F, 4)``.
-
-    The knee bends in its own plane, then the leg rotates rigidly by the shortest arc.
-
-    Args:
-        hip: Start of the thigh ``(F, 3)`` [m].
-        joints: Current positions of knee and ankle ``(F, 3)`` [m].
-        goal: Ankle goals ``(F, 3)`` [m].
-        rotations: World rotations of thigh and shin ``(F, 4)``.
-        hinge: Knee axis of a straight leg ``(F, 3)``.
-    """
-    knee, ankle = joints
-    thigh, shin = knee - hip, ankle - knee
-    a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
-    goal_distance = np.linalg.norm(goal - hip, axis=1)
-    shortest_distance, longest_distance = (
-        np.abs(a - b) * (1 + 1e-9),
-        (a + b) * MAX_EXTENSION,
-    )
-    # A leg that was straighter may stay so.
-    longest_distance = np.maximum(
-        longest_distance, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b)
-    )
-    goal_distance = np.clip(goal_distance, shortest_distance, longest_distance)
-    axis = np.cross(thigh, shin)
-    axis_length = np.linalg.norm(axis, axis=1, keepdims=True)
-    axis = np.where(
-        axis_length > 1e-3 * (a * b)[:, None],
-        axis / np.maximum(axis_length, 1e-300),
-        hinge,
-    )
-    cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
-    current_angle = np.arctan2(
-        (np.cross(thigh, shin) * axis).sum(axis=1), (thigh * shin).sum(axis=1)
-    )
-    bend_rotation = so3.from_axis_angle(axis, np.arccos(cosine) - current_angle)
-    tip = thigh + so3.rotate(bend_rotation, shin)
-    swing = shortest(tip, goal - hip)
-    return (
-        so3.multiply(swing, rotations[0]),
-        so3.multiply(swing, so3.multiply(bend_rotation, rotations[1])),
-    )
-
-
-def bend_at_pin(
-    hip: FloatArray,
-    goal: FloatArray,
-    thigh: FloatArray,
-    bones: tuple[FloatArray, FloatArray],
-    axis: FloatArray,
-    angle: FloatArray,
-    limits: RangeLimit | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Return thigh rotations ``(F, 4)`` and pin-knee angles ``(F,)`` [rad] for a goal.
-
-    The knee opens until the ankle is at its goal's distance, or as near as its limits
-    allow. Then the thigh rotates the ankle to the goal along the shortest arc.
-
-    Args:
-        hip: Start of the thigh ``(F, 3)`` [m].
-        goal: Ankle goals ``(F, 3)`` [m].
-        thigh: Its current world rotations ``(F, 4)``.
-        bones: Vector of the thigh, and of the shin with the knee at rest, both in the
-            frame of the thigh ``(3,)`` [m].
-        axis: Unit axis of the knee in that frame ``(3,)``.
-        angle: Current angle of the knee ``(F,)`` [rad].
-        limits: Limits of the knee; they determine its bending direction, else its
-            current bend does.
-    """
-    upper, lower = bones
-    axial_product = float((upper @ axis) * (lower @ axis))
-    cosine, sine = (
-        float(upper @ lower) - axial_product,
-        float(upper @ np.cross(axis, lower)),
-    )
-    amplitude = float(np.hypot(cosine, sine))
-    if not amplitude:
-        return thigh, angle
-    goal_distance = np.linalg.norm(goal - hip, axis=1)
-    middle = (goal_distance**2 - upper @ upper - lower @ lower) / 2 - axial_product
-    open_by = np.arccos(np.clip(middle / amplitude, -1.0, 1.0))
-    zero = float(np.arctan2(sine, cosine))
-    candidates = np.stack([zero + open_by, zero - open_by])
-    candidates -= 2 * np.pi * np.round((candidates - angle) / (2 * np.pi))
-    deviations = np.abs(candidates - angle)
-    if limits is not None:
-        # Near straight, both directions are equally near; no knee bends beyond its
-        # stop.
-        deviations += STOP_COST * np.abs(limits.excess(candidates))
-    chosen_angle = np.where(deviations[0] <= deviations[1], *candidates)
-    if limits is not None:
-        chosen_angle = limits.clamped(chosen_angle)
-    tip = upper + so3.rotate(so3.from_axis_angle(axis, chosen_angle), lower)
-    return so3.multiply(
-        shortest(so3.rotate(thigh, tip), goal - hip), thigh
-    ), chosen_angle
-
-
-def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
-    a = before / np.linalg.norm(before, axis=1, keepdims=True)
-    b = after / np.linalg.norm(after, axis=1, keepdims=True)
-    quaternions = np.concatenate(
-        [np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1
-    )
-    is_defined = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE
-    return so3.normalize(np.where(is_defined, quaternions, [1.0, 0.0, 0.0, 0.0]))
-
-
-# Cost of a knee beyond its stop, relative to that of a large change [1].
-STOP_COST = 100.0
-# Directions with a scalar product this close to -1 are opposite.
-OPPOSITE = 1e-9

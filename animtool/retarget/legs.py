@@ -12,7 +12,8 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.contacts import find_contacts
 from animtool.retarget.balls import ball_positions
-from animtool.retarget.feet import Foot, bend_at_pin, bend_limb
+from animtool.retarget.bending import bend_at_pin, bend_limb
+from animtool.retarget.feet import Foot
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.standing import MIN_STANDING_COSINE
 from animtool.retarget.transfer import Transfer

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from animtool.cli.summary import BAKED, STATS, mesh_groups
+from animtool.cli.summary import BAKED, STATS, channel_lines, mesh_groups
+from animtool.clip.key_report import ChannelError
 from animtool.core.values import plain_value
 from animtool.report.text import render
 from animtool.scene.bake.prims import BakeReport
@@ -33,6 +34,18 @@ def test_the_last_file_names_an_output(outputs: tuple[str, ...], named: str) -> 
     )
     cost = BakeReport.cost.__get__(report)
     assert plain_value(cost) == {"output": named, "seconds": 2.0, "error": 1e-6}
+
+
+def test_the_largest_error_of_each_unit_names_its_channel_once() -> None:
+    errors = [
+        ChannelError("joint/knee.rotation", 0.25, "deg", 3.0),
+        ChannelError("joint/hip.rotation", 0.5, "deg", 2.0),
+        ChannelError("joint/hip.slide", 0.1, "cm", 2.0),
+    ]
+    counts, largest = channel_lines(errors)
+    assert "3" in counts
+    named = [largest.count(error.target) for error in errors]
+    assert named == [0, 1, 1]
 
 
 def test_stages_and_outputs_are_rows_of_one_table() -> None:

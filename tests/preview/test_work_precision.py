@@ -21,7 +21,7 @@ from animtool.preview.work_precision import (
     draw_panels,
     panels_of,
 )
-from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
+from animtool.sim.trials.table import Reference, TrialRow, TrialTable
 from animtool.sim.trials.trial import CostMeasure, ErrorMeasure, PointDistances, Setting
 
 PANEL = Panel(

@@ -8,11 +8,11 @@ from support.feet import foot
 
 from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
+from animtool.retarget.bending import bend_at_pin
 from animtool.retarget.feet import (
     _locked_path,
     _planted_rotations,
     _weight,
-    bend_at_pin,
     covering,
     upper,
 )

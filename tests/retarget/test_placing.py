@@ -13,6 +13,7 @@ from support.feet import foot
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
+from animtool.retarget.bending import bend_limb, shortest
 from animtool.retarget.feet import (
     _above_ground,
     _ankle_rise,
@@ -25,10 +26,8 @@ from animtool.retarget.feet import (
     _rolls,
     _smooth_step,
     _smoothest,
-    bend_limb,
     between,
     plant_feet,
-    shortest,
     upper,
 )
 from animtool.retarget.hands import (

@@ -21,7 +21,8 @@ from animtool.scene.solves.ik import IkJob
 from animtool.scene.tables.ik import job_trial
 from animtool.scene.tables.simulation import simulation_trials
 from animtool.scene.tables.take import take_trials
-from animtool.sim.trials.measuring import TrialRow, TrialTable, measure
+from animtool.sim.trials.measuring import measure
+from animtool.sim.trials.table import TrialRow, TrialTable
 from animtool.sim.trials.trial import Setting, Trial
 
 SUITE_FOLDER = Path(__file__).with_name("suite")

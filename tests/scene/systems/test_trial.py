@@ -13,7 +13,8 @@ from support.simulated import Simulator
 
 from animtool.core.errors import OptionError
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.measuring import TrialRow, measure
+from animtool.sim.trials.measuring import measure
+from animtool.sim.trials.table import TrialRow
 from animtool.sim.trials.trial import Setting, Trial
 
 FLOOR = [{"shape": {"plane": {}}, "at": [0, -5, 0]}]

@@ -20,7 +20,7 @@ from animtool.scene.tables.tradeoffs import (
     measure_tradeoffs,
     suite_tradeoffs,
 )
-from animtool.sim.trials.measuring import TrialTable
+from animtool.sim.trials.table import TrialTable
 from animtool.sim.trials.trial import CostMeasure, ErrorMeasure
 
 SWING = """scene: animtool/1

@@ -11,7 +11,8 @@ import pytest
 from support.simulated import Simulator
 
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.measuring import TrialRow, measure
+from animtool.sim.trials.measuring import measure
+from animtool.sim.trials.table import TrialRow
 from animtool.sim.trials.trial import Figure, Setting, Trial
 
 
