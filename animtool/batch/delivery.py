@@ -79,7 +79,7 @@ class Delivery:
                 return None
             outputs.append(replace(record, state=state))
         written_at = max(
-            (record.state.changed for record in outputs if record.state), default=0
+            (record.state.changed_at for record in outputs if record.state), default=0
         )
         return replace(outcome, outputs=tuple(outputs), at=written_at)
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, excerpt, listed
-from animtool.core.names import KINDS, by_likeness, nearest, similar
+from animtool.core.names import FILE_KINDS, most_similar, nearest, sort_by_similarity
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.forms import example_hint, form_hint, paired_entries
@@ -56,18 +56,6 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
     ]
 
 
-def unknown_options(
-    options: Mapping[str, Any], names: Collection[str], owner: str
-) -> LocatedFaults:
-    """Return a fault for each unknown option."""
-    return [
-        ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
-        for key in options
-        if key not in names
-        for hint, _ in [key_meant(key, names)]
-    ]
-
-
 def key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
     """Return a hint for an unknown key, and the key that was likely meant."""
     normalized = key.replace("_", "").lower()
@@ -82,8 +70,8 @@ def key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
     if other_key is not None:
         return f"the key is {other_key!r}", other_key
     if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
-        return f"allowed: {', '.join(by_likeness(key, names))}", None
-    return nearest(key, names), similar(key, names)
+        return f"allowed: {', '.join(sort_by_similarity(key, names))}", None
+    return nearest(key, names), most_similar(key, names)
 
 
 def note_renamed(document: Document, location: Location, name: str) -> None:
@@ -144,7 +132,7 @@ class ModelFaults:
         if key not in node or self._paired_key(mapping, node):
             return
         value = node.pop(key)
-        kind = next((name for name in KINDS if name in self.value), "")
+        kind = next((name for name in FILE_KINDS if name in self.value), "")
         renamed_key = new_key(kind, location, value)
         if renamed_key in names and renamed_key not in node:
             node[renamed_key] = value
@@ -245,7 +233,7 @@ class ModelFaults:
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
-            misspelt = similar(tag, map(str, faults[0]["input"]))
+            misspelt = most_similar(tag, map(str, faults[0]["input"]))
             if misspelt is not None:
                 # A misspelt key is not missing too.
                 self._unknown_key((*location, misspelt))

@@ -23,7 +23,14 @@ from animtool.capture.face.model import MIN_MOTION, FaceModel, spread
 from animtool.capture.face.poses import camera_pose, head_poses, interpolate_poses
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    names_fault,
+)
 
 # Frames of a window, and its overlap on both sides: a change propagates over a few
 # frames only.
@@ -336,8 +343,7 @@ def _notices(
         if numbers:
             message = (
                 f"{counted(len(numbers), 'frame')} with {problem}; "
-                "from the first, frames "
-                f"{listed(numbers, MAX_LISTED)}"
+                f"from the first, frames {listed(numbers, MAX_LISTED)}"
             )
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & usable[:, None]
@@ -353,5 +359,7 @@ def _notices(
     ):  # fmt: skip
         if names:
             message = f"{counted(len(names), 'landmark')} {problem}"
-            notices.append(naming("FAC105", message, names, severity=Severity.WARNING))
+            notices.append(
+                names_fault("FAC105", message, names, severity=Severity.WARNING)
+            )
     return notices

@@ -39,6 +39,19 @@ void add_frames(std::size_t vertices, const std::int64_t* first, const std::int3
   }
 }
 
+// One frame, without the columns of weight 0.
+void add_frame(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
+               const double* offsets, const double* weights, const double* from, double* to) {
+  for (std::size_t v = 0; v < vertices; ++v, from += 3, to += 3) {
+    Vec p = load(from);
+    for (std::int64_t k = first[v]; k < first[v + 1]; ++k) {
+      const double weight = weights[columns[k]];
+      if (weight != 0) p += load(offsets + 3 * k) * weight;
+    }
+    store(p, to);
+  }
+}
+
 }  // namespace
 
 void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
@@ -49,6 +62,11 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
   const std::size_t vertices = points.shape(1), row = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
   const std::size_t stride = points.shape(0) == 1 ? 0 : row;
+  if (frames == 1) {
+    add_frame(vertices, first.data(), columns.data(), offsets.data(), weights.data(),
+              points.data(), out.data());
+    return;
+  }
   std::vector<double> table(shapes * FRAMES);
   for (std::size_t f = 0; f < frames; f += FRAMES) {
     const double *rows[FRAMES], *from[FRAMES];

@@ -100,6 +100,13 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
   }
 }
 
+// The columns of transforms (U, 3, 4), each with a zero below.
+void columns_of(const double* transforms, std::size_t joints, double* out) {
+  for (std::size_t j = 0; j < joints; ++j, transforms += 12, out += 16)
+    for (int c = 0; c < 4; ++c)
+      for (int r = 0; r < 4; ++r) out[4 * c + r] = r < 3 ? transforms[4 * r + c] : 0;
+}
+
 }  // namespace
 
 void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
@@ -114,8 +121,14 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
   std::vector<double> palette(FRAMES * width);
-  const BlendFrames quads = blend_in_quads(), blend = quads ? quads : blend_frames<Pair>;
+  const Blend blend = blend_in_quads().value_or(make_blend<Pair, Plain>());
   for (std::size_t f = 0; f < frames; f += FRAMES) {
+    if (f + 1 == frames) {
+      columns_of(transforms.data() + f * width, count, palette.data());
+      blend.frame(in, palette.data(), source.frame(f), result + f * row);
+      for (std::size_t v = 0; normalize && v < in.vertices; ++v) unit(result + f * row + 3 * v);
+      break;
+    }
     const double *tables[FRAMES], *sources[FRAMES];
     double* targets[FRAMES];
     for (std::size_t l = 0; l < FRAMES; ++l) {
@@ -125,7 +138,7 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
       targets[l] = result + g * row;
     }
     interleave(tables, width, palette.data());
-    blend(in, palette.data(), sources, targets);
+    blend.frames(in, palette.data(), sources, targets);
     for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
       for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
   }

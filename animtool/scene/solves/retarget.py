@@ -14,9 +14,9 @@ from animtool.core.files.output import (
     protect_inputs,
     write_parts,
 )
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
-from animtool.core.values import picked
+from animtool.core.values import template_values
 from animtool.motion.driving import driven_stream
 from animtool.motion.reorient import at_stage_origin, placement_notice
 from animtool.motion.take import TakeStream
@@ -92,7 +92,7 @@ class RetargetResult:
             {
                 "source": source_names[pair.source],
                 "target": target_names[pair.target],
-                **picked(pair, "role found=evidence confidence"),
+                **template_values(pair, "role found=evidence confidence"),
             }
             for pair in self.joint_map.pairs
         ]
@@ -128,7 +128,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    if job.write_map is not None and not is_named(job.write_map, "map"):
+    if job.write_map is not None and not has_kind_suffix(job.write_map, "map"):
         message, hint = "is not the name of a map file", "allowed: .map.yaml, .map.yml"
         raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
     if job.source.is_dir():
