@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 
 import numpy as np
@@ -15,6 +15,7 @@ from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import placed_motion
 from animtool.rig.fit import RigFit, check_fit
+from animtool.rig.parts import Shape
 from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
@@ -105,7 +106,9 @@ def map_joints(
     skeleton, where = target.skeleton, str(target.path)
     source = _joint_sources(take, target, strip_namespaces)
     unmatched_notices = _unmatched_notices(take, target, source)
-    shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
+    shapes, shape_faults = match_shapes(
+        target, [shape.name for shape in take.shapes], _shared_names(take.shapes)
+    )
     fit: RigFit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
@@ -201,13 +204,26 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
     raise FormatError(Fault("USD010", message, str(target.path), (), hint))
 
 
+def _shared_names(shapes: Sequence[Shape]) -> dict[str, str]:
+    """Return the names that shapes had in USD before reading made them unique."""
+    return {
+        shape.name: shape.combine[0]
+        for shape in shapes
+        if len(shape.combine) == 1 and shape.name == f"{shape.mesh}_{shape.combine[0]}"
+    }
+
+
 def match_shapes(
-    target: RigTarget, shapes: Sequence[str]
+    target: RigTarget,
+    shapes: Sequence[str],
+    shared_names: Mapping[str, str] | None = None,
 ) -> tuple[tuple[str, ...], list[Fault]]:
     """Return the rig's names of shapes, and notices of ambiguous ones.
 
     ARKit shapes match in any spelling (USD118); shapes that no mesh has are reported
     (USD114). A rig without meshes is not checked, since its shapes are unknown.
+
+    ``shared_names`` has the names in USD of shapes that reading made unique.
     """
     target_shapes = _known_shapes(target)
     if target_shapes is None:
@@ -226,7 +242,12 @@ def match_shapes(
     ]
     where = str(target.path)
     notices = []
-    unknown = [name for name in matches if name not in target_shapes]
+    shared = shared_names or {}
+    unknown = [
+        name
+        for name in matches
+        if name not in target_shapes and shared.get(name) not in target_shapes
+    ]
     if unknown:
         message = f"{len(unknown)} shapes of the take are on no mesh of the rig: "
         hint, kind = "their weights have no effect there", Severity.WARNING

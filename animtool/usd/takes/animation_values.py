@@ -143,6 +143,8 @@ def normalised(
 MAX_GRID_RATIO = 8
 # Maximum frames of a take with irregular keys; more indicate a misplaced key.
 MAX_FRAMES = 100_000
+# Time codes slower than this are no frames, but seconds or the like [1/s].
+SLOWEST_FRAMES = 12
 # Samples within this fraction of a step or time code from a frame belong to it:
 # exporters accumulate float steps, which drift. Shutter offsets are many times larger.
 MAX_DRIFT = 0.02
@@ -217,6 +219,8 @@ def on_every_frame(grid: SampleGrid, stage: Any, where: PrimLocation) -> SampleG
     frame = Fraction(1)
     if stage.HasAuthoredMetadata("framesPerSecond") and stage.GetFramesPerSecond() > 0:
         frame = fps / rate_from_float(stage.GetFramesPerSecond())
+    if fps >= SLOWEST_FRAMES:
+        frame = max(frame, Fraction(1))
     parts = math.ceil(grid.step / frame)
     count = (grid.count - 1) * parts + 1
     if count > MAX_FRAMES and parts > 1:

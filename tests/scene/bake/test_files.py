@@ -180,3 +180,18 @@ def test_meshes_that_share_the_name_of_a_shape(
             if shape in shapes
         )
         np.testing.assert_allclose(found[name][0], expected, atol=1e-6)
+
+
+def test_a_layer_over_meshes_that_share_a_shape_has_no_warning(tmp_path: Path) -> None:
+    talking_stage(tmp_path / "hero.usda", ["jaw"])
+    (tmp_path / "talk.clip.yaml").write_text(
+        "clip: animtool/1\nrig: hero.usda\nfps: 24\nchannels:\n"
+        "- target: shape/smile\n  keys: [{t: 1, v: 0}, {t: 3, v: 1}]\n"
+    )
+    layer = tmp_path / "layer.usda"
+    done = animtool(
+        "bake", tmp_path / "talk.clip.yaml", "-o", layer,
+        "--rig-layer", tmp_path / "hero.usda",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert "USD114" not in done.stderr
