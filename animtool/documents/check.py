@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from animtool.core.errors import Fault
 from animtool.core.options import Key
 from animtool.documents.document import Document, Location
 from animtool.documents.model_faults import (
@@ -17,7 +18,6 @@ from animtool.documents.model_faults import (
     ModelFaults,
     key_meant,
     note_renamed,
-    unknown_options,
     wrong_values,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
@@ -87,6 +87,18 @@ def validated(document: Document, model: type[Model]) -> Model:
             if value is document.value:
                 value = copy.deepcopy(value)
             ModelFaults(document, model, value).replace_faulty(error)
+
+
+def unknown_options(
+    options: Mapping[str, Any], names: Collection[str], owner: str
+) -> LocatedFaults:
+    """Return a fault for each unknown option."""
+    return [
+        ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
+        for key in options
+        if key not in names
+        for hint, _ in [key_meant(key, names)]
+    ]
 
 
 def record_of_options(

@@ -129,8 +129,7 @@ class IgnoreModel(FileModel):
         default=None,
         min_length=1,
         description="Location of the finding, or of something around it; list "
-        "entries by number or name, `*` for any. Default: anywhere in "
-        "the file.",
+        "entries by number or name, `*` for any. Default: anywhere in the file.",
         examples=["joints[knee_l].limits"],
     )
     why: str = Field(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -53,18 +53,6 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
         for (location, _), faults in by_location.items()
         if location not in ancestors
         for hint in [value_hint(location[-1], faults) if location else None]
-    ]
-
-
-def unknown_options(
-    options: Mapping[str, Any], names: Collection[str], owner: str
-) -> LocatedFaults:
-    """Return a fault for each unknown option."""
-    return [
-        ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
-        for key in options
-        if key not in names
-        for hint, _ in [key_meant(key, names)]
     ]
 
 

@@ -40,10 +40,9 @@ def read_markers(
 
     The file has the texts ``marker_names``, the number ``fs`` (frames per second), and
     positions ``(F, M, 3)`` in an array whose name ends in its unit: ``_mm``, ``_cm``,
-    ``_m``
-    or ``_in``. What `write_marker_arrays` adds is read too. If the number of points
-    differs
-    from that of the names, the points are unlabelled: ``*0``, ``*1`` and so on.
+    ``_m`` or ``_in``. What `write_marker_arrays` adds is read too. If the number of
+    points differs from that of the names, the points are unlabelled: ``*0``, ``*1`` and
+    so on.
 
     Args:
         path: The file; ``take.npz#unlabelled_mm`` also selects the array.

@@ -125,8 +125,7 @@ class MarkerFile:
         """Return unique marker names; unlabelled ones begin with ``*``.
 
         The prefix of a subject, as in ``Anna:LFHD``, is removed if all labels have the
-        same, or
-        if it is the requested subject. Duplicate names get a number (MKR101).
+        same, or if it is the requested subject. Duplicate names get a number (MKR101).
         """
         clean_labels = [label.strip() for label in labels]
         prefixes = {
@@ -158,8 +157,7 @@ class MarkerFile:
         """Return positions [m] with NaN for invalid ones.
 
         Invalid are points with an infinity or a number beyond float32 (MKR102), and
-        points
-        exactly at the origin, which many systems write for missing points.
+        points exactly at the origin, which many systems write for missing points.
 
         ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """

@@ -43,8 +43,7 @@ class Each:
 
     Attributes:
         name: Name of the field, with a printer after a colon if it has no entries
-            itself;
-            entries of a mapping have ``key`` and ``value``.
+            itself; entries of a mapping have ``key`` and ``value``.
         lines: Templates of one entry; ``{self}`` is the entry, ``{number}`` counts
             them.
         most: Maximum number of entries to print; ``rest`` counts the others.

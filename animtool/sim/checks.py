@@ -60,8 +60,7 @@ def stop_warning(
     advice = {
         Status.UNSTABLE: _advice(stats.stable_step),
         Status.STEP_TOO_SMALL: f"the smallest step is {options.floor:g} s: raise the "
-        "tolerance, soften the stiffest parts, or use radau "
-        "for stiff systems",
+        "tolerance, soften the stiffest parts, or use radau for stiff systems",
         Status.OUT_OF_BUDGET: "raise the budget or the tolerance, or use lsoda or "
         "radau for stiff systems",
         Status.NOT_SOLVED: "use a shorter step",

@@ -343,8 +343,7 @@ def _notices(
         if numbers:
             message = (
                 f"{counted(len(numbers), 'frame')} with {problem}; "
-                "from the first, frames "
-                f"{listed(numbers, MAX_LISTED)}"
+                f"from the first, frames {listed(numbers, MAX_LISTED)}"
             )
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & usable[:, None]

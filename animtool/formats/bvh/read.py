@@ -49,23 +49,19 @@ def read_bvh(
     """Open a BVH file as a stream; rows are parsed as blocks are read.
 
     Position channels replace the OFFSET on their axes. Rotations multiply left to right
-    in
-    the order of the CHANNELS line, after the translation, wherever the position
-    channels
-    are listed. Values that are not finite are filled by interpolation, values beyond
-    float32 are clamped, and notices report both.
+    in the order of the CHANNELS line, after the translation, wherever the position
+    channels are listed. Values that are not finite are filled by interpolation, values
+    beyond float32 are clamped, and notices report both.
 
     Args:
         path: The file.
         unit: Unit of its lengths; None is centimetres, with a note if the skeleton's
-            size
-            fits another unit better.
+            size fits another unit better.
         up: Its up axis; None is Y. The file does not state it.
         fps: The actual frame rate, if ``Frame Time`` is wrong.
         positions: ``offsets`` keeps the OFFSETs of joints below a root and ignores
-            their
-            position channels. None or ``channels`` lets channels replace them; joints
-            whose channels are all 0 are reported (BVH111).
+            their position channels. None or ``channels`` lets channels replace them;
+            joints whose channels are all 0 are reported (BVH111).
         progress: Called with the fraction of the file read, 0 to 1.
 
     Raises:

@@ -25,8 +25,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     """Return the characters of a file: one for the file, or one per skeleton.
 
     Node trees belong to the same character if a skin of a mesh in one uses joints of
-    the
-    other.
+    the other.
     """
     order, tree = parents_first(file.nodes), roots(file.nodes)
     group = {root: root for root in set(tree)}

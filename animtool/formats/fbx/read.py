@@ -49,8 +49,7 @@ def read_fbx(
     """Open a take of an FBX on the character it animates, meshes included.
 
     Time 0 is frame 0. The stream is sampled at the file's rate; between frames it
-    follows
-    the file's curves.
+    follows the file's curves.
 
     Args:
         path: A .fbx file, binary or ASCII.

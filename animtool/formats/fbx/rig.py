@@ -82,10 +82,8 @@ def build_rig(
     """Return the rig of a character; the rest pose is the saved scene.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
-    transform
-    has no effect. A uniform static scale is folded into the lengths below it; other
-    scales
-    remain in the takes.
+    transform has no effect. A uniform static scale is folded into the lengths below it;
+    other scales remain in the takes.
 
     Args:
         scene: The file.

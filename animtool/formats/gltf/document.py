@@ -97,8 +97,7 @@ def open_gltf(path: Path | str) -> Gltf:
 
     Raises:
         FormatError: It cannot be read safely, or is ambiguous (GLT001 to GLT013), with
-            the
-            JSON pointer or the byte offset.
+            the JSON pointer or the byte offset.
     """
     path = Path(path)
     notes = FileNotices(str(path))

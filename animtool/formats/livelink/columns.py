@@ -94,10 +94,8 @@ def read_recording(path: Path) -> Recording:
 
     Raises:
         FormatError: It cannot be read (IO001), is not a recording (LLF001), has a
-            duplicate
-            column (LLF002), a row with another number of columns (LLF003) or a value
-            that
-            is not a number (LLF004), or no row (LLF001).
+            duplicate column (LLF002), a row with another number of columns (LLF003) or
+            a value that is not a number (LLF004), or no row (LLF001).
     """
     lines = _lines(path)
     header = next((i for i, line in enumerate(lines) if line.strip()), None)

@@ -54,10 +54,8 @@ def read_livelink(
     """Open a Live Link Face recording (CSV) as a take.
 
     Weights drive the shapes of the same names, in any of ARKit's spellings. Head and
-    eyes
-    rotate joints of those names; angles are radians about the axes of the face: yaw
-    about
-    up, then pitch about left, then roll about forward.
+    eyes rotate joints of those names; angles are radians about the axes of the face:
+    yaw about up, then pitch about left, then roll about forward.
 
     Args:
         path: The file.
@@ -71,8 +69,7 @@ def read_livelink(
     Raises:
         FormatError: The file is malformed (LLF001 to LLF006), or the remap file is.
         OptionError: The rig has none of the shapes and no head (LLF007), or ``fps`` is
-            not
-            a frame rate (SCN022).
+            not a frame rate (SCN022).
     """
     path = Path(path)
     if dropped not in DROPPED:

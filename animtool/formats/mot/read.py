@@ -64,8 +64,7 @@ def read_mot(
     Columns are coordinates of a rig by name, see
     `animtool.formats.mot.coordinates.spellings`: angles in degrees or radians, as the
     header states, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
-    Rows
-    at irregular times are resampled linearly.
+    Rows at irregular times are resampled linearly.
 
     Args:
         path: The file.
@@ -75,8 +74,7 @@ def read_mot(
     Raises:
         FormatError: The file is malformed (MOF001 to MOF006, MOF009).
         OptionError: The rig has none of the coordinates (MOF007), or ``fps`` is not a
-            frame
-            rate (SCN022).
+            frame rate (SCN022).
     """
     path = Path(path)
     option = None if fps is None else rate_option(fps)

@@ -79,8 +79,7 @@ def read_table(path: Path) -> MotionTable:
     Raises:
         FormatError: The file cannot be read, or has no header (MOF001), no column names
             (MOF002), an invalid row (MOF003), a duplicate column (MOF004), or times
-            that do
-            not ascend (MOF005).
+            that do not ascend (MOF005).
     """
     lines = read_lines(path)
     header = read_header(path, lines)

@@ -54,12 +54,9 @@ def mot_text(take: Take) -> TakeText:
     """Return a take as joint coordinates over time, in degrees and metres.
 
     A pin or prismatic joint has a column of its name. A ball joint has ``hip_x``,
-    ``hip_y``
-    and ``hip_z``: rotations about X, then the new Y, then the new Z. A free joint also
-    has
-    ``hip_tx``, ``hip_ty`` and ``hip_tz``, unless it never leaves its rest offset. Frame
-    1 is
-    time 0.
+    ``hip_y`` and ``hip_z``: rotations about X, then the new Y, then the new Z. A free
+    joint also has ``hip_tx``, ``hip_ty`` and ``hip_tz``, unless it never leaves its
+    rest offset. Frame 1 is time 0.
     """
     rig = take.rig
     columns = coordinates_of(rig)

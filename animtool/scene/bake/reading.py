@@ -31,7 +31,7 @@ from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.sources.open import (
     OpenTake,
     fitting_options,
-    open_source,
+    open_checked,
     source_stem,
 )
 from animtool.usd.layers.jobs import LayerForm, output_paths
@@ -127,12 +127,7 @@ class SourceSet:
             shot=options.shot or source_options.shot,
             placement=options.placement,
         )
-        stream = open_source(path, source_options, progress=source_progress)
-        from animtool.retarget.standing import with_source_warnings
-
-        return with_source_warnings(
-            path, stream, source_options.up, source_options.unit
-        )
+        return open_checked(path, source_options, progress=source_progress)
 
 
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:

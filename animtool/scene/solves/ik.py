@@ -114,8 +114,7 @@ class IkReport:
         "iterations=solved{mean=mean_iterations max=max_iterations} "
         "restarts=solved.restarts microseconds_per_frame=solved.microseconds_per_frame "
         "goals{effector=name joint residuals missed=spans} "
-        "on_limits=solved.limit_counts jumps=solved.jumps_at_codes "
-        "channels? notices"
+        "on_limits=solved.limit_counts jumps=solved.jumps_at_codes channels? notices"
     )
 
     @property

@@ -314,8 +314,7 @@ class _JoinedTake:
         if frames_missing:
             message = (
                 f"does not have frame {' and '.join(frames_missing)}: its nearest is "
-                "held "
-                "there"
+                "held there"
             )
             yield note("SCN103", message, None, Severity.WARNING)
         seconds_outside = (

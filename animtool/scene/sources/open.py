@@ -359,6 +359,20 @@ def open_source(
     return stream if reader is DOCUMENT else _drive_tracks(stream)
 
 
+def open_checked(
+    path: Path, options: SourceOptions | None = None, *, progress: Progress = None
+) -> TakeStream:
+    """Open a source like `open_source`, with warnings about its rate, size and up axis.
+
+    They are added to its notices, some of them when its first block is read.
+    """
+    from animtool.retarget.standing import with_source_warnings
+
+    options = options or SourceOptions()
+    stream = open_source(path, options, progress=progress)
+    return with_source_warnings(path, stream, options.up, options.unit)
+
+
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     """Return functions that open the take of each Skeleton in a USD file, by path."""
     from animtool.usd.takes.stage_takes import read_characters

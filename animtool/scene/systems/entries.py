@@ -17,10 +17,11 @@ from animtool.documents.arrays import load_array
 from animtool.documents.check import (
     FileModel,
     record_of_options,
+    unknown_options,
 )
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER, record_of
-from animtool.documents.model_faults import LocatedFaults, unknown_options
+from animtool.documents.model_faults import LocatedFaults
 from animtool.documents.references import (
     referred,
     referred_input,

@@ -111,8 +111,8 @@ def _out_of_scale(
     counted_name = _UNIT_NAMES[length_unit]
     message = (
         f"{system.name} {description}, but the joints of {rig.name!r} span "
-        f"{plain_number(joint_size)} m; "
-        f"systems use {counted_name}, this rig is in {unit}"
+        f"{plain_number(joint_size)} m; systems use {counted_name}, "
+        f"this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counted_name}"
     yield warning("SIM169", message, hint)
@@ -175,8 +175,7 @@ def _faults(
     message = (
         f"the pinned end is {plain_number(distance, 4)} m from {description}, "
         "but the joints "
-        "of "
-        f"{rig.name!r} span {plain_number(joint_size)} m"
+        f"of {rig.name!r} span {plain_number(joint_size)} m"
     )
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:

@@ -140,8 +140,7 @@ def author_cache(
 
     A stage has ``Xform`` prims in place of the model and the SkelRoot of a stage with a
     skeleton, and unbound meshes and strands at the same paths. A layer over a rig turns
-    its
-    SkelRoot into an ``Xform``, so that UsdSkel does not deform the points again.
+    its SkelRoot into an ``Xform``, so that UsdSkel does not deform the points again.
     """
     layer = new_layer(job.output)
     reports = [CachedMesh(path) for path in job.meshes]

@@ -252,8 +252,7 @@ class Chunks:
             size: Samples per file.
             prims: Number of prims.
             build: Context with the writers of a file, counted from 0; the file is
-                complete
-                at the end of the context.
+                complete at the end of the context.
         """
         self.files, self._size, self._build = files, size, build
         self._next_samples = [0] * prims
@@ -330,8 +329,7 @@ class Chunks:
         """Write the manifest; return all files.
 
         Leftover files of an earlier, longer bake are removed only after these have
-        their names:
-        a layer always has its own chunks.
+        their names: a layer always has its own chunks.
         """
         with replacement_path(self.files.manifest) as temporary:
             export_layer(self._manifest, temporary, self.files.manifest)

@@ -178,8 +178,7 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
 
     Raises:
         FormatError: The prim does not exist (SIM051), has no bodies, or contains
-            invalid
-            bodies.
+            invalid bodies.
     """
     with usd_errors(path):
         stage = open_stage(path)

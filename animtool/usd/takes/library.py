@@ -3,9 +3,8 @@
 Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
 ``take`` of the model binds one: a variant has ``skel:animationSource``, the SkelRoot's
 extent and, if it has the root's motion, its transform. None of these is authored
-outside
-the variants, where it would be stronger. ``customData`` of a SkelAnimation has the
-frames of the take::
+outside the variants, where it would be stronger. ``customData`` of a SkelAnimation has
+the frames of the take::
 
     animtool = { dictionary take = { string name, timecode start, timecode end } }
 """

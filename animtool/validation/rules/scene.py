@@ -182,8 +182,7 @@ def _range_faults(
         subject_text, location = "cut with its handles,", ("shot",)
     message = (
         f"the {subject_text} from {frame_range.first} to {frame_range.last} {verb}, "
-        "which has "
-        f"output frames {float(start_code):g} to {float(last_code):g}"
+        f"which has output frames {float(start_code):g} to {float(last_code):g}"
     )
     hint = "frame numbers are those of the output, counted from its start"
     yield subject.fault(code, location, message, hint)
