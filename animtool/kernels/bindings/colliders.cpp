@@ -19,7 +19,11 @@ children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
                           R"(Triangles ``(T, 3)`` whose points move, from where they are ``(P, 3)``.
 
 Its tree is built once, and its boxes are fitted to where the points are.)")
-      .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), Unlocked(), "points"_a, "triangles"_a);
+      .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), Unlocked(), "points"_a, "triangles"_a)
+      .def("distances", &MeshSurface::distances, Unlocked(), "positions"_a, "points"_a,
+           R"(Signed distances ``(N,)`` of points ``(N, 3)``, negative inside.
+
+Its own points are at the positions ``(P, 3)``.)");
 
   m.def("collide_particles", &collide_particles, Unlocked(), "colliders"_a, "before"_a, "after"_a,
         "radii"_a, "begins"_a, "step"_a,

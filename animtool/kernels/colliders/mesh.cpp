@@ -201,6 +201,20 @@ void MeshSurface::fit(const double* begin, const double* end,
   }
 }
 
+Out<double, 1> MeshSurface::distances(In<double, 2> positions, In<double, 2> points) const {
+  check::numbers("positions", positions, {points_, 3});
+  check::numbers("points", points, {check::ANY, 3});
+  std::vector<double> bounds;
+  fit(positions.data(), positions.data(), bounds);
+  const collide::Mesh posed = mesh(positions.data(), nullptr, bounds.data());
+  Out<double, 1> signed_distances(points.shape(0));
+  for (std::size_t n = 0; n < points.shape(0); ++n) {
+    const collide::Vec at = collide::load(points.data() + 3 * n);
+    signed_distances.get()[n] = collide::sample_mesh(posed, 0, at, HUGE_VAL).distance;
+  }
+  return signed_distances;
+}
+
 MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
   check_triangles(points, triangles);
   const std::size_t point_count = points.shape(0), count = triangles.shape(0);

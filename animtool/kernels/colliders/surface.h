@@ -20,6 +20,8 @@ class MeshSurface {
   collide::Mesh mesh(const double* points, const double* shifts, const double* bounds) const;
   // Boxes that contain it along the whole way from one set of positions to another.
   void fit(const double* begin, const double* end, std::vector<double>& bounds) const;
+  // Signed distances of some points, with its own points at other positions.
+  Out<double, 1> distances(In<double, 2> positions, In<double, 2> points) const;
 
  private:
   std::size_t points_;

@@ -23,7 +23,7 @@ from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import SkinContacts, SkinSurface, margin_for
-from animtool.systems.attach.stepping import AttachedSprings, Steering
+from animtool.systems.attach.stepping import AttachedSprings, CycleSteering
 from animtool.systems.attach.strands import (
     DEPENETRATION,
     CharacterColliders,
@@ -187,7 +187,7 @@ class Actor:
         self.move(np.stack([motion[0], motion[1] + speed]))
 
     def cross(
-        self, paths: PosePaths, frame: int, steering: Steering | None = None
+        self, paths: PosePaths, frame: int, steering: CycleSteering | None = None
     ) -> None:
         """Advance by a frame; frame 0 is the first of the take."""
         started = time.perf_counter()
@@ -198,10 +198,7 @@ class Actor:
         if self._skins:
             points = [paths.skin_points(skin, count) for skin in self._meshes]
             surfaces = self._skins.over(points)
-            self._solids = [
-                ClosedSurface(rows[-1], skin.triangles)
-                for skin, rows in zip(self._meshes, points, strict=True)
-            ]
+            self._solids = self._skins.solids(points)
         cells = Cells(0.0, self.grid.cell, frame * count, count)
         colliders = self._contacts.over(motion.world, cells, surfaces)
         begin_points = self.positions

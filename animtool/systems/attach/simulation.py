@@ -40,7 +40,7 @@ from animtool.systems.attach.poses import (
 )
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.systems.attach.skins import SkinSurface, skins_of
-from animtool.systems.attach.stepping import Steering
+from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
@@ -48,8 +48,8 @@ from animtool.systems.framework.saved import Clocked
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import LOOK_BACK
 
-# Repeats of a cycle that may close it no better than one before, until it is steered.
-PATIENCE = 3
+# Most repeats of a cycle in a row that close it no better than before, unsteered.
+MAX_STALE = 3
 # Largest number of point values in a block.
 BLOCK_VALUES = 1 << 20
 
@@ -270,7 +270,7 @@ class AttachSimulation:
     def _cross(
         self,
         paths: PosePaths,
-        steering: Sequence[Steering] = (),
+        steering: Sequence[CycleSteering] = (),
         *,
         jumps: bool = False,
     ) -> None:
@@ -328,7 +328,7 @@ class AttachSimulation:
         rows, best, stale, most = list[_Rows](), math.inf, 0, self.options.loop_repeats
         for repeat in range(1, most + 1):
             firsts = [actor.positions for actor in self.actors]
-            steered = bool(rows) and (repeat == most or stale >= PATIENCE)
+            steered = bool(rows) and (repeat == most or stale >= MAX_STALE)
             rows = self._round(poses, rows if steered else [])
             end_states = [
                 _moved_to_begin(actor.grid.state.motion, travel)
@@ -379,7 +379,7 @@ class AttachSimulation:
                 row.motions.append(actor.grid.state.motion)
                 row.targets.append(actor.target)
             steering = [
-                Steering(np.stack(row.motions[i : i + 2]), weights[i + 1])
+                CycleSteering(np.stack(row.motions[i : i + 2]), weights[i + 1])
                 for row in before
             ]
             jumps = codes[i + 1] in self.options.teleports

@@ -172,6 +172,7 @@ class SkinContacts:
         """Set up the constants of all frames."""
         self._skins = skins
         self._kernels: list[Any] = []
+        self._distinct: list[bool] = []  # whether no two points of a skin coincide
         self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)
 
     def depths(
@@ -202,7 +203,18 @@ class SkinContacts:
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
                 for skin, rows in zip(self._skins, points, strict=True)
             ]
+            self._distinct = [
+                len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
+            ]
         return [
             (kernel, rows, self._numbers, 1, 0)
             for kernel, rows in zip(self._kernels, points, strict=True)
+        ]
+
+    def solids(self, points: list[FloatArray]) -> list[ClosedSurface]:
+        """Return the skins in the last of K poses that `over` was given."""
+        columns = zip(self._skins, points, self._kernels, self._distinct, strict=True)
+        return [
+            ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
+            for skin, rows, kernel, is_distinct in columns
         ]

@@ -91,7 +91,7 @@ def cells_of(steps: int) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Steering:
+class CycleSteering:
     """Another motion of the particles over a frame, which pulls them to itself."""
 
     motions: FloatArray  # its states at the start and end ``(2, 2, N, 3)`` [m, m/s]
@@ -137,7 +137,7 @@ class AttachedSprings:
             self._system = _system(network, settings, down, self.thickness)
 
     def steered(
-        self, path: FloatArray, steering: Steering
+        self, path: FloatArray, steering: CycleSteering
     ) -> tuple[AttachedSprings, FloatArray]:
         """Return springs that another motion also pulls, and what they are pulled to.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, field
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, percent_text, warning
 from animtool.core.record import dataclass
-from animtool.sim.colliders import Collider, Colliders, Mesh
+from animtool.sim.colliders import Colliders, Mesh
 
 # Depth in a skin or a collider that is visible in a picture [m].
 VISIBLE_DEPTH = 2e-3
@@ -49,6 +50,8 @@ class ClosedSurface:
 
     points: FloatArray  # ``(P, 3)`` [m]
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``
+    # Kernel surface of these triangles, if no two of its points coincide.
+    kernel: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,10 +208,11 @@ def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
     in_bounds = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     depths = np.zeros(len(points))
     if len(in_bounds):
-        collider = Colliders(
-            [Collider(Mesh(solid.points, solid.triangles, closed=True))]
-        )
-        distances = collider.sample(points[in_bounds], 0.0, 1.0).distances[0]
+        positions, kernel = solid.points, solid.kernel
+        if kernel is None:
+            positions, triangles = Mesh(positions, solid.triangles).weld()
+            kernel = _kernels.MeshSurface(positions, triangles)
+        distances = kernel.distances(positions, points[in_bounds])
         depths[in_bounds] = np.maximum(-distances, 0.0)
     return depths
 

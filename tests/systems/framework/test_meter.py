@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from animtool import _kernels
 from animtool.systems.framework.meter import (
     ClosedSurface,
     ContactMeter,
@@ -35,6 +36,20 @@ def sides(points: np.ndarray, free: tuple[int, ...] = (0, 1, 2)) -> MeasuredSurf
 def test_depth_is_the_way_out_of_the_nearest_face() -> None:
     points = np.array([[0.5, 0.5, 0.25], [0.9, 0.4, 0.4], [1.5, 0.5, 0.5]])
     np.testing.assert_allclose(depths_in(CUBE, points), [0.25, 0.1, 0.0], atol=1e-12)
+
+
+def test_a_surface_that_deforms_is_measured_where_it_is() -> None:
+    """A kernel surface keeps its tree, and its boxes follow its points."""
+    kernel = _kernels.MeshSurface(CORNERS, FACES.astype(np.int32))
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        corners = 2 * CORNERS + rng.uniform(-0.2, 0.2, CORNERS.shape)
+        points = rng.uniform(-0.5, 2.5, (200, 3))
+        depths = depths_in(ClosedSurface(corners, FACES, kernel), points)
+        np.testing.assert_array_equal(
+            depths, depths_in(ClosedSurface(corners, FACES), points)
+        )
+        assert 20 < (depths > 0).sum() < 180
 
 
 def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
