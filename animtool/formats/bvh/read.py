@@ -16,7 +16,13 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable
 from animtool.core.files.signatures import expects
 from animtool.core.names import distinct
-from animtool.core.rates import FractionLike, rate_option
+from animtool.core.rates import (
+    FractionLike,
+    RateKind,
+    rate_label,
+    rate_option,
+    rate_warning,
+)
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
@@ -32,6 +38,8 @@ PERSON_METERS = (1.0, 2.6)
 # Skeletons with fewer joints may be props; their size is not judged.
 MIN_JOINTS = 8
 MAX_NAMED = 4
+# Film transferred to video runs slower by a thousandth.
+SAME_RATE = Fraction(2, 1000)
 # Bones shorter than this fraction of their OFFSET have collapsed [1].
 MIN_LENGTH_FRACTION = 1e-4
 
@@ -86,6 +94,7 @@ def read_bvh(
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
+        notices += _rate_contradiction(header, rate, str(path))
     channels = [
         f"{joint.name}.{channel}"
         for joint in header.joints
@@ -124,6 +133,22 @@ def read_bvh_rig(path: Path) -> Rig:
 
 
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
+
+
+def _rate_contradiction(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
+    """Return a note that the stated rate is not that of a plausible Frame Time."""
+    assert header.rate is not None
+    own, frames = header.rate.fps, header.declared_frames
+    same = abs(rate - own) <= SAME_RATE * own or rate in header.rate.rivals
+    if same or header.rate.kind is RateKind.PRINTED or rate_warning(own):
+        return []
+    stated = argument("source.fps", f"{float(rate):g}")
+    message = f"Frame Time {header.frame_time} is {rate_label(own)}, not {stated}"
+    if frames:
+        lengths = [f"{float(frames / fps):.3g} s" for fps in (rate, own)]
+        message += f": {frames} frames last {lengths[0]} instead of {lengths[1]}"
+    hint = f"to resample the motion, use {argument('fps')} instead"
+    return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 
 def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
