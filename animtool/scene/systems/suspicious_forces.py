@@ -98,7 +98,7 @@ def _of_gravity(gravity: Sequence[float], unit: float) -> tuple[str, str] | None
     return None
 
 
-def _vector(value: object) -> Sequence[float] | None:
+def _vector(value: Any) -> Sequence[float] | None:
     """Return a vector of numbers; None for anything else."""
     numbers = isinstance(value, list | tuple) and len(value) == 3
     if numbers and all(isinstance(number, int | float) for number in value):
@@ -187,8 +187,9 @@ def _warn_of_push(document: Document, at: Location, values: _Values) -> None:
                 hint = "use `gravity` for an acceleration, or set the particles' mass"
                 document.warn("SIM200", (*location, "push"), message, hint)
                 return
-        is_number = isinstance(strength, int | float)
-        if name == "turbulence" and is_number and strength > MAX_GRAVITY:
+        if not isinstance(strength, int | float):
+            continue
+        if name == "turbulence" and strength > MAX_GRAVITY:
             ratio = strength / EARTH
             message = (
                 f"turbulence of {strength:g} m/s² is {ratio:.3g} times Earth's pull"
