@@ -98,12 +98,12 @@ def _of_gravity(gravity: Sequence[float], unit: float) -> tuple[str, str] | None
     return None
 
 
-def _vector(value: Any) -> Sequence[float] | None:
+def _vector(value: object) -> list[float] | None:
     """Return a vector of numbers; None for anything else."""
-    numbers = isinstance(value, list | tuple) and len(value) == 3
-    if numbers and all(isinstance(number, int | float) for number in value):
-        return value
-    return None
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        return None
+    numbers = [number for number in value if isinstance(number, int | float)]
+    return numbers if len(numbers) == 3 else None
 
 
 def _forces(at: Location, values: _Values) -> Iterator[tuple[Location, str, _Values]]:
