@@ -18,14 +18,16 @@ from animtool.core.files.signatures import expects
 from animtool.core.names import distinct
 from animtool.core.rates import (
     FractionLike,
-    RateKind,
-    rate_label,
     rate_option,
-    rate_warning,
 )
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
+from animtool.formats.bvh.plausible import (
+    ChannelRanges,
+    radians_warning,
+    rate_contradiction,
+)
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -38,8 +40,6 @@ PERSON_METERS = (1.0, 2.6)
 # Skeletons with fewer joints may be props; their size is not judged.
 MIN_JOINTS = 8
 MAX_NAMED = 4
-# Film transferred to video runs slower by a thousandth.
-SAME_RATE = Fraction(2, 1000)
 # Bones shorter than this fraction of their OFFSET have collapsed [1].
 MIN_LENGTH_FRACTION = 1e-4
 
@@ -94,7 +94,7 @@ def read_bvh(
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
-        notices += _rate_contradiction(header, rate, str(path))
+        notices += rate_contradiction(header, rate, str(path))
     channels = [
         f"{joint.name}.{channel}"
         for joint in header.joints
@@ -133,22 +133,6 @@ def read_bvh_rig(path: Path) -> Rig:
 
 
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
-
-
-def _rate_contradiction(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
-    """Return a note that the stated rate is not that of a plausible Frame Time."""
-    assert header.rate is not None
-    own, frames = header.rate.fps, header.declared_frames
-    same = abs(rate - own) <= SAME_RATE * own or rate in header.rate.rivals
-    if same or header.rate.kind is RateKind.PRINTED or rate_warning(own):
-        return []
-    stated = argument("source.fps", f"{float(rate):g}")
-    message = f"Frame Time {header.frame_time} is {rate_label(own)}, not {stated}"
-    if frames:
-        lengths = [f"{float(frames / fps):.3g} s" for fps in (rate, own)]
-        message += f": {frames} frames last {lengths[0]} instead of {lengths[1]}"
-    hint = f"to resample the motion, use {argument('fps')} instead"
-    return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 
 def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
@@ -268,6 +252,8 @@ def _blocks(
     rest = rig.rest_translations[position_joints].ravel()
     identity = rig.rest_rotations
     previous: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
+    columns = layout.rotation_columns
+    ranges = ChannelRanges(np.unique(columns[columns >= 0]))
     for rows in reader.blocks():
         translations = np.repeat(rest[None], len(rows), axis=0)
         farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
@@ -276,6 +262,7 @@ def _blocks(
             rows, layout.rotation_columns, layout.rotation_axes, previous
         )
         previous = rotations[-1].copy()
+        ranges.add(rows, translations[:, :3])
         yield Motion(
             Channel(
                 rig.rest_translations,
@@ -293,6 +280,7 @@ def _blocks(
         rig, position_joints, reaches, has_channel, str(source.path)
     )
     notices.extend(faults)
+    notices.extend(radians_warning(ranges, rig, str(source.path)))
 
 
 def _zero_length_warning(
