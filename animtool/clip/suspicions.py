@@ -29,7 +29,7 @@ from animtool.rig.suspicions import (
     are_multiples,
     warn_of_quaternion,
 )
-from animtool.rig.suspicious_shape import HINGE_NAMES
+from animtool.rig.suspicious_shape import HINGE_NAMES, MAX_SIZE
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3
@@ -63,6 +63,8 @@ NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
 # Keys on a driven joint that are smaller than this fraction of what a control adds
 # adjust it.
 MIN_LAYER = 0.25
+# Smallest scale at all keys that may be a percentage [1].
+MIN_PERCENT = 10.0
 # Frames at which controls are evaluated.
 MAX_TIMES = 64
 
@@ -81,6 +83,7 @@ def warn_of_numbers(
         _warn_of_metres(document, channels, units, rig)
         _warn_of_speed(document, channels, fps, units, rig)
         _warn_of_rest(document, channels, rig)
+        _warn_of_scale(document, channels, rig)
         _warn_of_controls(document, channels, rig)
 
 
@@ -301,6 +304,27 @@ def _warn_of_rest(
         )
         hint = f"write the move from rest, or key joint/{name}.local_translation"
         document.warn("CLIP112", (*_at(i, 0), "v"), message, hint)
+        return
+
+
+def _warn_of_scale(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of scales that look like percentages, at all keys (CLIP113)."""
+    size = rest_size(rig)
+    for i, channel in enumerate(channels):
+        part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)[1]
+        if part != "scale" or not channel.target.startswith("joint/"):
+            continue
+        smallest = float(np.abs(channel.values).min())
+        if smallest < MIN_PERCENT or size * smallest <= MAX_SIZE:
+            continue
+        message = (
+            f"{channel.target!r} is {smallest:.4g} or more at all keys; the rig, which "
+            f"is {length_text(size)} tall, is {length_text(size * smallest)} with it"
+        )
+        hint = f"1 is the size at rest: for {smallest:.4g}% write {smallest / 100:.4g}"
+        document.warn("CLIP113", (*_at(i, 0), "v"), message, hint)
         return
 
 

@@ -252,3 +252,19 @@ def test_quaternions_of_another_length(
     keys = f"[{{t: 1, v: [1, 0, 0, 0]}}, {{t: 9, v: {quaternion}}}]"
     line = f"- {{target: joint/thigh.rotation, keys: {keys}}}"
     assert ("RIG110" in said(tmp_path, "fps: 24", line)) is found
+
+
+@pytest.mark.parametrize(
+    ("scales", "found"),
+    [
+        (["[100, 100, 100]"], True),
+        (["[100, 100, 100]", "[120, 80, 120]"], True),
+        (["[1, 1, 1]", "[60, 60, 60]"], False),  # something that blows up
+        (["[20, 20, 20]"], False),  # a giant of 16 m
+        (["[0.01, 0.01, 0.01]"], False),
+    ],
+)
+def test_scales_in_percent(tmp_path: Path, scales: list[str], found: bool) -> None:
+    keys = ", ".join(f"{{t: {1 + 12 * k}, v: {v}}}" for k, v in enumerate(scales))
+    line = f"- {{target: joint/hips.scale, keys: [{keys}]}}"
+    assert ("CLIP113" in said(tmp_path, "fps: 24", line)) is found
