@@ -340,7 +340,6 @@ def with_w_last(take: Take) -> Take:
     return edited(take, rotations=np.roll(take.motion.rotations.dense(), -1, axis=2))
 
 
-_CRUMPLED = frozenset()
 _JUMPS = frozenset({"MOT202", "MOT203"})
 _FEET = frozenset({"MOT208", "MOT209"})
 
@@ -431,7 +430,7 @@ TAKES = [
     Planted("Z up, stated as Y", "walk", rolled(90.0), "MOT214"),
     Planted("Y up, stated as Z", "stride", up_z, "MOT214"),
     Planted("upside down", "walk", rolled(180.0), "MOT214"),
-    Planted("quaternions with w last", "walk", with_w_last, "MOT222", _CRUMPLED),
+    Planted("quaternions with w last", "walk", with_w_last, "MOT222"),
 ]  # fmt: skip
 
 TAKE_RULES = [rule for rule in builtin_rules().values() if rule.takes]
