@@ -153,6 +153,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     from animtool.scene.sources.open import is_usd
 
     difference: Any = None
+    tolerances: tuple[float, ...]
     if is_usd(first) and is_usd(second):
         from animtool.report.compare_points import compare_points
 

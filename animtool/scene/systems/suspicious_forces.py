@@ -24,10 +24,8 @@ MAX_WALK = 15.0
 # A hundred times the pull of Earth [m/s²].
 MAX_ACCELERATION = 1000.0
 # Keys that these warnings look at, and the default mass of a particle [kg].
-FORCE_KEYS = frozenset(
-    {"gravity", "wind", "forces", "emitters", "fills", "bodies", "species"}
-    | {"populations"}
-)
+FORCE_KEYS = {"gravity", "wind", "forces", "emitters", "fills", "bodies", "species"}
+FORCE_KEYS |= {"populations"}
 PARTICLE_MASS = 1e-3
 
 _Values = Mapping[str, Any]
