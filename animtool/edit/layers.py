@@ -107,8 +107,8 @@ def blend(
 
 
 def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
-    found = weight_warnings(options.weight, take.clock, in_shot=context.in_shot)
-    context.notices.extend(found)
+    warnings = weight_warnings(options.weight, take.clock, in_shot=context.in_shot)
+    context.notices.extend(warnings)
     return blend(
         take,
         context.take(options.take),

@@ -33,7 +33,7 @@ def poles_on_lines(
         targets: Positions and poles in world space.
         active: Mask of the active parts of goals ``(F, E, 4)``.
     """
-    found = np.zeros(active.shape[:2], np.bool_)
+    on_line = np.zeros(active.shape[:2], np.bool_)
     moving = {j for j, joint in enumerate(rig.joints) if joint.type != JointType.FIXED}
     origins = world.positions
     for e, goal in enumerate(goals):
@@ -55,8 +55,8 @@ def poles_on_lines(
         length += np.linalg.norm(points - middle, axis=1)
         pole_distance = _distances(np.asarray(targets.poles)[:, e], root, ends)
         is_bent = _distances(middle, root, points) > STRAIGHT * length
-        found[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
-    return found
+        on_line[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
+    return on_line
 
 
 def _distances(points: FloatArray, root: FloatArray, end: FloatArray) -> FloatArray:

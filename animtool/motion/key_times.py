@@ -57,7 +57,7 @@ def weight_warnings(weight: Weight, clock: Clock, *, in_shot: bool) -> list[Faul
     span = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
     frames = f"the take from {first:g} to {last:g}"
     rate = float(clock.fps)
-    if in_seconds([times], clock.fps) or _whole_seconds(times, first, last, rate):
+    if in_seconds([times], clock.fps) or _full_seconds(times, first, last, rate):
         message = f"{span}, {frames}: they look like seconds"
         hint = f"write frames: {times[-1]:g} s is frame {first + times[-1] * rate:g}"
     elif not in_shot and (times[-1] < first or times[0] > last):
@@ -69,7 +69,7 @@ def weight_warnings(weight: Weight, clock: Clock, *, in_shot: bool) -> list[Faul
     return [Fault("SCN116", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _whole_seconds(times: FloatArray, first: float, last: float, rate: float) -> bool:
+def _full_seconds(times: FloatArray, first: float, last: float, rate: float) -> bool:
     count = last - first + 1
     return bool(
         len(times) >= MIN_KEYS

@@ -40,6 +40,21 @@ def rate_contradiction(header: BvhHeader, rate: Fraction, path: str) -> list[Fau
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 
+def unused_positions(header: BvhHeader, path: str) -> list[Fault]:
+    """Return a note that no joint below a root has positions to ignore (BVH113)."""
+    below = [joint for joint in header.joints if joint.parent >= 0]
+    has_positions = any(
+        channel.endswith("position")
+        for joint in below
+        for channel in joint.channels or ()
+    )
+    if has_positions:
+        return []
+    stated = argument("source.positions", "offsets")
+    message = f"{stated} has no effect: only roots have position channels"
+    return [Fault("BVH113", message, path, (), "remove it", Severity.NOTE)]
+
+
 class ChannelRanges:
     """Ranges of the rotation channels and of the root over the rows of a file."""
 
@@ -80,8 +95,8 @@ def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     if len(rig.joints) < MIN_JOINTS or not np.isfinite(ranges.travel):
         return []
     largest, count = ranges.rotations
-    is_still = ranges.travel <= MIN_TRAVEL * size or count < MIN_JOINTS
-    if is_still or not MIN_RADIANS <= largest <= MAX_RADIANS:
+    stays = ranges.travel <= MIN_TRAVEL * size or count < MIN_JOINTS
+    if stays or not MIN_RADIANS <= largest <= MAX_RADIANS:
         return []
     message = (
         f"the body travels {length_text(ranges.travel)}, but none of {count} rotation "

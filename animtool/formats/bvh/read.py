@@ -27,6 +27,7 @@ from animtool.formats.bvh.plausible import (
     ChannelRanges,
     radians_warning,
     rate_contradiction,
+    unused_positions,
 )
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
@@ -96,6 +97,8 @@ def read_bvh(
         for joint in header.joints
         for channel in joint.channels or ()
     ]
+    if positions == "offsets":
+        notices += unused_positions(header, str(path))
     rows = RowSource(
         path,
         file.state,

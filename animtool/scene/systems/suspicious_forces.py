@@ -143,24 +143,29 @@ def _speeds(
     at: Location, values: _Values, volume: Callable[[_Values], float]
 ) -> Iterator[tuple[Location, float, float, str]]:
     """Yield the location of each speed, the speed, its limit, and what reaches it."""
-    thing = "anything that is thrown or flies"
+    flying = "anything that is thrown or flies"
     for i, emitter in enumerate(values.get("emitters") or ()):
         # Charges move in fields, as fast as those make them.
         if isinstance(emitter.get("speed"), int | float) and not emitter.get("charge"):
-            yield (*at, "emitters", i, "speed"), abs(emitter["speed"]), MAX_SPEED, thing
+            yield (
+                (*at, "emitters", i, "speed"),
+                abs(emitter["speed"]),
+                MAX_SPEED,
+                flying,
+            )
     for i, fill in enumerate(values.get("fills") or ()):
         velocity = _vector(fill.get("velocity"))
         if velocity is not None:
             location = (*at, "fills", i, "velocity")
-            yield location, math.hypot(*velocity), MAX_SPEED, thing
+            yield location, math.hypot(*velocity), MAX_SPEED, flying
     for i, body in enumerate(values.get("bodies") or ()):
         velocity = _vector(body.get("velocity"))
         if velocity is not None:
             is_bullet = volume(body.get("shape") or {}) <= BULLET
             limit = MAX_BULLET if is_bullet else MAX_SPEED
-            yield (*at, "bodies", i, "velocity"), math.hypot(*velocity), limit, thing
+            yield (*at, "bodies", i, "velocity"), math.hypot(*velocity), limit, flying
     for key, limit, fastest in (
-        ("species", MAX_SPEED, thing),
+        ("species", MAX_SPEED, flying),
         ("populations", MAX_WALK, "any runner"),
     ):
         for i, group in enumerate(values.get(key) or ()):

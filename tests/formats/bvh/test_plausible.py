@@ -62,3 +62,23 @@ def test_rotations_in_radians(
     stream = read_bvh(path)
     list(stream.blocks)
     assert [notice.code for notice in stream.notices].count("BVH112") == found
+
+
+@pytest.mark.parametrize(("positions", "found"), [("offsets", True), (None, False)])
+def test_positions_that_no_joint_has(positions: str | None, found: bool) -> None:
+    codes = [notice.code for notice in read_bvh(WALK, positions=positions).notices]
+    assert codes.count("BVH113") == found
+
+
+def test_positions_below_a_root_are_ignored_without_a_note(tmp_path: Path) -> None:
+    text = (
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n"
+        "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        "JOINT b\n{\nOFFSET 0 9 0\n"
+        "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        "End Site\n{\nOFFSET 0 1 0\n}\n}\n}\n"
+        "MOTION\nFrames: 1\nFrame Time: 0.04\n" + "0 " * 12 + "\n"
+    )
+    path = tmp_path / "a.bvh"
+    path.write_text(text, "utf-8")
+    assert "BVH113" not in [n.code for n in read_bvh(path, positions="offsets").notices]
