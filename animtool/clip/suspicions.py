@@ -18,7 +18,7 @@ from animtool.rig.controls import evaluate_controls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.limits import RangeLimit
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import MAX_SIZE, Rig
 from animtool.rig.suspicions import (
     ANGLE_NAMES,
     FULL_CIRCLE,
@@ -29,7 +29,7 @@ from animtool.rig.suspicions import (
     are_multiples,
     warn_of_quaternion,
 )
-from animtool.rig.suspicious_shape import HINGE_NAMES, MAX_SIZE
+from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3
