@@ -153,24 +153,25 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     from animtool.scene.sources.open import is_usd
 
     difference: Any = None
+    tolerances: tuple[float, ...]
     if is_usd(first) and is_usd(second):
         from animtool.report.compare_points import compare_points
 
         difference = compare_points(first, second)
     if difference is not None:
-        is_within = difference.within(params["tol"], params["tol_degrees"])
+        tolerances = params["tol"], params["tol_degrees"]
         template, notices = _POINTS, []
     else:
         difference = compare(first, second, *_options(first, second, params))
-        is_within = difference.within(
-            params["tol"], params["tol_degrees"], params["tol_weight"]
-        )
+        tolerances = params["tol"], params["tol_degrees"], params["tol_weight"]
         template, notices = _TAKES, difference.notices
+    is_within = difference.within(*tolerances)
+    notices = [*notices, *difference.hidden(*tolerances)]
     if params["report_format"] == "json":
         console.result_json(Comparison(difference, is_within))
     else:
         console.result(*template.text(difference), "same" if is_within else "different")
-        console.faults(notices)
+    console.faults(notices)
     click.get_current_context().exit(
         int(ExitCode.OK if is_within else ExitCode.FINDINGS)
     )

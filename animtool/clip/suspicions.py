@@ -13,10 +13,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
+from animtool.maths.curves import Interp
 from animtool.rig.controls import evaluate_controls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
-from animtool.rig.skeleton import Rig
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import MAX_SIZE, Rig
 from animtool.rig.suspicions import (
     ANGLE_NAMES,
     FULL_CIRCLE,
@@ -34,6 +36,8 @@ MIN_SPAN = 0.3
 # In degrees, a character with this many rotating channels exceeds `HALF_CIRCLE`
 # somewhere.
 MIN_CHANNELS = 5
+# So many joints of a body, a knee among them, do not all rotate several times.
+MIN_WOUND = 3
 # In radians, some joint of a moving character exceeds this angle [rad].
 MIN_LARGEST = 1.0
 # Fraction of keys at multiples of 15 degrees in radians that is more than chance.
@@ -48,6 +52,8 @@ MIN_STRIDE = math.radians(15)
 CHARACTER_SIZES, MAX_SPEED = (0.3, 4.0), 50.0
 # Interval for measuring a speed; a faster move is a teleport [s].
 SPEED_INTERVAL = 0.25
+# Number of fast steps in a row of keys that are no teleports.
+MIN_FAST = 3
 SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
 # Fraction of a rig by which a joint rests away from its parent, or else is at it.
 MIN_REST = 0.05
@@ -57,6 +63,8 @@ NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
 # Keys on a driven joint that are smaller than this fraction of what a control adds
 # adjust it.
 MIN_LAYER = 0.25
+# Smallest scale at all keys that may be a percentage [1].
+MIN_PERCENT = 10.0
 # Frames at which controls are evaluated.
 MAX_TIMES = 64
 
@@ -70,11 +78,12 @@ def warn_of_numbers(
 ) -> None:
     """Warn of quaternions, angles, lengths and speeds that look mistaken."""
     _warn_of_order(document, channels)
-    _warn_of_angles(document, channels, units)
+    _warn_of_angles(document, channels, units, rig)
     if rig is not None:
         _warn_of_metres(document, channels, units, rig)
         _warn_of_speed(document, channels, fps, units, rig)
         _warn_of_rest(document, channels, rig)
+        _warn_of_scale(document, channels, rig)
         _warn_of_controls(document, channels, rig)
 
 
@@ -93,11 +102,15 @@ def _warn_of_speed(
     for i, channel in _translations(channels, rig):
         steps = np.diff(channel.times) / float(fps)
         lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
-        speeds = np.where(
-            steps >= SPEED_INTERVAL, lengths / np.maximum(steps, 1e-9), 0.0
-        )
-        if not len(speeds) or speeds.max() <= MAX_SPEED:
+        # A single fast step, or one without frames between, is a cut or a teleport.
+        not_cut = np.array([mode != Interp.STEP for mode in channel.interps[:-1]], bool)
+        fast = lengths > MAX_SPEED * steps
+        counted_steps = fast & (steps >= SPEED_INTERVAL)
+        if fast.sum() >= max(MIN_FAST, np.count_nonzero(lengths) / 2):
+            counted_steps = fast & not_cut
+        if not counted_steps.any():
             continue
+        speeds = np.where(counted_steps, lengths / np.maximum(steps, 1e-9), 0.0)
         k = int(speeds.argmax())
         message = (
             f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
@@ -147,7 +160,10 @@ def _angles(channels: Sequence[ClipChannel]) -> Iterator[tuple[int, FloatArray]]
 
 
 def _warn_of_angles(
-    document: Document, channels: Sequence[ClipChannel], units: ClipUnits
+    document: Document,
+    channels: Sequence[ClipChannel],
+    units: ClipUnits,
+    rig: Rig | None,
 ) -> None:
     """Warn of keys in radians where degrees are declared, and vice versa (CLIP107)."""
     angles = [(i, values / units.angle) for i, values in _angles(channels)]
@@ -155,8 +171,8 @@ def _warn_of_angles(
     if not angles:
         return
     in_degrees = units.angle != 1.0
-    check = _in_radians if in_degrees else _in_degrees
-    if not check([(channels[i].target, values) for i, values in angles]):
+    named = [(channels[i].target, values) for i, values in angles]
+    if not (_in_radians(named) if in_degrees else _in_degrees(named, rig)):
         return
     i, values = max(angles, key=lambda angle_channel: np.abs(angle_channel[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
@@ -193,11 +209,35 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
 
 
-def _in_degrees(angles: list[tuple[str, FloatArray]]) -> bool:
+def _in_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
+    wound = [(target, values) for target, values in angles if _exceeds(values)]
+    if any(_winds_up(target, values, rig) for target, values in wound):
+        return True
+    hinges = any(HINGE_NAMES.search(target) for target, _ in wound)
+    if hinges and len(wound) >= MIN_WOUND:
+        return True
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     integers = np.mean(values == np.round(values))
     return bool(FULL_CIRCLE < np.abs(values).max() <= MAX_DEGREES and integers > 0.5)
+
+
+def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
+    """Return whether keys wind up a pin whose limits exclude it [rad]."""
+    largest = np.abs(values).max()
+    name = split_part(target.removeprefix("joint/"), KEYED_PARTS)[0]
+    if rig is None or name not in rig.names:
+        return False
+    limits = rig.joints[rig.index(name)].limits
+    if not isinstance(limits, RangeLimit):
+        return False
+    ends = [abs(end) for end in (limits.low, limits.high) if math.isfinite(end)]
+    return len(ends) == 2 and bool(largest > max(ends) + FULL_CIRCLE)
+
+
+def _exceeds(values: FloatArray) -> bool:
+    """Return whether the largest of some angles is more than a revolution [rad]."""
+    return bool(FULL_CIRCLE < np.abs(values).max() <= MAX_DEGREES)
 
 
 def _translations(
@@ -264,6 +304,27 @@ def _warn_of_rest(
         )
         hint = f"write the move from rest, or key joint/{name}.local_translation"
         document.warn("CLIP112", (*_at(i, 0), "v"), message, hint)
+        return
+
+
+def _warn_of_scale(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of scales that look like percentages, at all keys (CLIP113)."""
+    size = rest_size(rig)
+    for i, channel in enumerate(channels):
+        part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)[1]
+        if part != "scale" or not channel.target.startswith("joint/"):
+            continue
+        smallest = float(np.abs(channel.values).min())
+        if smallest < MIN_PERCENT or size * smallest <= MAX_SIZE:
+            continue
+        message = (
+            f"{channel.target!r} is {smallest:.4g} or more at all keys; the rig, which "
+            f"is {length_text(size)} tall, is {length_text(size * smallest)} with it"
+        )
+        hint = f"1 is the size at rest: for {smallest:.4g}% write {smallest / 100:.4g}"
+        document.warn("CLIP113", (*_at(i, 0), "v"), message, hint)
         return
 
 

@@ -8,20 +8,15 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import IntArray
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
 from animtool.maths.curves import Extrapolation
+from animtool.motion.key_times import in_seconds
 
 # Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
-# Samples as dense as this are a time in seconds at 10 frames a second and more [frame].
-DENSE, MIN_SAMPLES = 0.1, 3
-# Keys this close together are hardly set by hand [frame].
-CLOSE = 2.0
-# Times that differ by less from a whole frame are on it [frame].
-ON_FRAME = 1e-6
 
 
 def warn_of_times(
@@ -46,7 +41,7 @@ def _warn_of_seconds(
     document: Document, channels: Sequence[ClipChannel], fps: Fraction
 ) -> bool:
     """Warn of key times in seconds, and return whether they are (CLIP110)."""
-    if not channels or not _in_seconds([channel.times for channel in channels], fps):
+    if not channels or not in_seconds([channel.times for channel in channels], fps):
         return False
     first, last = (
         pick(float(channel.times[end]) for channel in channels)
@@ -62,22 +57,6 @@ def _warn_of_seconds(
     at = ("channels", i, "keys", len(channels[i].times) - 1, "t")
     document.warn("CLIP110", at, message, hint)
     return True
-
-
-def _in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
-    """Return whether the key times of channels are likely seconds."""
-    steps = np.concatenate([np.diff(channel_times) for channel_times in times])
-    together = np.concatenate(times)
-    on_frame = np.abs(together - np.round(together)) <= ON_FRAME
-    if not len(steps) or on_frame.all():
-        return False
-    step = float(np.median(steps))
-    if step < DENSE and len(steps) >= MIN_SAMPLES:
-        return True
-    # Several seconds from 0, keyed by hand; even steps are samples between frames.
-    is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
-    is_short = float(np.ptp(together)) < fps
-    return bool(0 <= together.min() < 1 and step < CLOSE and is_short and not is_even)
 
 
 def _warn_of_range(

@@ -19,6 +19,17 @@ from animtool.documents.yaml_values import Marks, read_values
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
+# Quotes of a word processor, and what may close each.
+QUOTES = {
+    "\u201c": "\u201d\u201c",
+    "\u201d": "\u201d",
+    "\u2018": "\u2019\u2018",
+    "\u2019": "\u2019",
+    "\u201e": "\u201c\u201d",
+    "\xab": "\xbb",
+    "\xbb": "\xab",
+}
+_TYPOGRAPHIC = frozenset(QUOTES)
 # A list that is read for decimal commas; others are no vectors.
 MAX_NUMBERS = 16
 
@@ -287,7 +298,27 @@ def document_of(text: str, path: Path) -> Document:
         hint = f"start it with a line such as '{kind_named(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
-    return Document(path, value, marks)
+    document = Document(path, value, marks)
+    if not _TYPOGRAPHIC.isdisjoint(text):
+        document.notices.extend(_typographic_quotes(document))
+    return document
+
+
+def _typographic_quotes(document: Document) -> Iterator[Fault]:
+    """Yield a warning about quotes of a word processor around a value (DOC103)."""
+    marks = document.marks()
+    for index, text in marks.unquoted.items():
+        inner = text[1:-1]
+        # In sentences they are meant.
+        if text[:1] not in QUOTES or text[-1] not in QUOTES[text[0]] or " " in inner:
+            continue
+        line, column = marks.positions[index]
+        message = f"typographic quotes are part of the value {text}"
+        hint = f'write "{inner}" with straight quotes, or {inner} without'
+        source = str(document.path), (line,)
+        warning = Severity.WARNING
+        yield Fault("DOC103", message, *source, hint, warning, column=column)
+        return
 
 
 def kind_named(path: Path, default: str = "rig") -> str:

@@ -27,6 +27,7 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import check_count, exact, frame_index
 from animtool.edit.tree import joints_matching
+from animtool.motion.key_times import weight_warnings
 from animtool.motion.keyed import (
     KeyInterpolation,
     Weight,
@@ -106,6 +107,8 @@ def blend(
 
 
 def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
+    warnings = weight_warnings(options.weight, take.clock, in_shot=context.in_shot)
+    context.notices.extend(warnings)
     return blend(
         take,
         context.take(options.take),
@@ -321,6 +324,7 @@ class _Plan:
     interpolation: KeyInterpolation
     joints: list[int] | None
     delay: float
+    in_shot: bool = False
 
     def over(self, stream: TakeStream) -> TakeStream:
         is_additive = self.mode is LayerMode.ADDITIVE
@@ -351,6 +355,8 @@ class _Plan:
                 frame_count + block.frames,
                 motion.rotations.values[-1],
             )
+        clock = Clock(stream.fps, first_code, stream.step, frame_count)
+        stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
 
 
 def _run_layer(
@@ -363,6 +369,7 @@ def _run_layer(
         parse_choice(KeyInterpolation, options.interpolation, "interpolation"),
         _limit_joints(stream.rig, options.joints, options.children),
         options.delay,
+        context.in_shot,
     )
     return plan.over(stream)
 

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
@@ -415,19 +416,19 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
         )
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(cycle_notices(cycle, is_searched=options.find))
+    context.notices.extend(cycle_notices(cycle, take.clock, options))
     return result
 
 
-def cycle_notices(cycle: Cycle, *, is_searched: bool) -> list[Fault]:
-    """Return the notices about a cycle."""
+def cycle_notices(cycle: Cycle, clock: Clock, options: LoopOptions) -> list[Fault]:
+    """Return the notices about a cycle of a take."""
     ends_text = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
         f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of the motion "
         "between them"
     )
     notices = []
-    if is_searched:
+    if options.find:
         message = f"the best cycle: {ends_text}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > POOR_SEAM:
@@ -437,6 +438,15 @@ def cycle_notices(cycle: Cycle, *, is_searched: bool) -> list[Fault]:
         )
         message = f"the loop has a visible seam: {ends_text}"
         notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
+    frames = round((cycle.last - cycle.first) / float(clock.step))
+    # The default is not what was asked for: short cycles are blended as a whole.
+    if options.blend > max(frames, _DEFAULTS.blend):
+        message = (
+            f"{argument('blend', options.blend)} is longer than the cycle of {frames} "
+            "frames: every frame is changed"
+        )
+        hint = f"use {frames // 2} or fewer; {_DEFAULTS.blend} is the default"
+        notices.append(Fault("SCN115", message, hint=hint, severity=Severity.WARNING))
     return notices
 
 

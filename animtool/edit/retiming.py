@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
@@ -165,6 +166,10 @@ TRIM = Pass(
 )
 
 
+# Percentages of a speed are larger; a lapse of time hardly is [1].
+MAX_SPEED = 25.0
+
+
 @dataclass(frozen=True, slots=True)
 class TimeScaleOptions:
     """The playback speed.
@@ -249,6 +254,19 @@ def _check_speed(speed: float) -> None:
         raise OptionError(Fault("SCN016", message))
 
 
+def _speed_warnings(speed: float, before: Clock, after: Clock) -> list[Fault]:
+    """Return a warning about a speed that looks like a percentage (SCN117)."""
+    if abs(speed) < MAX_SPEED or before.count < 2:
+        return []
+    stated = argument("speed", f"{speed:g}")
+    message = (
+        f"{stated} plays {abs(speed):g} times as fast: of {before.count} frames "
+        f"{after.count} remain"
+    )
+    hint = f"for {speed:g}% write {speed / 100:g}"
+    return [Fault("SCN117", message, hint=hint, severity=Severity.WARNING)]
+
+
 def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
     return {"speed": lambda: _check_speed(options.speed)}
 
@@ -257,6 +275,7 @@ def _run_time_scale(
     take: Take, options: TimeScaleOptions, context: PassContext
 ) -> Take:
     result = time_scale(take, options.speed, options.pivot)
+    context.notices.extend(_speed_warnings(options.speed, take.clock, result.clock))
     context.note_once(result.notices[len(take.notices) :])
     return result
 

@@ -23,8 +23,9 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
-from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import Constant, Value, ValueReader
+from animtool.ik.tracks import DEFAULT_RATE, GoalTrack, TargetTracks
+from animtool.ik.values import Constant, Keyed, Value, ValueReader
+from animtool.motion.key_times import in_seconds
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import HALF_CIRCLE_Z, warn_of_quaternion
@@ -89,6 +90,7 @@ class _TargetsReader:
             for i, goal in enumerate(self.model.goals)
             if (track := self._goal(("goals", i), goal)) is not None
         ]
+        self._warn_of_seconds(fps or DEFAULT_RATE, goals)
         return TargetTracks(
             self.document.path,
             fps,
@@ -119,6 +121,28 @@ class _TargetsReader:
             if row == HALF_CIRCLE_Z:
                 warn_of_quaternion(self.document, "TGT108", at)
                 return
+
+    def _warn_of_seconds(self, fps: Fraction, goals: list[GoalTrack]) -> None:
+        """Warn of key times and spans that look like seconds (CLIP110)."""
+        times = [
+            value.channel.times
+            for track in goals
+            for value in (*track.values.values(), *track.weights.values())
+            if isinstance(value, Keyed)
+        ]
+        times += [
+            np.array(span) for track in goals for span in (*track.spans, *track.during)
+        ]
+        if not times or not in_seconds(times, fps):
+            return
+        last = max(float(row[-1]) for row in times)
+        first = min(float(row[0]) for row in times)
+        message = (
+            f"key times and spans from {first:g} to {last:g} look like seconds: as "
+            f"frames at {float(fps):g} fps they last {(last - first) / fps:.3g} s"
+        )
+        hint = f"write frames: {last:g} s is frame {last * float(fps):g}"
+        self.document.warn("CLIP110", ("goals",), message, hint)
 
     def _units(self) -> ClipUnits:
         rig, units = self.rig, self.model.units

@@ -10,13 +10,14 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
 from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import parts_of, refuse_scales
-from animtool.ik.goals import Goal, Targets
+from animtool.ik.goals import PARTS, Goal, Targets
 from animtool.ik.options import TakeOptions
+from animtool.ik.pole_lines import poles_on_lines
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_run import (
     SolvedPart,
@@ -195,12 +196,24 @@ def _solve_take(
             progress(solved_parts[-1].part.frames.stop / take.clock.count)
     solved = gathered_take(take, indices, local, tracks, targets, solved_parts, rate)
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
+    has_poles = bool(solved.active[:, :, PARTS.index("pole")].any())
     return replace(
         solved,
+        open_poles=_open_poles(rig, indices, solved, targets) if has_poles else None,
         moving_between=spans.moving_between,
         away=_away(goals, rig, world, targets),
         size=max(rig_size, solved.problem.length),
     )
+
+
+def _open_poles(
+    rig: Rig, indices: IntArray, solved: TakeIk, targets: Targets
+) -> BoolArray:
+    """Return where poles lie on the line of their solved limb ``(F, E)``."""
+    motion = solved.take.motion
+    local = motion.translations.gather(indices), motion.rotations.gather(indices)
+    goals = [track.goal for track in solved.tracks.goals]
+    return poles_on_lines(rig, goals, forward(rig, *local), targets, solved.active)
 
 
 def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:

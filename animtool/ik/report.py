@@ -181,6 +181,7 @@ def take_notices(
         *single_frame_notices(solved, smooth=smooth),
         *away_notices(solved, reports),
         *missed_notices(solved, reports),
+        *pole_notices(solved),
         *jump_notices(solved),
     ]
 
@@ -195,6 +196,31 @@ def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
         for i, report in enumerate(reports)
         if report.spans
     ]
+
+
+def pole_notices(solved: TakeIk) -> list[Fault]:
+    """Return a warning for each pole that leaves its limb's plane open (IK103)."""
+    if solved.open_poles is None:
+        return []
+    times, notices = solved.take.clock.times, []
+    for e, track in enumerate(solved.tracks.goals):
+        frames = np.flatnonzero(solved.open_poles[:, e])
+        if not len(frames):
+            continue
+        spans = [
+            frame_label(times[first])
+            if end - first == 1
+            else span_label(times[first], times[end - 1])
+            for first, end in runs(solved.open_poles[:, e])
+        ]
+        noun = "frame" if len(frames) == 1 else "frames"
+        message = (
+            f"the pole of {track.name!r} is on the line from the root of the limb to "
+            f"its end at {noun} {listed(spans, 4)}: the limb may bend in any direction"
+        )
+        hint = "move the pole to the side on which the middle joint is to be"
+        notices.append(replace(_goal_warning(solved, "IK103", e, message), hint=hint))
+    return notices
 
 
 def _advice(solved: TakeIk, report: GoalReport) -> str | None:

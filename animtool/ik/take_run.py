@@ -67,6 +67,8 @@ class TakeIk:
             source take ``(E,)`` [m]; 0 without any.
         size: Largest extent of the rig's joints in the first frame [m].
         steadier: Smoothing that reduces the jumps in a trial; None without any.
+        open_poles: Mask of the frames in which a pole lies on the line of its bent
+            limb ``(F, E)``; None without poles.
     """
 
     take: Take
@@ -84,6 +86,7 @@ class TakeIk:
     away: tuple[float, ...] = ()
     size: float = 0.0
     steadier: Smoothing | None = None
+    open_poles: BoolArray | None = None
 
     @property
     def frames(self) -> int:

@@ -18,6 +18,12 @@ from animtool.edit.resample import resampled
 from animtool.maths import so3
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
+from animtool.report.tolerances import (
+    WEIGHT_TOLERANCE,
+    hidden_angle,
+    hidden_length,
+    hidden_weight,
+)
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
@@ -109,8 +115,6 @@ def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]
 
 # USD stores scales as 16-bit floats, whose spacing near 1 is 5e-4.
 SCALE_TOLERANCE = 1e-3
-# Where a weight of 1 moves a point by centimetres, this is less than a micrometre.
-WEIGHT_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +146,16 @@ class TakeDifference:
     skeletons: int = (
         1  # skeletons compared, whose joints and shapes are counted together
     )
+    size: float = 0.0  # largest extent of the joints in a frame [m]
+
+    def hidden(self, meters: float, degrees: float, weights: float) -> list[Fault]:
+        """Return warnings about tolerances that hide every difference (CLI107)."""
+        largest = max(self.world.value, self.translation.value)
+        return [
+            *hidden_length(meters, largest, self.size),
+            *hidden_angle(degrees, self.rotation.value),
+            *hidden_weight(weights, self.weight.value),
+        ]
 
     def within(
         self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE
@@ -291,6 +305,7 @@ def _merged_difference(
         total,
         **larger,
         frames=max(total.frames, added.frames),
+        size=max(total.size, added.size),
         joints=total.joints + added.joints,
         shapes=total.shapes + added.shapes,
         mismatches=total.mismatches + with_skeleton["mismatches"],
@@ -351,7 +366,18 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         len(pairs),
         shapes,
         mismatches + missing_shapes,
+        size=max(_size(world_a.positions), _size(world_b.positions)),
     )
+
+
+def _size(positions: FloatArray) -> float:
+    """Return the largest extent of a frame, or of the path of a single joint [m]."""
+    if not positions.size:
+        return 0.0
+    extents = np.ptp(positions, axis=1)
+    if not extents.any():
+        extents = np.ptp(positions[:, 0], axis=0, keepdims=True)
+    return float(np.linalg.norm(extents, axis=1).max())
 
 
 def _scales(

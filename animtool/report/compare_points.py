@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import counted
+from animtool.core.errors import Fault, counted
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.report.compare import SCALE_TOLERANCE, missing_text, space_notes
+from animtool.report.tolerances import hidden_angle, hidden_length
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import PointSample, PointSource
@@ -46,6 +47,14 @@ class PointsDifference:
     mismatches: list[str]  # prims and points that only one file has, as text
     # Differences that do not affect the points, as text.
     notes: list[str] = field(default_factory=list)
+    size: float = 0.0  # largest extent of a prim's points in a sample [m]
+
+    def hidden(self, meters: float, degrees: float) -> list[Fault]:
+        """Return warnings about tolerances that hide every difference (CLI107)."""
+        return [
+            *hidden_length(meters, self.points.value, self.size),
+            *hidden_angle(degrees, self.orientations.value),
+        ]
 
     def within(self, meters: float, degrees: float) -> bool:
         """Return whether the points agree within tolerances."""
@@ -73,7 +82,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     mismatches = _missing_prims(source_a, source_b)
     common = [name for name in source_a.names if name in source_b.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
-    samples = 0
+    samples, size = 0, 0.0
     for name in common:
         codes = source_a.codes(name), source_b.codes(name)
         if source_a.type(name) != source_b.type(name):
@@ -85,6 +94,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             mismatches.append(f"{name}: {counts}")
         for code, a, b in _pairs(source_a, source_b, name, codes):
             samples += 1
+            size = max(size, _extent(a), _extent(b))
             mismatch = _point_mismatch(a, b)
             if mismatch:
                 mismatches.append(f"{name} at time code {code:g}: {mismatch}")
@@ -111,7 +121,15 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             ),
             *_start_notes(source_a, source_b, common),
         ],
+        size=size,
     )
+
+
+def _extent(sample: PointSample) -> float:
+    """Return the diagonal of the bounds of a sample [m]."""
+    if not len(sample.points):
+        return 0.0
+    return float(np.linalg.norm(np.ptp(sample.points, axis=0)))
 
 
 def _missing_prims(source_a: PointSource, source_b: PointSource) -> list[str]:

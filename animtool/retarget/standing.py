@@ -20,6 +20,7 @@ from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
+from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_size, rest_world
 from animtool.rig.skeleton import MAX_SIZE, Rig
@@ -349,15 +350,16 @@ def with_source_warnings(
     file_format = stream.details.get("format")
     if unit is not None and "RIG217" not in known_codes and file_format != "markers":
         stream.notices.extend(_size_warning(path, stream.rig, unit))
-    if up is None and file_format not in {"BVH", "markers"}:
-        return stream
+    is_stated = up is None and file_format not in {"BVH", "markers"}
     severity = (
         Severity.NOTE if up is None and file_format == "BVH" else Severity.WARNING
     )
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
-            if i == 0:
+            if i == 0 and file_format not in {"BVH", "markers"}:
+                stream.notices.extend(order_warning(stream.rig, block, str(path)))
+            if i == 0 and not is_stated:
                 notices = lying_notice(path, stream.rig, block, severity, up)
                 stream.notices.extend(notices)
             yield block

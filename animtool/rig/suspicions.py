@@ -149,7 +149,7 @@ def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
         limit
         for limit in limits
         if FULL_CIRCLE < limit.largest <= MAX_DEGREES
-        and all(value.is_integer() for value in limit.values)
+        and (HINGE_NAMES.search(limit.joint) or all(map(_is_round, limit.values)))
     ]
 
 
@@ -176,8 +176,10 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
     at_rest = {control.name: np.array([control.default]) for control in rig.controls}
     for control in rig.controls:
         for k, drive in enumerate(control.drives):
+            target = drive.target
             largest = _largest(control, drive, at_rest) if drive.of_angle else 0.0
-            if not (_is_radians(largest) if in_degrees else _is_degrees(largest)):
+            check = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
+            if not check:
                 continue
             declared = "deg" if in_degrees else "rad"
             meant, factor = OTHER_ANGLES[declared]
@@ -209,5 +211,12 @@ def _is_radians(value: float) -> bool:
     return value <= HALF_CIRCLE and (near or bool(are_multiples(value)))
 
 
-def _is_degrees(value: float) -> bool:
-    return FULL_CIRCLE < value <= MAX_DEGREES and float(value).is_integer()
+def _is_degrees(value: float, target: str) -> bool:
+    # A crank winds up; the angles of a ball joint do not.
+    plausible = target.endswith(".angle") and not _is_round(value)
+    return FULL_CIRCLE < value <= MAX_DEGREES and not plausible
+
+
+def _is_round(value: float) -> bool:
+    """Return whether a number is one of halves, as degrees are written by hand."""
+    return float(2 * value).is_integer()

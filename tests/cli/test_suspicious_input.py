@@ -293,3 +293,51 @@ def test_an_option_that_only_bake_has(tmp_path: Path) -> None:
     done = animtool("convert", clip, tmp_path / "b.usda", "--units", "cm")
     assert "bake --to-units" in done.stderr
     assert "to_units:" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("rate", "found"), [("120", True), ("24", True), ("30", False), ("29.97", False)]
+)
+def test_a_rate_that_the_file_contradicts(
+    rate: str, found: bool, tmp_path: Path
+) -> None:
+    few = shorter(tmp_path / "few.bvh", 30)
+    assert open_source(few).fps == 30
+    done = animtool("bake", few, "-o", tmp_path / "a.usda", "--source-fps", rate)
+    lines = [line for line in done.stderr.splitlines() if "TAKE011" in line]
+    assert len(lines) == found
+    for line in lines:
+        assert f"not --source-fps {rate}: 30 frames last {30 / int(rate):.3g} s" in line
+        assert "instead of 1 s" in line
+
+
+@pytest.mark.parametrize(
+    ("joint", "found"), [("Hips", True), ("hero:Hips", False), ("a:b:Hips", False)]
+)
+def test_a_namespace_that_no_joint_has(joint: str, found: bool, tmp_path: Path) -> None:
+    few = shorter(tmp_path / "few.bvh", 3)
+    text = few.read_text("utf-8").replace("ROOT Hips", f"ROOT {joint}")
+    few.write_text(text, "utf-8")
+    command = ("bake", few, "-o", tmp_path / "a.usda", "--strip-namespace")
+    lines = warnings(*command, "1")
+    assert sum("USD125" in line for line in lines) == found
+    assert "USD125" not in "".join(warnings(*command, "0", "--overwrite"))
+
+
+@pytest.mark.parametrize(("blend", "found"), [("500", True), ("12", False)])
+def test_a_blend_longer_than_the_cycle(blend: str, found: bool, tmp_path: Path) -> None:
+    few = shorter(tmp_path / "few.bvh", 40)
+    cycle = ("loop", few, "--first", "2", "--last", "34")
+    lines = [line for line in warnings(*cycle, "--blend", blend) if "SCN115" in line]
+    assert len(lines) == found
+    assert all("the cycle of 32 frames" in line for line in lines)
+    assert "SCN115" not in "".join(warnings("loop", few, "--first", "2", "--last", "7"))
+
+
+def test_a_tolerance_that_hides_every_difference(tmp_path: Path) -> None:
+    few, many = shorter(tmp_path / "few.bvh", 4), tmp_path / "many.bvh"
+    many.write_text(few.read_text("utf-8").replace("0 10 0", "0 11 0"), "utf-8")
+    (line,) = warnings("diff", few, many, "--tolerance", "20", "--angle-tolerance", "9")
+    assert "CLI107 --tolerance 20 m hides every difference" in line
+    assert not warnings("diff", few, many, "--tolerance", "5mm", code=1)
+    assert not warnings("diff", few, few, "--tolerance", "20")

@@ -68,6 +68,25 @@ def test_degrees_where_radians_are_declared(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        ([0.0, 37.37, 61.21], True),
+        ([0.0, 2.37, 1.21], False),
+        ([0.0, 3.3, 6.1], False),
+    ],
+)
+def test_degrees_of_a_hinge_where_radians_are_declared(
+    tmp_path: Path, values: list[float], found: bool
+) -> None:
+    knee = ("joint/knee.angle", "", values)
+    channels = [knee, *eulers(max(values))]
+    codes_ = codes(tmp_path, *channels, units="{angle: rad}")
+    assert codes_ == ["CLIP107"] * found
+    wheel = [("joint/thigh.rotation", "euler: XYZ, ", [[0, 0, 0], [31.43, 0.1, 0.2]])]
+    assert codes(tmp_path, *wheel, units="{angle: rad}") == []
+
+
 def test_small_motion_is_plausible(tmp_path: Path) -> None:
     assert codes(tmp_path, ("joint/knee.angle", "", [0, 1.5, 0.4])) == []
     assert codes(tmp_path, *eulers(1.3)) == []
@@ -92,6 +111,25 @@ def test_metres_in_a_clip_in_centimetres(tmp_path: Path) -> None:
 def test_a_root_faster_than_any_fall(tmp_path: Path) -> None:
     assert codes(tmp_path, (*ROOT, [[0, 0, 0], [4800, 0, 0]]), KNEE) == ["CLIP109"]
     assert codes(tmp_path, (*ROOT, [[0, 0, 0], [1000, 0, 0]]), KNEE) == []
+
+
+@pytest.mark.parametrize(
+    ("positions", "mode", "found"),
+    [
+        ([0, 5.4, 10.8, 16.2, 21.6], "linear", True),  # a stride in cm in metres
+        ([0, 0.6, 1.2, 1.8, 2.4], "linear", False),  # a sprint
+        ([0, 1.6, 3.2, 4.8, 6.4], "linear", False),  # a skier
+        ([0, 0.1, 90, 90.1, 90.2], "linear", False),  # a teleport
+        ([0, 40, 10, 50, 20], "step", False),  # cuts
+    ],
+)
+def test_a_root_that_is_fast_at_every_frame(
+    tmp_path: Path, positions: list[float], mode: str, found: bool
+) -> None:
+    keys = ", ".join(f"{{t: {k}, v: [0, 0, {z}]}}" for k, z in enumerate(positions))
+    line = f"- {{target: joint/hips.translation, interp: {mode}, keys: [{keys}]}}"
+    head = "fps: 24\nunits: {length: m}"
+    assert ("CLIP109" in said(tmp_path, head, line)) is found
 
 
 def said(folder: Path, head: str, *channels: str, rig: str = RIG) -> list[str]:
@@ -214,3 +252,19 @@ def test_quaternions_of_another_length(
     keys = f"[{{t: 1, v: [1, 0, 0, 0]}}, {{t: 9, v: {quaternion}}}]"
     line = f"- {{target: joint/thigh.rotation, keys: {keys}}}"
     assert ("RIG110" in said(tmp_path, "fps: 24", line)) is found
+
+
+@pytest.mark.parametrize(
+    ("scales", "found"),
+    [
+        (["[100, 100, 100]"], True),
+        (["[100, 100, 100]", "[120, 80, 120]"], True),
+        (["[1, 1, 1]", "[60, 60, 60]"], False),  # something that blows up
+        (["[20, 20, 20]"], False),  # a giant of 16 m
+        (["[0.01, 0.01, 0.01]"], False),
+    ],
+)
+def test_scales_in_percent(tmp_path: Path, scales: list[str], found: bool) -> None:
+    keys = ", ".join(f"{{t: {1 + 12 * k}, v: {v}}}" for k, v in enumerate(scales))
+    line = f"- {{target: joint/hips.scale, keys: [{keys}]}}"
+    assert ("CLIP113" in said(tmp_path, "fps: 24", line)) is found

@@ -443,3 +443,26 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 )
 def test_control_characters_are_refused(tmp_path: Path, text: str) -> None:
     assert refused(tmp_path, text) == [("DOC023", 1)]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("name: \u201carm\u201d", True),
+        ("name: \u2018arm\u2019", True),
+        ("names: [hips, \u201carm\u201d]", True),
+        ("name: \u201earm\u201c", True),
+        ("name: \xabarm\xbb", True),
+        ("name: '\u201carm\u201d'", False),  # on purpose
+        ("why: \u201cit falls on purpose\u201d", False),
+        ("name: l\u2019arm", False),
+        ("name: arm  # \u201cthe\u201d arm", False),
+        ("name: arm", False),
+    ],
+)
+def test_typographic_quotes(tmp_path: Path, text: str, found: bool) -> None:
+    document = read_document(written(tmp_path, text))
+    assert [notice.code for notice in document.notices] == ["DOC103"] * found
+    if found:
+        ((line,), column) = document.notices[0].lines, document.notices[0].column
+        assert (line, text[column - 1] in "\u201c\u2018\u201e\xab") == (1, True)

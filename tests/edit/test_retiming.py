@@ -15,6 +15,8 @@ from support.small_takes import small
 from animtool.core.errors import OptionError
 from animtool.edit.combine import other_frames
 from animtool.edit.retiming import (
+    TIME_SCALE,
+    TimeScaleOptions,
     TrimOptions,
     _run_trim,
     time_scale,
@@ -116,3 +118,14 @@ def test_another_take_runs_at_its_own_rate_and_begins_later() -> None:
         assert_allclose(found.translations.dense()[:, 0, 0], expected)
     found = other_frames(take, Fraction(60), 2, 3)
     assert_allclose(found.translations.dense()[:, 0, 0], [1, 1.5, 2])
+
+
+@pytest.mark.parametrize(
+    ("speed", "found"), [(200, True), (50, True), (-100, True), (8, False), (0.02, 0)]
+)
+def test_a_speed_in_percent(speed: float, found: bool, tmp_path: Path) -> None:
+    context = PassContext(lambda _: numbered(2), tmp_path)
+    options = TimeScaleOptions(speed=speed)
+    TIME_SCALE.run(numbered(240), options, context)
+    codes = [notice.code for notice in context.notices]
+    assert codes.count("SCN117") == found

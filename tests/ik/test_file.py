@@ -325,3 +325,19 @@ def test_orientations_that_look_mistaken(
 ) -> None:
     path = write_targets(tmp_path, goals)
     assert [notice.code for notice in load_targets(path).notices] == codes
+
+
+@pytest.mark.parametrize(
+    ("goal", "found"),
+    [
+        ("position: {keys: [{t: 0, v: [0, 0, 0]}, {t: 0.5, v: [0, 1, 0]}]}", True),
+        ("hold: [[0.5, 1.75]]", True),
+        ("position: [0, 0, 0], during: [[0.25, 2]]", True),
+        ("position: {keys: [{t: 1, v: [0, 0, 0]}, {t: 12.5, v: [0, 1, 0]}]}", False),
+        ("hold: [[4, 8], [11.5, 16]]", False),
+        ("position: {keys: [{t: 0, v: [0, 0, 0]}, {t: 1, v: [0, 1, 0]}]}", False),
+    ],
+)
+def test_times_in_seconds(tmp_path: Path, goal: str, found: bool) -> None:
+    tracks = tracks_of(tmp_path, f"- {{effector: leg_l, {goal}}}\n")
+    assert [one.code for one in tracks.notices] == ["CLIP110"] * found

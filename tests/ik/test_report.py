@@ -18,10 +18,12 @@ from animtool.ik.report import (
     goal_reports,
     jump_notices,
     missed_notices,
+    pole_notices,
     status_text,
 )
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import Smoothing, TakeIk
+from animtool.motion.motion import Channel, Motion
 
 
 @pytest.fixture(scope="module")
@@ -164,3 +166,24 @@ def test_how_frames_ended_in_words(counts: dict[str, int], text: str) -> None:
     found = {str(IkStatus[name]): count for name, count in counts.items()}
     solved: Any = SimpleNamespace(status_counts=found)
     assert status_text(solved) == text
+
+
+@pytest.mark.parametrize(
+    ("pole", "found"),
+    [
+        ("[0.1, 0.6, 0.02]", True),  # between hip and ankle
+        ("[0.1, 0.86, 0]", True),  # at the hip
+        ("[0.1, 0.5, 0.5]", False),
+        ("[0.1, 0.9, 4]", False),  # far ahead
+        ("[0.1, -3, 0.4]", False),  # nearly along the leg, and far
+    ],
+)
+def test_a_pole_on_the_line_of_its_limb(pole: str, found: bool, tmp_path: Path) -> None:
+    goals = f"- {{effector: leg_l, position: [0.1, 0.3, 0.04], pole: {pole}}}\n"
+    rig = legs()
+    motion = Motion(
+        Channel.static(rig.rest_translations, 2), Channel.static(rig.rest_rotations, 2)
+    )
+    take = replace(walk_of(rig, count=2), motion=motion)
+    solved = solve_take(take, tracks_of(tmp_path, goals, rig))
+    assert [one.code for one in pole_notices(solved)] == ["IK103"] * found

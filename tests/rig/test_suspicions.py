@@ -31,6 +31,8 @@ def pins(*limits: list[float], name: str = "joint") -> list[str]:
         (pins([0, 1.5708]), "deg"),
         ([*pins([-90, 90]), *pins([-2.5, 2.5], name="knee_l")], "deg"),
         (pins([0, 140]), "rad"),
+        (pins([-12.5, 147.5]), "rad"),
+        (pins([-0.3, 147.3], name="knee_l"), "rad"),
         (["{name: a, type: ball, limits: {twist: [-90, 90]}}"], "rad"),
         (["{name: elbow, type: ball, limits: {swing: 1.2}}"], "deg"),
     ],
@@ -38,6 +40,36 @@ def pins(*limits: list[float], name: str = "joint") -> list[str]:
 def test_limits_in_another_unit(tmp_path: Path, joints: list[str], angle: str) -> None:
     (said,) = warnings(tmp_path, joints, angle)
     assert said.startswith("RIG107")
+
+
+BALL_AND_PIN = [
+    "{name: thigh, type: ball}",
+    "{name: crank, type: pin, parent: thigh, axis: [1, 0, 0]}",
+]
+
+
+@pytest.mark.parametrize(
+    ("target", "expression", "found"),
+    [
+        ("thigh.rotation.z", "0.9 * side", True),
+        ("thigh.rotation.z", "0.02 * side", False),
+        ("crank.angle", "37 * side", False),  # a winch that turns many times
+        ("crank.angle", "4 * side", True),
+    ],
+)
+def test_drives_in_degrees(
+    tmp_path: Path, target: str, expression: str, found: bool
+) -> None:
+    control = (
+        "{name: side, range: [-37.3, 37.5], drives: "
+        f"[{{joint: {target}, expr: {expression}}}]}}"
+    )
+    text = "rig: animtool/1\nname: a\nunits: {length: m, angle: rad}\njoints:\n"
+    text += "".join(f"- {joint}\n" for joint in BALL_AND_PIN)
+    path = tmp_path / "a.rig.yaml"
+    path.write_text(f"{text}controls:\n- {control}\n", "utf-8")
+    codes = [notice.code for notice in load_rig(path).notices]
+    assert codes.count("RIG112") == found
 
 
 def test_the_hint_converts_the_limit(tmp_path: Path) -> None:

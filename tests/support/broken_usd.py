@@ -408,6 +408,13 @@ FLAT = Gf.Matrix4d(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1)
 NAN, INF, TINY = math.nan, math.inf, 1e-5
 
 
+def _moved_to_parent(bind: Any) -> Any:
+    """Return bind transforms of which the second joint is at the first."""
+    moved = np.array(bind)
+    moved[1, 3] = moved[0, 3]
+    return moved
+
+
 def _invert_bind(layer: Sdf.Layer) -> None:
     """Put the inverse of where the joints rest where they are bound."""
     rest = np.array(value_at(layer, REST, None))
@@ -585,6 +592,7 @@ BROKEN = [
         rows(BIND, lambda old: np.tile(np.eye(4), (len(old), 1, 1))),
         BIND,
     ),
+    Case("USD290", "a joint bound at its parent", rows(BIND, _moved_to_parent), BIND),
     Case("USD228", "inverse bind matrices at bind time", _invert_bind, BIND),
     Case("USD228", "inverse bind matrices at rest", _invert_rest, REST),
     Case("USD229", "no rest transforms", drop(REST), REST),
@@ -981,6 +989,14 @@ NEAR = [
             rows(BIND, lambda old: np.tile(np.eye(4), (len(old), 1, 1)))(layer),
             rows(REST, lambda old: np.tile(np.eye(4), (len(old), 1, 1)))(layer),
         )[0],
+    ),
+    Case(
+        "USD290",
+        "a helper joint at its parent",
+        both(
+            rows(BIND, _moved_to_parent),
+            rows(REST, cell((1, 3, slice(0, 3)), 0.0)),
+        ),
     ),
     Case("USD228", "bind as at rest", rows(BIND, cell((slice(0, 3), 3, 0), 0.0))),
     Case("USD239", "no rest transforms, and an animation of all joints", drop(REST)),

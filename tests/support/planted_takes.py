@@ -335,6 +335,11 @@ def scaled_root(factor: float) -> Edit:
     return edit
 
 
+def with_w_last(take: Take) -> Take:
+    """Return a take whose quaternions were read in the other order."""
+    return edited(take, rotations=np.roll(take.motion.rotations.dense(), -1, axis=2))
+
+
 _JUMPS = frozenset({"MOT202", "MOT203"})
 _FEET = frozenset({"MOT208", "MOT209"})
 
@@ -425,6 +430,7 @@ TAKES = [
     Planted("Z up, stated as Y", "walk", rolled(90.0), "MOT214"),
     Planted("Y up, stated as Z", "stride", up_z, "MOT214"),
     Planted("upside down", "walk", rolled(180.0), "MOT214"),
+    Planted("quaternions with w last", "walk", with_w_last, "MOT222"),
 ]  # fmt: skip
 
 TAKE_RULES = [rule for rule in builtin_rules().values() if rule.takes]

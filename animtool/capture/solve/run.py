@@ -23,6 +23,7 @@ from animtool.capture.solve.sampling import (
     sampled_poses,
     typical_noise,
 )
+from animtool.capture.solve.swapped import swapped_notices
 from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
@@ -222,7 +223,9 @@ def solve_markers(
     notices += static_notices(model.template.names, positions)
     noise = sampled_noise(model, sample, options.noise)
     median = float(np.median(noise))
-    if median > STRANGE_RESIDUAL:
+    swapped = swapped_notices(model, sample, noise, options.noise, sampled_noise)
+    notices += swapped
+    if median > STRANGE_RESIDUAL and not swapped:
         message = f"markers are {length_text(median)} off their positions on the rig"
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))

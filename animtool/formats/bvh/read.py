@@ -16,10 +16,19 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable_error
 from animtool.core.files.signatures import expects_format
 from animtool.core.names import numbered_names
-from animtool.core.rates import FractionLike, rate_option
+from animtool.core.rates import (
+    FractionLike,
+    rate_option,
+)
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
+from animtool.formats.bvh.plausible import (
+    ChannelRanges,
+    radians_warning,
+    rate_contradiction,
+    unused_positions,
+)
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -82,11 +91,14 @@ def read_bvh(
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
+        notices += rate_contradiction(header, rate, str(path))
     channels = [
         f"{joint.name}.{channel}"
         for joint in header.joints
         for channel in joint.channels or ()
     ]
+    if positions == "offsets":
+        notices += unused_positions(header, str(path))
     rows = RowSource(
         path,
         file.state,
@@ -239,6 +251,8 @@ def _blocks(
     rest = rig.rest_translations[position_joints].ravel()
     identity = rig.rest_rotations
     previous: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
+    columns = layout.rotation_columns
+    ranges = ChannelRanges(np.unique(columns[columns >= 0]))
     for rows in reader.blocks():
         translations = np.repeat(rest[None], len(rows), axis=0)
         farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
@@ -247,6 +261,7 @@ def _blocks(
             rows, layout.rotation_columns, layout.rotation_axes, previous
         )
         previous = rotations[-1].copy()
+        ranges.add(rows, translations[:, :3])
         yield Motion(
             Channel(
                 rig.rest_translations,
@@ -264,6 +279,7 @@ def _blocks(
         rig, position_joints, reaches, has_channel, str(source.path)
     )
     notices.extend(faults)
+    notices.extend(radians_warning(ranges, rig, str(source.path)))
 
 
 def _zero_length_warning(

@@ -300,6 +300,7 @@ def plan_takes(
         options = replace(options, shot=replace(options.shot, fps=fps))
     notices += _rate_difference(target, fps)
     notices += _left_points(streams, options)
+    notices += _no_namespace(streams, options)
     start = start_of(options, target, streams[0], sources[0])
     takes = tuple(
         TakePlan(
@@ -421,6 +422,17 @@ def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]
     message = f"points of {listed(point_names)} are simulated, but not written"
     hint = "an output with deform: true includes them"
     return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _no_namespace(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
+    """Warn of namespaces to drop that no joint has (USD125)."""
+    names = [name for stream in streams for name in stream.rig.names]
+    if not options.strip_namespace or not names or any(":" in name for name in names):
+        return []
+    stated = argument("strip_namespace", options.strip_namespace)
+    message = f"{stated} drops nothing: no joint has a namespace, such as {names[0]!r}"
+    hint = "namespaces end in a colon, such as hero:Hips; remove the option"
+    return [Fault("USD125", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:

@@ -46,6 +46,7 @@ from animtool.scene.scene import Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_colliders, check_links
 from animtool.scene.systems.suspicions import warn_of_sizes
+from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import AROUND
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -374,6 +375,7 @@ class _PassReader:
             return None
         if name == "simulate":
             warn_of_sizes(document, at, converted_values)
+            warn_of_forces(document, at, converted_values)
         return ScenePass(pass_, options, entry_location(document, at), files)
 
     def _with_colliders(

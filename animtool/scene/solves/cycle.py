@@ -70,7 +70,7 @@ def loop_source(
         else:
             cycle = measure_cycle(take, options.first, options.last)
     seconds = (cycle.last - cycle.first) / float(take.clock.fps)
-    notices = [*stream.notices, *cycle_notices(cycle, is_searched=options.find)]
+    notices = [*stream.notices, *cycle_notices(cycle, take.clock, options)]
     result = LoopResult(source, output, cycle, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)

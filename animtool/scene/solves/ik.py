@@ -39,6 +39,7 @@ from animtool.ik.report import (
     goal_reports,
     jump_notices,
     missed_notices,
+    pole_notices,
     single_frame_notices,
     span_notices,
 )
@@ -288,6 +289,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *span_notices(solution),
         *single_frame_notices(solution, smooth=job.options.smooth > 0),
         *away_notices(solution, goals),
+        *pole_notices(solution),
         *jump_notices(solution),
     ]
     report = IkReport(solution, goals, [*notices, *missed_goals], seconds)

@@ -30,7 +30,8 @@ from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import POSE_KEYS, EntryReader
 from animtool.scene.systems.surroundings import Surroundings
-from animtool.scene.systems.suspicions import warn_of_sizes
+from animtool.scene.systems.suspicions import shape_volume, warn_of_sizes
+from animtool.scene.systems.suspicious_forces import FORCE_KEYS, warn_of_forces
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
     AROUND,
@@ -384,6 +385,8 @@ def read_spec(
     reader.note_ranges(at, spec)
     if not SIZES.isdisjoint(type(spec).model_fields):
         warn_of_sizes(document, at, spec.model_dump(include=SIZES | OF_SIZES))
+    stated_values = spec.model_dump(include=FORCE_KEYS, exclude_unset=True)
+    warn_of_forces(document, at, stated_values, units.length, shape_volume)
     record, faults = spec.build_record(parts)
     for fault in faults:
         at_key = (*at, *location_of(fault.where or ""))

@@ -8,6 +8,7 @@ from typing import Any
 
 from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
+from animtool.scene.systems.suspicious_forces import MAX_GRAVITY
 
 # Greater thickness of cloth is implausible [m].
 MAX_THICKNESS = 0.5
@@ -28,10 +29,6 @@ MAX_DENSITY = 30000.0
 MIN_DENSITY = 10.0
 # Rubber on rubber has 1.5, and gears mesh [1].
 MAX_FRICTION = 5.0
-# The Sun's is 28 times that of Earth [m/s²].
-MAX_GRAVITY = 300.0
-# Faster than any storm [m/s].
-MAX_WIND = 200.0
 GRAMS = 1000.0
 
 
@@ -89,8 +86,8 @@ def _warn_of_ratio(document: Document, at: Location, values: Mapping[str, Any]) 
 def _warn_of_forces(
     document: Document, at: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn of gravity that pulls up or is in cm/s², and of wind in mm/s."""
-    gravity, wind = values.get("gravity"), values.get("wind")
+    """Warn of the gravity of a pass that pulls up or is in cm/s²."""
+    gravity = values.get("gravity")
     if isinstance(gravity, int | float) and not 0 <= gravity <= MAX_GRAVITY:
         message = f"gravity {gravity:g} is {gravity:g} m/s²"
         hint = f"for {gravity:g} cm/s² write {gravity / 100:g}"
@@ -98,11 +95,6 @@ def _warn_of_forces(
             message = f"gravity {gravity:g} pulls up"
             hint = f"it is a magnitude: write {-gravity:g}"
         document.warn("SIM200", (*at, "gravity"), message, hint)
-    if isinstance(wind, list | tuple) and all(isinstance(x, int | float) for x in wind):
-        speed = math.hypot(*wind)
-        if speed > MAX_WIND:
-            message = f"a wind of {speed:g} m/s is faster than any storm"
-            document.warn("SIM200", (*at, "wind"), message, "write metres per second")
 
 
 def _warn_of_rope(document: Document, at: Location, values: Mapping[str, Any]) -> None:
@@ -140,7 +132,7 @@ def _warn_of_body(document: Document, at: Location, body: Mapping[str, Any]) -> 
         message = f"friction {friction:g} is {friction:g} times the normal force"
         hint = f"for {friction:g}% write {friction / 100:g}"
         document.warn("SIM200", (*at, "friction"), message, hint)
-    volume, mass = _volume(body.get("shape") or {}), body.get("mass")
+    volume, mass = shape_volume(body.get("shape") or {}), body.get("mass")
     if mass and volume > 0 and mass > MAX_DENSITY * volume:
         density_text = f"its density is {mass / volume:.3g} kg/m³"
         _warn_of_grams(document, at, mass, density_text)
@@ -154,7 +146,7 @@ def _warn_of_grams(
     document.warn("SIM200", (*at, "mass"), message, hint)
 
 
-def _volume(shape: Mapping[str, Any]) -> float:
+def shape_volume(shape: Mapping[str, Any]) -> float:
     """Return the volume of a box, sphere or capsule; 0 for others [m³]."""
     for name, values in shape.items():
         sizes = values if isinstance(values, Mapping) else {}

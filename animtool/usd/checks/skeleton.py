@@ -21,7 +21,7 @@ from animtool.usd.layers.faults import (
     matrix_array,
     tokens,
 )
-from animtool.usd.rigs.rest_pose import rest_transforms
+from animtool.usd.rigs.rest_pose import collapsed_bones, rest_transforms
 
 
 def check_physics(subject: StageSubject) -> Iterator[Fault]:
@@ -163,6 +163,7 @@ def _bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
     complete = not faults and len(bind) == len(rest) == len(joints)
     if complete and np.isfinite(rest).all():
         yield from _swapped_transforms(skeleton, joints, rest, bind, skins)
+        yield from collapsed_bones(skeleton, joints)
 
 
 def _swapped_transforms(

@@ -43,6 +43,7 @@ from animtool.usd.rigs.prims import (
     prim_below,
     skeleton_rig,
 )
+from animtool.usd.rigs.rest_pose import collapsed_bones
 from animtool.usd.rigs.skinned import (
     floats,
     joint_names,
@@ -405,6 +406,8 @@ def _meshes(
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     location = PrimLocation.of(path, skeleton)
     location.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
+    warnings = collapsed_bones(skeleton, skeleton_rig.tokens)
+    notices += [replace(fault, path=str(path)) for fault in warnings]
     attr = skeleton.GetBindTransformsAttr()
     bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit

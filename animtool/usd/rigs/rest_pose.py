@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdSkel
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.record import dataclass
 from animtool.core.rules import finding
@@ -29,6 +29,8 @@ from animtool.usd.layers.faults import (
 )
 
 MAX_NAMED = 6
+# A bone without length, and one with; in lengths of the longest bone.
+NO_LENGTH, MIN_LENGTH = 1e-5, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,47 @@ def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
         if parent >= 0:
             rest[joint] = bind[joint] @ np.linalg.inv(bind[parent])
     return np.ascontiguousarray(rest)
+
+
+def collapsed_bones(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
+    """Yield a warning about bones with a length at rest and none when bound (USD290).
+
+    Joints that share a place with their parent in both poses are helpers.
+    """
+    attr = skeleton.GetBindTransformsAttr()
+    bind = matrix_array(attr)
+    rest = matrix_array(skeleton.GetRestTransformsAttr())
+    parents = joint_parents(joints)
+    in_order = bool((parents < np.arange(len(joints))).all())
+    if not (in_order and len(bind) == len(rest) == len(joints)):
+        return
+    world = rest.copy()
+    for joint, parent in enumerate(parents.tolist()):
+        if parent >= 0:
+            world[joint] = rest[joint] @ world[parent]
+    bind_lengths, lengths = (_bone_lengths(pose, parents) for pose in (bind, world))
+    size, bind_size = lengths.max(initial=0.0), bind_lengths.max(initial=0.0)
+    is_collapsed = (lengths > MIN_LENGTH * size) & (
+        bind_lengths < NO_LENGTH * bind_size
+    )
+    names = [
+        joints[j].rpartition("/")[2] for j in np.flatnonzero(is_collapsed).tolist()
+    ]
+    if not names:
+        return
+    message = (
+        f"{counted(len(names), 'joint')} with the bind position of the parent, but "
+        f"another one at rest: {listed(names, MAX_NAMED)}; {names[0]!r} rests "
+        f"{lengths[is_collapsed][0]:.4g} from it"
+    )
+    yield finding("USD290", attr.GetPath(), message)
+
+
+def _bone_lengths(matrices: FloatArray, parents: IntArray) -> FloatArray:
+    """Return the distance of each joint from its parent; 0 for roots ``(J,)``."""
+    points = matrices[:, 3, :3]
+    offsets = np.where(parents[:, None] < 0, 0.0, points - points[parents])
+    return np.asarray(np.linalg.norm(offsets, axis=1))
 
 
 def rest_transforms(

@@ -12,6 +12,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.motion.quaternion_order import ORDER_HINT, swapped_order
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.standing import Stance, stance
 from animtool.rig.kinematics import rest_world
@@ -301,6 +302,13 @@ def body_axis(subject: MotionSubject) -> Stance | None:
         if body_stance.axis is None and not body_stance.upside_down
         else body_stance
     )
+
+
+def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield a fault if quaternions look like the other order (MOT222)."""
+    order = swapped_order(subject.take.rig, subject.take.motion)
+    if order is not None and subject.has_rest:
+        yield subject.fault("MOT222", None, None, order.message, ORDER_HINT)
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:

@@ -72,6 +72,79 @@ def test_lengths_masses_and_percentages(
     assert codes(tmp_path, systems.replace(old, new)) == ["SIM200"] * found
 
 
+PARTICLES = """\
+- particles:
+    emitters: [{rate: 10, speed: 2.6, lifetime: 1, mass: 0.01}]
+    forces: [{FORCE}]
+"""
+WALKERS = """\
+- crowds:
+    name: people
+    goals: [{name: exit, at: [0, 0, 9]}]
+    populations: [{name: a, count: 2, route: [exit], speed: {mean: 1.2}}]
+"""
+BULLET = """\
+- rigid:
+    name: shot
+    bodies: [{name: a, shape: {sphere: {radius: R}}, velocity: [800, 0, 0]}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("force", "found"),
+    [
+        ("gravity: {acceleration: [0, 0, -9.81]}", True),  # Z up
+        ("gravity: {acceleration: [0, -260, 0]}", True),
+        ("gravity: {acceleration: [0, 9.8, 0]}", True),
+        ("gravity: {acceleration: [0, 1.5, 0]}", False),  # warm air rises
+        ("gravity: {acceleration: [0, -24.8, 0]}", False),  # Jupiter
+        ("gravity: {acceleration: [-9.81, 0, 0]}", False),  # a tilted set
+        ("gravity: {acceleration: [0, 0, -0.2]}", False),  # a draught
+        ("gravity: {acceleration: [0, -6.9, -6.9]}", False),
+        ("wind: {velocity: [6000, 0, 0], drag: 0.01}", True),
+        ("wind: {velocity: [90, 0, 0], drag: 0.01}", False),  # a hurricane
+        ("uniform: {push: [0, -98.1, 0]}", True),
+        ("uniform: {push: [0, -0.0981, 0]}", False),
+        ("turbulence: {strength: 700}", True),
+        ("turbulence: {strength: 40}", False),
+    ],
+)
+def test_forces(force: str, found: bool, tmp_path: Path) -> None:
+    systems = PARTICLES.replace("FORCE", force)
+    assert codes(tmp_path, systems) == ["SIM200"] * found
+
+
+@pytest.mark.parametrize(
+    ("systems", "found"),
+    [
+        (PARTICLES.replace("2.6", "260").replace("FORCE", "gravity: "), True),
+        (PARTICLES.replace("2.6", "90").replace("FORCE", "gravity: "), False),
+        (
+            PARTICLES.replace("2.6", "1e5, charge: 1e-9").replace("FORCE", "gravity: "),
+            False,
+        ),
+        (WALKERS.replace("1.2", "120"), True),
+        (WALKERS.replace("1.2", "9"), False),  # sprinters
+        (BULLET.replace("R", "0.3"), True),
+        (BULLET.replace("R", "0.01"), False),
+        (f"{ROPE}    gravity: [0, 0, -9.81]\n", True),
+        (f"{ROPE}    wind: {{velocity: [600, 0, 0]}}\n", True),
+        (f"{ROPE}    wind: {{velocity: [20, 0, 0], gusts: [[0, 5, 0, 0]]}}\n", False),
+    ],
+)
+def test_speeds(systems: str, found: bool, tmp_path: Path) -> None:
+    assert codes(tmp_path, systems).count("SIM200") == found
+
+
+def test_gravity_of_metres_in_a_scene_in_centimetres(tmp_path: Path) -> None:
+    head = "units: {length: cm}\n"
+    weak = PARTICLES.replace("FORCE", "gravity: {acceleration: [0, -9.81, 0]}")
+    assert codes(tmp_path, weak) == []
+    assert codes(tmp_path, weak, head) == ["SIM200"]
+    assert codes(tmp_path, weak.replace("9.81", "981"), head) == []
+    assert codes(tmp_path, PARTICLES.replace("FORCE", "gravity: "), head) == []
+
+
 def test_a_cable_may_be_long(tmp_path: Path) -> None:
     cable = ROPE.replace("to: [0, 0.8, 0]", "to: [60, 3, 0]")
     assert codes(tmp_path, cable) == ["SIM200"]

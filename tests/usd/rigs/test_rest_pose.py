@@ -133,3 +133,47 @@ def test_a_rig_rests_as_it_is_bound(change: Break, tmp_path: Path) -> None:
     times = np.array(TIMES)
     expected = played_world(take, times).positions
     assert_allclose(played_world(posed, times).positions, expected, atol=1e-6)
+
+
+SKINNED = """\
+#usda 1.0
+(
+    defaultPrim = "c"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def SkelRoot "c"
+{{
+    def Skeleton "skel"
+    {{
+        uniform token[] joints = ["hip", "hip/knee", "hip/knee/foot"]
+        uniform matrix4d[] bindTransforms = [{bind}]
+        uniform matrix4d[] restTransforms = [{rest}]
+    }}
+}}
+"""
+
+
+def matrices(*heights: float) -> str:
+    rows = "((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {}, 0, 1))"
+    return ", ".join(rows.format(height) for height in heights)
+
+
+@pytest.mark.parametrize(
+    ("bind", "rest", "found"),
+    [
+        ((1, 1, 0.2), (1, -0.4, -0.4), True),
+        ((1, 0.6, 0.6), (1, -0.4, -0.4), True),
+        ((1, 0.6, 0.2), (1, -0.4, -0.4), False),
+        ((1, 1, 0.2), (1, 0, -0.8), False),  # a helper joint at its parent
+        ((100, 60, 20), (1, -0.4, -0.4), False),  # another unit
+        ((1, 0.99, 0.2), (1, -0.4, -0.4), False),  # bound with another length
+    ],
+)
+def test_a_bone_without_length_where_it_is_bound(
+    bind: tuple[float, ...], rest: tuple[float, ...], found: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.usda"
+    text = SKINNED.format(bind=matrices(*bind), rest=matrices(*rest))
+    path.write_text(text, "utf-8")
+    assert [fault.code for fault in check_layer(path)].count("USD290") == found

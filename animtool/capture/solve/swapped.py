@@ -1,0 +1,84 @@
+"""Markers of the left side that fit the rig on the right, and the reverse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from animtool.capture.solve.model import MarkerProblem
+from animtool.capture.solve.sampling import misses_of, sampled_poses
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, Severity, listed
+from animtool.core.quantities import length_text
+from animtool.rig.sides import pair_sides
+
+# Residual of swapped markers, and the fraction of it that is left without the swap.
+MIN_RESIDUAL, MAX_FRACTION = 0.02, 0.4
+
+Noise = Callable[[MarkerProblem, FloatArray, float], FloatArray]
+
+
+def swapped_notices(
+    model: MarkerProblem,
+    sample: FloatArray,
+    noise: FloatArray,
+    min_noise: float,
+    noise_of: Noise,
+) -> list[Fault]:
+    """Return a warning about sides that are swapped, all of them or some (SOL109).
+
+    Args:
+        model: E markers.
+        sample: Positions of markers in some frames ``(F, E, 3)`` [m].
+        noise: Their noise ``(E,)`` [m].
+        min_noise: Its lower bound [m].
+        noise_of: Function that returns the noise of other positions.
+    """
+    names = model.template.names
+    pairs = pair_sides(names)
+    if not pairs.left or float(noise.max()) < MIN_RESIDUAL / 2:
+        return []
+    exchanged = sample[:, pairs.partners]
+    median = float(np.median(noise))
+    if median >= MIN_RESIDUAL / 2:
+        other = float(np.median(noise_of(model, exchanged, min_noise)))
+        if other < MAX_FRACTION * median:
+            message = (
+                "left and right look swapped: with all their markers exchanged, "
+                f"they are {length_text(other)} off their positions on the rig, not "
+                f"{length_text(median)}"
+            )
+            return [_warning(message)]
+    coordinates = sampled_poses(model, sample, noise)
+    misses, others = (
+        _medians(misses_of(model, coordinates, positions))
+        for positions in (sample, exchanged)
+    )
+    swapped = []
+    for left in pairs.left:
+        both = [left, int(pairs.partners[left])]
+        is_far = misses[both].min() > MIN_RESIDUAL
+        if is_far and others[both].max() < MAX_FRACTION * misses[both].min():
+            swapped.append(both)
+    if not swapped:
+        return []
+    shown = listed([f"{names[a]} and {names[b]}" for a, b in swapped], 4)
+    both = swapped[0]
+    message = (
+        f"markers look swapped: {shown}; exchanged, {names[both[0]]} is "
+        f"{length_text(float(others[both[0]]))} off its position on the rig, not "
+        f"{length_text(float(misses[both[0]]))}"
+    )
+    return [_warning(message)]
+
+
+def _medians(misses: FloatArray) -> FloatArray:
+    """Return the median of each column ``(E,)``; infinity without any number."""
+    columns = [column[np.isfinite(column)] for column in misses.T]
+    return np.array([np.median(c) if len(c) else np.inf for c in columns])
+
+
+def _warning(message: str) -> Fault:
+    hint = "exchange their names in the capture, or their entries in the template"
+    return Fault("SOL109", message, hint=hint, severity=Severity.WARNING)

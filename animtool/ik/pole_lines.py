@@ -1,0 +1,67 @@
+"""Poles on the line of their limb, which leave the direction of its middle open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.ik.goals import PARTS, Goal, Targets
+from animtool.ik.limbs import limb_joints
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.skeleton import JointType, Rig
+
+# A pole this near to the line is on it, and a middle joint this near is on a straight
+# limb, whose pole does not matter; in lengths of the limb.
+ON_LINE, STRAIGHT = 0.02, 0.02
+
+
+def poles_on_lines(
+    rig: Rig,
+    goals: Sequence[Goal],
+    world: WorldTransforms,
+    targets: Targets,
+    active: BoolArray,
+) -> BoolArray:
+    """Return where poles lie on the line from root to end of a bent limb ``(F, E)``.
+
+    Args:
+        rig: J joints.
+        goals: E goals.
+        world: World transforms of the solved joints, F frames.
+        targets: Positions and poles in world space.
+        active: Mask of the active parts of goals ``(F, E, 4)``.
+    """
+    on_line = np.zeros(active.shape[:2], np.bool_)
+    moving = {j for j, joint in enumerate(rig.joints) if joint.type != JointType.FIXED}
+    origins = world.positions
+    for e, goal in enumerate(goals):
+        is_active = active[:, e, PARTS.index("pole")]
+        if not is_active.any():
+            continue
+        tip = rig.index(goal.joint)
+        points = origins[:, tip] + world.linear[:, tip] @ np.array(goal.offset)
+        limb = limb_joints(rig, goal, moving, origins[0], points[0])
+        if limb is None:
+            continue
+        root, middle = (origins[:, j] for j in limb)
+        # The effector is off its position where the pole leads astray.
+        has_position = active[:, e, PARTS.index("position")]
+        ends = np.where(
+            has_position[:, None], np.asarray(targets.positions)[:, e], points
+        )
+        length = np.linalg.norm(middle - root, axis=1)
+        length += np.linalg.norm(points - middle, axis=1)
+        pole_distance = _distances(np.asarray(targets.poles)[:, e], root, ends)
+        is_bent = _distances(middle, root, points) > STRAIGHT * length
+        on_line[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
+    return on_line
+
+
+def _distances(points: FloatArray, root: FloatArray, end: FloatArray) -> FloatArray:
+    """Return distances of points from lines through root and end ``(F,)`` [m]."""
+    line = end - root
+    length = np.maximum(np.linalg.norm(line, axis=1), 1e-300)
+    crossed = np.cross(points - root, line / length[:, None])
+    return np.asarray(np.linalg.norm(crossed, axis=1))

@@ -1,0 +1,79 @@
+"""Key times that look like seconds where frames are meant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, Severity
+from animtool.motion.keyed import Weight, key_arrays
+
+# Samples as dense as this are a time in seconds at 10 frames a second and more [frame].
+DENSE, MIN_SAMPLES = 0.1, 3
+# Keys this close together are hardly set by hand [frame].
+CLOSE = 2.0
+# Times that differ by less from a whole frame are on it [frame].
+ON_FRAME = 1e-6
+# Whole seconds are told by several keys from before the first frame on, whose seconds
+# fill a take of which their frames are only this fraction [1].
+MIN_KEYS, MAX_FRACTION = 3, 0.1
+
+
+def in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
+    """Return whether the key times of channels are likely seconds.
+
+    >>> in_seconds([np.array([0, 0.5, 1.5])], Fraction(24))
+    True
+    """
+    steps = np.concatenate([np.diff(channel_times) for channel_times in times])
+    together = np.concatenate(times)
+    on_frame = np.abs(together - np.round(together)) <= ON_FRAME
+    if not len(steps) or on_frame.all():
+        return False
+    step = float(np.median(steps))
+    if step < DENSE and len(steps) >= MIN_SAMPLES:
+        return True
+    # Several seconds from 0, keyed by hand; even steps are samples between frames.
+    is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
+    is_short = float(np.ptp(together)) < fps
+    return bool(0 <= together.min() < 1 and step < CLOSE and is_short and not is_even)
+
+
+def weight_warnings(weight: Weight, clock: Clock, *, in_shot: bool) -> list[Fault]:
+    """Return a warning about a weight curve in seconds, or beside the take (SCN116).
+
+    in_shot: Whether the take is cut to a shot, beside which keys may be.
+    """
+    if isinstance(weight, (int, float)):
+        return []
+    times, values = key_arrays(weight, "weight")
+    first, last = (float(clock.times[end]) for end in (0, -1))
+    if len(times) < 2 or not np.ptp(values) > 0:
+        return []
+    span = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
+    frames = f"the take from {first:g} to {last:g}"
+    rate = float(clock.fps)
+    if in_seconds([times], clock.fps) or _full_seconds(times, first, last, rate):
+        message = f"{span}, {frames}: they look like seconds"
+        hint = f"write frames: {times[-1]:g} s is frame {first + times[-1] * rate:g}"
+    elif not in_shot and (times[-1] < first or times[0] > last):
+        shown = values[-1] if times[-1] < first else values[0]
+        message = f"{span}, {frames}: the weight is always {shown:g}"
+        hint = "times are frames of the take"
+    else:
+        return []
+    return [Fault("SCN116", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _full_seconds(times: FloatArray, first: float, last: float, rate: float) -> bool:
+    count = last - first + 1
+    return bool(
+        len(times) >= MIN_KEYS
+        and 0 <= times[0] < first
+        and np.ptp(times) <= MAX_FRACTION * count
+        and times[-1] * rate <= count + rate
+    )

@@ -1,0 +1,66 @@
+"""Warnings about tolerances of a comparison that hide every difference."""
+
+from __future__ import annotations
+
+import math
+
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import length_text
+
+# Tolerances without a warning, which are those of no option: [m], [deg], [1].
+LENGTH_TOLERANCE, ANGLE_TOLERANCE, WEIGHT_TOLERANCE = 1e-5, 1e-3, 1e-5
+# Fraction of the size of what is compared that no tolerance of use reaches.
+MAX_FRACTION = 0.25
+# No rotations differ by more, and weights hardly do [deg], [1].
+MAX_ANGLE, MAX_WEIGHT = 180.0, 1.0
+
+
+def hidden_length(tolerance: float, largest: float, size: float) -> list[Fault]:
+    """Warn of a tolerance that is a large part of what is compared (CLI107).
+
+    Args:
+        tolerance: Distance to ignore [m]; infinity ignores all on purpose.
+        largest: Largest difference [m].
+        size: Size of what is compared [m].
+    """
+    if not max(MAX_FRACTION * size, LENGTH_TOLERANCE) <= tolerance < math.inf:
+        return []
+    if not LENGTH_TOLERANCE < largest <= tolerance:
+        return []
+    message = (
+        f"{argument('tolerance')} {length_text(tolerance)} hides every difference: the "
+        f"largest is {length_text(largest)}, and all that is compared measures "
+        f"{length_text(size)}"
+    )
+    hint = f"a number alone is in metres: for millimetres write {tolerance:g}mm"
+    return [_warning(message, hint)]
+
+
+def hidden_angle(tolerance: float, largest: float) -> list[Fault]:
+    """Warn of a tolerance that no rotation exceeds (CLI107) [deg]."""
+    if not (MAX_ANGLE <= tolerance < math.inf and largest > ANGLE_TOLERANCE):
+        return []
+    message = (
+        f"{argument('angle_tolerance')} {tolerance:g} hides every difference: the "
+        f"largest is {largest:.3g}°, and no rotation differs by more than 180°"
+    )
+    return [_warning(message, "use a smaller angle, or inf to ignore rotations")]
+
+
+def hidden_weight(tolerance: float, largest: float) -> list[Fault]:
+    """Warn of a tolerance as large as weights are (CLI107)."""
+    if not MAX_WEIGHT <= tolerance < math.inf:
+        return []
+    if not WEIGHT_TOLERANCE < largest <= tolerance:
+        return []
+    message = (
+        f"{argument('weight_tolerance')} {tolerance:g} hides every difference: the "
+        f"largest is {largest:.3g}, and weights are from 0 to 1"
+    )
+    hint = f"for {tolerance:g}% write {tolerance / 100:g}, or inf to ignore weights"
+    return [_warning(message, hint)]
+
+
+def _warning(message: str, hint: str) -> Fault:
+    return Fault("CLI107", message, hint=hint, severity=Severity.WARNING)

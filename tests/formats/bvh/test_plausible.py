@@ -1,0 +1,84 @@
+"""Rotations of a BVH in radians, and what is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animtool.formats.bvh.read import read_bvh
+
+WALK = Path(__file__).parents[3] / "samples/walk/walk.bvh"
+
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+def changed(path: Path, change: Change, scale: float = 1.0) -> Path:
+    """Write the walk with other rows, and with offsets in another unit."""
+    head, _, motion = WALK.read_text("utf-8").partition("MOTION\n")
+    frames, time, *lines = motion.splitlines()
+    rows = change(np.array([[float(x) for x in line.split()] for line in lines]))
+    words = [line.split() for line in head.splitlines()]
+    head = "".join(
+        f"OFFSET {' '.join(str(scale * float(x)) for x in row[1:])}\n"
+        if row[:1] == ["OFFSET"]
+        else f"{' '.join(row)}\n"
+        for row in words
+    )
+    rows[:, :3] *= scale
+    text = "\n".join(" ".join(f"{x:.6f}" for x in row) for row in rows)
+    path.write_text(f"{head}MOTION\n{frames}\n{time}\n{text}\n", "utf-8")
+    return path
+
+
+def rotations(factor: float, travel: float = 1.0) -> Change:
+    def change(rows: np.ndarray) -> np.ndarray:
+        root = rows[:1, :3] + travel * (rows[:, :3] - rows[:1, :3])
+        return np.hstack([root, factor * rows[:, 3:]])
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("factor", "travel", "scale", "found"),
+    [
+        (math.radians(1), 1.0, 1.0, True),
+        (math.radians(1), 1.0, 0.01, True),  # in metres
+        (math.radians(1), 1.0, 1e-3, True),  # an insect
+        (1.0, 1.0, 1.0, False),
+        (1.0, 1.0, 0.01, False),
+        (math.radians(1), 0.05, 1.0, False),  # an idle that hardly moves
+        (0.002, 1.0, 1.0, False),  # a statue that slides
+        (0.3, 3.0, 1.0, False),  # a skier who crouches
+    ],
+)
+def test_rotations_in_radians(
+    factor: float, travel: float, scale: float, found: bool, tmp_path: Path
+) -> None:
+    path = changed(tmp_path / "a.bvh", rotations(factor, travel), scale)
+    stream = read_bvh(path)
+    list(stream.blocks)
+    assert [notice.code for notice in stream.notices].count("BVH112") == found
+
+
+@pytest.mark.parametrize(("positions", "found"), [("offsets", True), (None, False)])
+def test_positions_that_no_joint_has(positions: str | None, found: bool) -> None:
+    codes = [notice.code for notice in read_bvh(WALK, positions=positions).notices]
+    assert codes.count("BVH113") == found
+
+
+def test_positions_below_a_root_are_ignored_without_a_note(tmp_path: Path) -> None:
+    text = (
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n"
+        "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        "JOINT b\n{\nOFFSET 0 9 0\n"
+        "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        "End Site\n{\nOFFSET 0 1 0\n}\n}\n}\n"
+        "MOTION\nFrames: 1\nFrame Time: 0.04\n" + "0 " * 12 + "\n"
+    )
+    path = tmp_path / "a.bvh"
+    path.write_text(text, "utf-8")
+    assert "BVH113" not in [n.code for n in read_bvh(path, positions="offsets").notices]

@@ -1,0 +1,53 @@
+"""Quaternions that are near the rest pose only in the other order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animtool import open_source
+from animtool.maths import so3
+from animtool.motion.motion import Channel
+from animtool.motion.quaternion_order import order_warning
+from animtool.motion.take import Take
+
+WALK = Path(__file__).parents[2] / "samples/walk/walk.bvh"
+
+
+@pytest.fixture(scope="module")
+def walk() -> Take:
+    return open_source(WALK).collect()
+
+
+def codes(take: Take, rotations: np.ndarray) -> list[str]:
+    channel = Channel.from_dense(rotations)
+    motion = replace(take.motion, rotations=channel)
+    return [one.code for one in order_warning(take.rig, motion, "a.usda")]
+
+
+@pytest.mark.parametrize(("shift", "found"), [(-1, True), (1, True), (0, False)])
+def test_w_at_the_other_end(walk: Take, shift: int, found: bool) -> None:
+    rotations = np.roll(walk.motion.rotations.dense(), shift, axis=2)
+    assert codes(walk, rotations) == ["MOT222"] * found
+
+
+def test_a_body_that_rolls_is_turned_at_its_root_alone(walk: Take) -> None:
+    rotations = walk.motion.rotations.dense().copy()
+    turn = so3.from_axis_angle((1.0, 0.0, 0.0), np.linspace(0, 12, len(rotations)))
+    rotations[:, 0] = so3.multiply(turn, rotations[:, 0])
+    assert codes(walk, rotations) == []
+
+
+def test_joints_that_are_all_half_turned_are_no_other_order(walk: Take) -> None:
+    half = so3.from_axis_angle((0.6, 0.0, 0.8), np.array(np.pi))
+    rotations = so3.multiply(half, walk.motion.rotations.dense())
+    assert codes(walk, rotations) == []
+
+
+def test_a_few_joints_may_be_half_turned(walk: Take) -> None:
+    rotations = walk.motion.rotations.dense().copy()
+    rotations[:, 1:9] = np.roll(rotations[:, 1:9], 1, axis=2)
+    assert codes(walk, rotations) == []
