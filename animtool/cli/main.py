@@ -300,7 +300,9 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     streams = sys.stdout, sys.stderr
     try:
         receive_signals()
-        code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
+        code = cli.without_first_pose(
+            list(arguments), "animtool", standalone_mode=False, obj=console
+        )
         sys.stdout.flush()
         if ending_signal():
             raise_again()

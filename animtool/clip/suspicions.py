@@ -19,11 +19,11 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import (
     ANGLE_NAMES,
-    FULL_CIRCLE,
-    HALF_CIRCLE,
+    FULL_REVOLUTION,
     HALF_CIRCLE_Z,
+    HALF_REVOLUTION,
     MAX_DEGREES,
-    OTHER_ANGLES,
+    OTHER_ANGLE_UNITS,
     are_multiples,
     warn_of_quaternion,
 )
@@ -162,7 +162,7 @@ def _warn_of_angles(
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
     file_unit = "deg" if in_degrees else "rad"
-    likely_unit, factor = OTHER_ANGLES[file_unit]
+    likely_unit, factor = OTHER_ANGLE_UNITS[file_unit]
     message = (
         f"rotation keys of {counted(len(angles), 'channel')} look like "
         f"{ANGLE_NAMES[likely_unit]}, "
@@ -181,9 +181,9 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     values = values[values != 0.0]
     largest = np.abs(values).max()
     multiples = np.count_nonzero(are_multiples(values))
-    if largest <= FULL_CIRCLE and multiples >= MIN_EXACT * len(values):
+    if largest <= FULL_REVOLUTION and multiples >= MIN_EXACT * len(values):
         return True
-    if not MIN_LARGEST <= largest <= HALF_CIRCLE:
+    if not MIN_LARGEST <= largest <= HALF_REVOLUTION:
         return False
     moving = [
         name
@@ -197,7 +197,9 @@ def _in_degrees(angles: list[tuple[str, FloatArray]]) -> bool:
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     integers = np.mean(values == np.round(values))
-    return bool(FULL_CIRCLE < np.abs(values).max() <= MAX_DEGREES and integers > 0.5)
+    return bool(
+        FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES and integers > 0.5
+    )
 
 
 def _translations(

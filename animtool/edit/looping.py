@@ -21,7 +21,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.edit.combine import continuous
+from animtool.edit.combine import align_signs
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.loop_options import LoopOptions
@@ -73,7 +73,7 @@ class SeamBlend:
         return SeamBlend(length, before, behind, pose, speed)
 
     @property
-    def late(self) -> slice:
+    def blended_frames(self) -> slice:
         """The blended frames at the end of the cycle."""
         (frames,) = np.nonzero(self.pose[:, 0, 0])
         return slice(int(frames[0]) if len(frames) else self.length, self.length)
@@ -95,7 +95,9 @@ class SeamBlend:
         return values[:3], values[-3:]
 
 
-def closed_lines(values: FloatArray, blend: SeamBlend, onward: NextCycle) -> FloatArray:
+def close_vectors(
+    values: FloatArray, blend: SeamBlend, onward: NextCycle
+) -> FloatArray:
     """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
     cycle = blend.cycle(values)
     start_frames, end_frames = blend.ends(values)
@@ -106,14 +108,14 @@ def closed_lines(values: FloatArray, blend: SeamBlend, onward: NextCycle) -> Flo
         blend,
     )
     offset = onward(cycle[:1])[0] - cycle[-1]
-    corrected_values, blend_frames = cycle[:-1].copy(), blend.late
+    corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     corrected_values[blend_frames] += (
         blend.pose[blend_frames] * offset + blend.speed[blend_frames] * missing_velocity
     )
     return corrected_values
 
 
-def closed_rotations(
+def close_rotations(
     values: FloatArray, blend: SeamBlend, onward: NextCycle
 ) -> FloatArray:
     """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
@@ -125,7 +127,7 @@ def closed_rotations(
     missing_velocity = _missing_speed(
         so3.steps(onward(start_frames)), end_values, lambda: so3.steps(cycle), blend
     )
-    corrected_values, blend_frames = cycle[:-1].copy(), blend.late
+    corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     correction = so3.slerp(so3.IDENTITY, offset, blend.pose[blend_frames, :, 0])
     corrected_part = so3.multiply(corrected_values[blend_frames], correction)
     corrected_values[blend_frames] = so3.multiply(
@@ -158,7 +160,7 @@ def _missing_speed(
     return np.asarray(missing * (excess / np.where(magnitude > 0, magnitude, 1)))
 
 
-def mapped_numbers(
+def map_attributes(
     track: Track, known: Transforms, function: Callable[[FloatArray], FloatArray]
 ) -> Transforms:
     """Return transforms with a function applied to all numeric attributes.
@@ -184,7 +186,7 @@ def mapped_numbers(
     )
 
 
-def gridded(track: Track, known: Transforms) -> Track:
+def resample_track(track: Track, known: Transforms) -> Track:
     """Return a track sampled at times 0, 1, 2 ..., clamped at its ends.
 
     Between samples, rotations follow the shortest arc, numbers are linear and tokens
@@ -199,7 +201,7 @@ def gridded(track: Track, known: Transforms) -> Track:
             all_rows = np.arange(values.shape[1])
             return positions.blend(Channel(values[0], all_rows, values)).values
 
-        mapped_transforms = mapped_numbers(track, known, between)
+        mapped_transforms = map_attributes(track, known, between)
         values = tuple(
             mapped_transforms.values[i]
             if attribute.width
@@ -213,7 +215,7 @@ def gridded(track: Track, known: Transforms) -> Track:
 
 
 # Ends that differ by more than this fraction of the cycle's extent visibly slide.
-POOR_SEAM = 0.2
+MAX_GOOD_SEAM = 0.2
 
 
 _DEFAULTS = LoopOptions()
@@ -257,8 +259,8 @@ def loop(
     if j <= i:
         message = f"{j - i} frames are too few for a cycle"
         raise OptionError(Fault("SCN018", message))
-    _check_least(repeats, 1, "repeats")
-    _check_least(blend, 0, "blend")
+    _check_minimum(repeats, 1, "repeats")
+    _check_minimum(blend, 0, "blend")
     length = j - i
     check_count(length * repeats)
     has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
@@ -280,7 +282,7 @@ def loop(
     return replace(
         take,
         clock=replace(clock, start=first_code, count=length * repeats),
-        motion=continuous(motion).map(Channel.compact),
+        motion=align_signs(motion).map(Channel.compact),
         tracks=tracks,
     )
 
@@ -319,10 +321,10 @@ def _looped_track(
     looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
-        cycle_values = closed_lines(values, seam, lambda frame_values: frame_values)
+        cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
-    mapped_transforms = mapped_numbers(track, known, closed)
+    mapped_transforms = map_attributes(track, known, closed)
     looped_values = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
         for attribute, values in zip(
@@ -338,7 +340,7 @@ def _looped_track(
         if known.clamped is None
         else np.tile(seam.cycle(known.clamped)[:-1], repeats),
     )
-    return gridded(track, result)
+    return resample_track(track, result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +357,7 @@ class _CycleState:
         )
 
     def numbers(self, channel: Channel) -> Channel:
-        cycle = closed_lines(channel.values, self.blend, lambda values: values)
+        cycle = close_vectors(channel.values, self.blend, lambda values: values)
         return replace(channel, values=np.concatenate([cycle] * self.repeats))
 
     def translations(self, channel: Channel) -> Channel:
@@ -365,7 +367,7 @@ class _CycleState:
         def onward(values: FloatArray) -> FloatArray:
             return np.asarray(np.einsum("aij,faj->fai", linear, values) + shifts)
 
-        cycle = closed_lines(channel.values, self.blend, onward)
+        cycle = close_vectors(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
     def rotations(self, channel: Channel) -> Channel:
@@ -374,7 +376,7 @@ class _CycleState:
         def onward(values: FloatArray) -> FloatArray:
             return so3.multiply(travel, values)
 
-        cycle = closed_rotations(channel.values, self.blend, onward)
+        cycle = close_rotations(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
     def repeated(self, cycle: FloatArray, onward: NextCycle) -> FloatArray:
@@ -385,7 +387,7 @@ class _CycleState:
         return np.concatenate(cycles)
 
 
-def _check_least(number: int, minimum: int, name: str) -> None:
+def _check_minimum(number: int, minimum: int, name: str) -> None:
     if not number >= minimum:  # NaN too
         message = f"{name} is {number}; it must be at least {minimum}"
         raise OptionError(Fault("SCN018", message))
@@ -394,8 +396,8 @@ def _check_least(number: int, minimum: int, name: str) -> None:
 def _checks(options: LoopOptions) -> OptionChecks:
     return {
         "last": lambda: check_range(options.first, options.last),
-        "repeats": lambda: _check_least(options.repeats, 1, "repeats"),
-        "blend": lambda: _check_least(options.blend, 0, "blend"),
+        "repeats": lambda: _check_minimum(options.repeats, 1, "repeats"),
+        "blend": lambda: _check_minimum(options.blend, 0, "blend"),
     }
 
 
@@ -430,7 +432,7 @@ def cycle_notices(cycle: Cycle, *, is_searched: bool) -> list[Fault]:
     if is_searched:
         message = f"the best cycle: {ends_text}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
-    if cycle.share > POOR_SEAM:
+    if cycle.share > MAX_GOOD_SEAM:
         hint = (
             f"choose other frames with {argument('first')} and {argument('last')}, or "
             f"a longer {argument('blend')}"

@@ -26,11 +26,11 @@ from animtool.ik.take_run import (
     gathered_take,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.take import Take
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import LocalTransforms
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # Maps tracks, and for each goal the take it fades from, to the solved take.
@@ -154,7 +154,7 @@ def solve_take(
 
     fade_sources = takes_released(take, tracks, bring_take)
     result = solve_round(tracks, fade_sources)
-    driven = driven_take(result.take)
+    driven = drive_take(result.take)
     return replace(result, take=driven, seconds=seconds_spent + result.seconds)
 
 
@@ -175,7 +175,7 @@ def _solve_take(
     local = LocalTransforms(
         take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
     )
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     solved_parts: list[SolvedPart] = []
     with _locate_faults(tracks):
         fade_transforms = tuple(
@@ -236,7 +236,7 @@ def _world(
 ) -> WorldTransforms:
     """Return world transforms of a take, one frame repeated to another's length."""
     motion = take.motion
-    world = forward(
+    world = forward_kinematics(
         rig, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
     return WorldTransforms(

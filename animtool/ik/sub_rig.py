@@ -33,7 +33,7 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
         moving |= new
     followers = {name for name in moving if name in remaining}
     if rig.is_driven:
-        followers.update(plan_of(rig).followers(moving))
+        followers.update(plan_of(rig).dependent_joints(moving))
     return [name for name in rig.names if name in followers]
 
 

@@ -181,7 +181,7 @@ def test_drivers_run_in_the_order_that_they_read_each_other() -> None:
         [7, 6, 3, 70]
     ]
     assert plan_of(rig).sources(3) == [2]
-    assert plan_of(rig).followers(["a"]) == ["c", "b", "m"]
+    assert plan_of(rig).dependent_joints(["a"]) == ["c", "b", "m"]
 
 
 def test_a_circle_has_its_code() -> None:

@@ -114,7 +114,7 @@ def transfer_weights(
         target_face.neutral[shared_columns],
         np.zeros((0, len(shared_columns), 3)),
     )
-    scale = size.size / max(_size(source_face.neutral[indices]), 1e-300)
+    scale = size.size / max(_rms_size(source_face.neutral[indices]), 1e-300)
     points = np.full((len(weights), len(target_face.names), 3), np.nan)
     points[:, shared_columns] = (
         target_face.neutral[shared_columns] + scale * linked_weights
@@ -127,6 +127,6 @@ def transfer_weights(
     return TransferredWeights(target_weights, links, fit, fit.notices)
 
 
-def _size(points: FloatArray) -> float:
+def _rms_size(points: FloatArray) -> float:
     offsets = points - points.mean(axis=0)
     return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))

@@ -14,7 +14,7 @@ from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.objects import FbxFile, scalar
 
 # Ticks per second.
-TICKS = 46_186_158_000
+TICKS_PER_SECOND = 46_186_158_000
 # Frame rate by TimeMode, as numbered in `FbxTime::EMode`.
 _RATES = {
     0: Fraction(30),
@@ -36,7 +36,7 @@ _RATES = {
     17: Fraction(60000, 1001),
     18: Fraction(120000, 1001),
 }
-CUSTOM = 14
+CUSTOM_TIME_MODE = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +71,11 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     if not 1e-9 <= factor <= 1e12:
         message = f"UnitScaleFactor is {factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
-    up_and_basis = (up, np.eye(3)) if up is not None else _axes(file)
-    return FbxSettings(factor / 100.0, *up_and_basis, _rate(file))
+    up_and_basis = (up, np.eye(3)) if up is not None else _up_and_basis(file)
+    return FbxSettings(factor / 100.0, *up_and_basis, _stated_rate(file))
 
 
-def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
+def _up_and_basis(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """Return the up axis, and the rotation from file axes to it.
 
     Files with Y or Z up keep their axes if they face the common direction; others are
@@ -98,9 +98,9 @@ def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     return UpAxis.Y, basis
 
 
-def _rate(file: FbxFile) -> Fraction:
+def _stated_rate(file: FbxFile) -> Fraction:
     mode = int(scalar(file.settings, "TimeMode", 0.0, file.notes))
-    if mode == CUSTOM:
+    if mode == CUSTOM_TIME_MODE:
         rate = scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
         if not 0.01 <= rate <= 100_000:
             message = f"CustomFrameRate is {rate:g}, and must be positive"

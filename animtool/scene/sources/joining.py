@@ -230,7 +230,7 @@ class _JoinedTake:
             self._report_frames(self.base.count)
         elif any(layer.part.stream.curve is not None for layer in self.layers):
             # Layers keep their curves even if the first source has samples.
-            joined_stream.curve, joined_stream.altered = self._curve, True
+            joined_stream.curve, joined_stream.is_altered = self._curve, True
         return joined_stream
 
     @property
