@@ -300,7 +300,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     streams = sys.stdout, sys.stderr
     try:
         receive_signals()
-        code = cli.without_first_pose(
+        code = cli.main(
             list(arguments), "animtool", standalone_mode=False, obj=console
         )
         sys.stdout.flush()

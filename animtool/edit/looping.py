@@ -199,7 +199,7 @@ def resample_track(track: Track, known: Transforms) -> Track:
 
         def between(values: FloatArray) -> FloatArray:
             all_rows = np.arange(values.shape[1])
-            return positions.blend(Channel(values[0], all_rows, values)).values
+            return positions.interpolate(Channel(values[0], all_rows, values)).values
 
         mapped_transforms = map_attributes(track, known, between)
         values = tuple(

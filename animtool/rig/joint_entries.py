@@ -102,7 +102,7 @@ def read_joints(
     for name in _parents_first(document, entries):
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
-        if entry.mirrored_joints:
+        if entry.mirrored:
             source, parent_world = tree.indices[entry.source], tree.world_of(parent)
             joint = mirrored_joint(
                 tree.built[source], tree.world_of(source), parent, parent_world
@@ -117,8 +117,8 @@ def read_joints(
         tree.built.append(joint)
     joints = FileJoints(
         tuple(tree.built),
-        frozenset(name for name, entry in entries.items() if entry.orphans),
-        frozenset(name for name, entry in entries.items() if entry.mirrored_joints),
+        frozenset(name for name, entry in entries.items() if entry.orphaned),
+        frozenset(name for name, entry in entries.items() if entry.mirrored),
         frozenset(
             name
             for name, entry in entries.items()
@@ -165,10 +165,10 @@ def _joint_entries(
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
-            if not entry.mirrored_joints and not has_unnamed:
+            if not entry.mirrored and not has_unnamed:
                 hint = nearest(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
-            entry.parent, entry.orphans = None, True
+            entry.parent, entry.orphaned = None, True
     return entries
 
 
@@ -200,7 +200,7 @@ def _parents_first(
             name = next(reversed(pending_names))
             entry = entries[name]
             required_parents = [entry.parent] if entry.parent is not None else []
-            required_parents += [entry.source] if entry.mirrored_joints else []
+            required_parents += [entry.source] if entry.mirrored else []
             missing_parent = next(
                 (
                     required_name
@@ -224,8 +224,8 @@ def _parents_first(
                 cycle_text = joined_cycle(trail[::-1])
                 message = f"the joints are their own ancestors: {cycle_text}"
                 document.add("RIG003", ("joints", entry.index), message)
-                entry.parent, entry.orphans = None, True
-                if entry.mirrored_joints and missing_parent == entry.source:
+                entry.parent, entry.orphaned = None, True
+                if entry.mirrored and missing_parent == entry.source:
                     del pending_names[name]
                     yielded_names.add(name)
                 continue
@@ -353,8 +353,8 @@ def _with_drivers(
             if driver is None or name not in joints or entries[name].index != i:
                 continue
             joint_driver = (
-                driver.mirrored_joints(partners)
-                if entries[name].mirrored_joints
+                driver.mirrored(partners)
+                if entries[name].mirrored
                 else driver
             )
             joints[name] = replace(joints[name], driven=joint_driver)
@@ -396,7 +396,7 @@ def _with_mimics(
             )
             continue
         target = mimic.joint
-        if entry.mirrored_joints:
+        if entry.mirrored:
             target = joints[leader].mirror or target
         unit, leader_unit = (
             units.of(JointType(model.type)),
@@ -418,7 +418,7 @@ def _refuse_mimic_chains(
     for joint in joints:
         if joint.mimic and joint.mimic.joint in mimic_names:
             entry = entries[joint.name]
-            if not entry.mirrored_joints:
+            if not entry.mirrored:
                 message = f"{joint.mimic.joint!r} is a mimic itself"
                 if joint.mimic.joint == joint.name:
                     message = f"{joint.name!r} follows itself"

@@ -183,12 +183,12 @@ def skeleton(joints: Any, parents: Any, free: Any) -> SkeletonMarkers:
 def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     own = skeleton([0, 1, 1, 1, 2, 2, -1], [-1, 0, 1], [True, True, False])
     every = np.ones(7, bool)
-    assert own.tells(0, slice(0, 3))
-    assert not own.tells(1, slice(0, 3))
-    assert not own.tells(0, slice(2, 4))
-    assert [own.above(m) for m in (0, 1, 6)] == [False, True, False]
+    assert own.predicts(0, slice(0, 3))
+    assert not own.predicts(1, slice(0, 3))
+    assert not own.predicts(0, slice(2, 4))
+    assert [own.has_parent(m) for m in (0, 1, 6)] == [False, True, False]
     assert own.markers_on_joint(1, every) == [2, 3]
-    assert own.drift(1, every) == 0
+    assert own.drift_speed(1, every) == 0
     for hidden, expected in (
         ([3], DRIFT_PER_SECOND[0]), ([3, 4, 5], DRIFT_PER_SECOND[1]),
         ([2, 3], DRIFT_PER_SECOND[1]),
@@ -196,11 +196,11 @@ def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     ):  # fmt: skip
         seen = every.copy()
         seen[hidden] = False
-        assert own.drift(1, seen) == expected
+        assert own.drift_speed(1, seen) == expected
     # A hinge is held by one more, on it or below.
-    assert own.drift(4, every) == 0
+    assert own.drift_speed(4, every) == 0
     every[5] = False
-    assert own.drift(4, every) == DRIFT_PER_SECOND[2]
+    assert own.drift_speed(4, every) == DRIFT_PER_SECOND[2]
     assert DRIFT_PER_SECOND == (0.004, 0.008, 0.02)
 
 

@@ -74,7 +74,7 @@ def test_what_is_below_its_floor_or_has_none_fails(
     def code(shares: dict[str, float]) -> int:
         found = {name: file_report(int(share), 100) for name, share in shares.items()}
         report.write_text(json.dumps({"files": found}), "utf-8")
-        return floors.without_first_pose([str(report)])
+        return floors.main([str(report)])
 
     assert code(files) == 0
     assert code({**files, "animtool/usd/a.py": FLOORS["usd"] - 1}) == 1

@@ -185,11 +185,11 @@ def _fill_gaps(
         path: FloatArray | None = None
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
-            if skeleton is not None and skeleton.tells(marker, gap):
+            if skeleton is not None and skeleton.predicts(marker, gap):
                 prediction = follow(skeleton, positions, is_measured, marker, gap, rate)
                 method = "skeleton"
                 mostly_visible = is_measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
-                drift = skeleton.drift(marker, mostly_visible) * length / rate
+                drift = skeleton.drift_speed(marker, mostly_visible) * length / rate
                 if drift and max(drift, prediction.error) > ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
                     arguments = (positions, visible, marker, gap, spread[marker], rate)

@@ -151,13 +151,13 @@ def predict_in_parent(
     """
     neighbours = _nearest_markers(visible, marker, gap, spread)
     training = _training_frames(visible, marker, gap, neighbours, rate)
-    if len(training) < MIN_TRAINING_FRAMES or not skeleton.above(marker):
+    if len(training) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     known_count = len(training)
     origin, parent_rotations = (
         skeleton.origins[frames, marker],
-        skeleton.parents[frames, marker],
+        skeleton.parent_rotations[frames, marker],
     )
     rotations = [parent_rotations]
     visible_throughout = np.asarray(visible[gap].all(axis=0))

@@ -66,7 +66,7 @@ class SkeletonMarkers:
     determined_frames: BoolArray
     notices: tuple[Fault, ...]
 
-    def tells(self, marker: int, frames: slice) -> bool:
+    def predicts(self, marker: int, frames: slice) -> bool:
         """Return whether the skeleton predicts a marker in all given frames."""
         is_known = np.isfinite(self.positions[frames, marker]).all()
         return bool(is_known and self.determined_frames[frames].all())
@@ -141,7 +141,7 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
         np.full_like(matrices, np.nan),
     )
     joint_positions = world.positions[:, model.joints]
-    above_joint = np.asarray(model.rig.parent_rotations, np.int64)
+    above_joint = np.asarray(model.rig.parents, np.int64)
     parent_rotations = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
     if rotation is not None:
         joint_positions, parent_rotations = (

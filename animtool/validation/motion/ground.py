@@ -69,7 +69,7 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
     contact_counts = contacts.static.sum(axis=0)
     min_contacts = max(MIN_CONTACTS, round(MIN_CONTACT_SECONDS / subject.interval))
     feet_with_contacts = np.flatnonzero(
-        (contact_counts >= min_contacts) & contacts.flat
+        (contact_counts >= min_contacts) & contacts.same_height
     )
     if not len(feet_with_contacts):
         return
@@ -186,7 +186,7 @@ def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fau
         return
     depth, e, first, deepest = max(sunk)
     joint = int(contacts.feet[e])
-    foot_text = "it" if contacts.flat[e] else "the other one"
+    foot_text = "it" if contacts.same_height[e] else "the other one"
     message = (
         f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
         f"ground from frame {subject.at(first)} to {subject.at(deepest)}; the ground "
@@ -205,7 +205,7 @@ def _ground_of_pairs(
     If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
     is the ground of both.
     """
-    ground, has_ground = contacts.ground.copy(), contacts.flat.copy()
+    ground, has_ground = contacts.ground.copy(), contacts.same_height.copy()
     if not subject.has_rest or has_ground.all():
         return ground, has_ground
     _, shared_ground, rests_at_zero = _clearances(subject, contacts.feet)
