@@ -136,7 +136,7 @@ class _RestoredError:
     ) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
-        restored_motion = self.motion.select(kept_samples).map(positions.blend)
+        restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
         world = restored_motion.world(self.rig)
         weights = np.zeros(len(frames))

@@ -98,7 +98,7 @@ class _Layer:
                 float(clock.start) + layer_seconds * float(clock.fps)
             )
         samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
-        return self.take.motion.map(samples.blend)
+        return self.take.motion.map(samples.interpolate)
 
     def _sample_curve(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock

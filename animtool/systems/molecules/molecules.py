@@ -208,7 +208,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         forces = self._interactions.acting(points, points)
         return MoleculeState(motion, points, forces, 0.0, 0)
 
-    def _sums(self, state: MoleculeState) -> ListedForces:
+    def _state_sums(self, state: MoleculeState) -> ListedForces:
         return state.acting, state.reference
 
     def compute_sums(self, x: FloatArray, before: ListedForces) -> ListedForces:

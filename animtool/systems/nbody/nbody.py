@@ -134,7 +134,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def _start(self, motion: FloatArray) -> NbodyState:
         return NbodyState(motion, self.compute_sums(motion[0]), 0, 1)
 
-    def _sums(self, state: NbodyState) -> MutualGravity:
+    def _state_sums(self, state: NbodyState) -> MutualGravity:
         return state.pulls
 
     def compute_sums(
