@@ -33,9 +33,9 @@ from animtool.core.errors import excerpt
 from animtool.core.names import is_variable_name
 from animtool.core.readers import is_timeline
 from animtool.core.timecode import is_timecode
-from animtool.documents.check import check_version, validated
+from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.references import referred_input
+from animtool.documents.references import resolve_input
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.output_fields import KeyReader, option_keys
 from animtool.scene.sources.open import SourceOptions
@@ -203,7 +203,7 @@ def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
 def batch_of_document(document: Document, *, of_shots: bool = False) -> BatchSpec:
     """Return the spec of a document; see `load_batch`."""
     check_version(document, "batch")
-    model = validated(document, BatchModel)
+    model = validate_document(document, BatchModel)
     spec = _BatchReader(document, model, of_shots=of_shots).spec()
     document.check()
     return spec
@@ -286,7 +286,7 @@ class _BatchReader:
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
         if isinstance(variants, str):
-            path = referred_input(
+            path = resolve_input(
                 self.document, ("variants",), variants, self.keys.roots
             )
             return None if path is None else read_variants(path)

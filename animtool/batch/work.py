@@ -266,9 +266,9 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
     # Imports before the first item do not count as its time.
     for name in needed_modules(builder.item_task):
         import_module(name)
-    from animtool.usd.layers.sdf import compute_alone
+    from animtool.usd.layers.sdf import limit_usd_threads
 
-    compute_alone()
+    limit_usd_threads()
     if memory is not None:
         _limit_memory(memory)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):

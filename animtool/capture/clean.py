@@ -39,11 +39,11 @@ SPIKE_FACTOR = 5.0
 # Frames on either side for estimating roughness.
 ROUGHNESS_FRAMES = 8
 # Minimum size of a spike: a fraction of the rig's size, and a quaternion component.
-MIN_SHIFT, MIN_ROTATION = 1e-3, 5e-3
+MIN_SPIKE_SHIFT, MIN_SPIKE_ROTATION = 1e-3, 5e-3
 # Noise below this fraction of the smallest spike is rounding of the file.
 NEGLIGIBLE_NOISE = 2e-4
 # One spike can hide its neighbour until it is removed, so the search is repeated.
-MAX_SEARCHES = 3
+MAX_SPIKE_SEARCHES = 3
 # Interpolation across a spike keeps frequencies below this fraction of the rate.
 BRIDGE_CUTOFF = 0.2
 # Noise of good captures is below this [rad].
@@ -75,7 +75,7 @@ class CleanedSignal:
 
 
 @dataclass(slots=True)
-class _Cleaner:
+class _JointCleaner:
     names: tuple[str, ...]
     rate: float
     options: CleanOptions
@@ -87,9 +87,11 @@ class _Cleaner:
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            is_spike = _spikes(signal, self.options.spikes, min_size, rotation=rotation)
+            is_spike = _spike_frames(
+                signal, self.options.spikes, min_size, rotation=rotation
+            )
             if is_spike.any():
-                signal = bridged(signal, ~is_spike, rotation=rotation)
+                signal = bridge_gaps(signal, ~is_spike, rotation=rotation)
             noise = (rotation_noise if rotation else noise_level)(signal)
             # A quaternion contains half the angle.
             tolerance = noise / 2 if rotation else noise
@@ -119,7 +121,9 @@ def beyond_nyquist(options: CleanOptions, rate: float) -> bool:
     return options.cutoff is not None and options.cutoff >= rate / 2
 
 
-def bridged(signal: FloatArray, is_known: BoolArray, *, rotation: bool) -> FloatArray:
+def bridge_gaps(
+    signal: FloatArray, is_known: BoolArray, *, rotation: bool
+) -> FloatArray:
     """Return a signal ``(F, K)`` with unknown frames interpolated."""
     if rotation:
         aligned = signal.copy()
@@ -130,15 +134,15 @@ def bridged(signal: FloatArray, is_known: BoolArray, *, rotation: bool) -> Float
     return np.where(is_known[:, None], signal, interpolated)
 
 
-def _spikes(
+def _spike_frames(
     signal: FloatArray, max_length: int, min_size: float, *, rotation: bool
 ) -> BoolArray:
     """Return which frames of a signal ``(F, K)`` are part of a spike ``(F,)``."""
     is_spike = np.zeros(len(signal), np.bool_)
-    for _ in range(MAX_SEARCHES if max_length else 0):
+    for _ in range(MAX_SPIKE_SEARCHES if max_length else 0):
         spikes = np.zeros_like(is_spike)
         threshold = SPIKE_FACTOR * _roughness(signal) + min_size
-        for length, size in _runs(signal, max_length, rotation=rotation):
+        for length, size in _run_deviations(signal, max_length, rotation=rotation):
             # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
                 part = slice(first + 2, first + 2 + length)
@@ -147,11 +151,11 @@ def _spikes(
         if not spikes.any() or (is_spike | spikes).mean() > 0.5:
             break
         is_spike |= spikes
-        signal = bridged(signal, ~is_spike, rotation=rotation)
+        signal = bridge_gaps(signal, ~is_spike, rotation=rotation)
     return is_spike
 
 
-def _runs(
+def _run_deviations(
     signal: FloatArray, max_length: int, *, rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
     """Yield the deviation of each run of 1 to ``max_length`` frames, from frame 2."""
@@ -230,18 +234,19 @@ def clean(
     options = CleanOptions(spikes, keep_noise, cutoff)
     for check in _checks(options).values():
         check()
-    cleaned_result, signals = cleaned_take(take, options)
+    cleaned_result, signals = clean_take(take, options)
     return replace(
-        cleaned_result, notices=(*take.notices, *notices(take, signals, options))
+        cleaned_result,
+        notices=(*take.notices, *cleaning_notices(take, signals, options)),
     )
 
 
-def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
+def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
     """Return a cleaned take, and the cleaning results of the joints that move."""
     motion = take.motion
-    cleaner = _Cleaner(tuple(take.rig.names), float(take.clock.rate), options)
-    shifts = cleaner.channel(motion.translations, MIN_SHIFT * rest_size(take.rig))
-    rotations = cleaner.channel(motion.rotations, MIN_ROTATION)
+    cleaner = _JointCleaner(tuple(take.rig.names), float(take.clock.rate), options)
+    shifts = cleaner.channel(motion.translations, MIN_SPIKE_SHIFT * rest_size(take.rig))
+    rotations = cleaner.channel(motion.rotations, MIN_SPIKE_ROTATION)
     dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
     motion = replace(
         motion, translations=shifts, rotations=replace(rotations, values=dense)
@@ -249,7 +254,7 @@ def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedS
     return replace(take, motion=motion), cleaner.signals
 
 
-def notices(
+def cleaning_notices(
     take: Take, signals: list[CleanedSignal], options: CleanOptions
 ) -> list[Fault]:
     """Return notices about a cleaned take."""
@@ -301,7 +306,7 @@ def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
     return f"{text}; noise up to {length_text(shift)} and {math.degrees(noise):.2g} deg"
 
 
-def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
+def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
     """Return noise scores of a take, and the cleaned joints, worst first."""
     filtered_signals = sorted(
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
@@ -361,9 +366,9 @@ def _checks(options: CleanOptions) -> OptionChecks:
 
 
 def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
-    cleaned, signals = cleaned_take(take, options)
-    context.notices.extend(notices(take, signals, options))
-    context.scores.append(scores_of(take.clock.count, signals))
+    cleaned, signals = clean_take(take, options)
+    context.notices.extend(cleaning_notices(take, signals, options))
+    context.scores.append(noise_scores(take.clock.count, signals))
     return cleaned
 
 

@@ -72,18 +72,18 @@ def fill(
             raise click.UsageError(f"{option} needs a skeleton: pass --template too.")
 
     def work(read: Any, static: Any = None) -> tuple[Any, Any]:
-        from animtool.capture.markers.fill import fill as run_fill
+        from animtool.capture.markers.fill import fill_markers as run_fill
 
         options = FillOptions(**read_values(FillOptions, params))
         if template is None:
             return run_fill(read, options)
         from animtool.capture.markers.skeleton import MarkerSubject
-        from animtool.capture.solve.source import named_rig
+        from animtool.capture.solve.source import rig_of_template
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
         loaded_template = load_template(template)
-        wearer, notices = open_rig(named_rig(loaded_template, rig, template))
+        wearer, notices = open_rig(rig_of_template(loaded_template, rig, template))
         subject = MarkerSubject(wearer, loaded_template, static)
         with faults_in(markers):
             filled_markers, report = run_fill(read, options, subject)

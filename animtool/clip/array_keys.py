@@ -13,7 +13,11 @@ from animtool.core.files.reading import not_a_file_reason
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER
-from animtool.documents.references import missing_hint, referred, split_reference
+from animtool.documents.references import (
+    missing_hint,
+    resolve_reference,
+    split_reference,
+)
 
 # Array name of a reference without a name.
 DEFAULT_ARRAY = "keys"
@@ -65,7 +69,7 @@ def _load_keys(
 
 def _file(document: Document, at: Location, name: str) -> Path | None:
     """Return the file of an array; None if missing or not allowed."""
-    path = referred(document, at, name, project_roots(document.path))
+    path = resolve_reference(document, at, name, project_roots(document.path))
     reason = None if path is None else not_a_file_reason(path)
     if reason is None:
         return path

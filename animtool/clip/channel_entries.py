@@ -18,7 +18,7 @@ from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
 from animtool.rig.joint_entries import UNIT_TOLERANCE
-from animtool.rig.suspicions import warn_of_length
+from animtool.rig.suspicions import warn_of_quaternion_length
 
 _QUATERNION_INTERPS = frozenset(
     {Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
@@ -365,7 +365,7 @@ class ChannelReader:
         if not zero_rows and len(values):
             k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
             location = (*at, "keys") if array else (*at, "keys", k, "v")
-            warn_of_length(self.document, location, values[k].tolist())
+            warn_of_quaternion_length(self.document, location, values[k].tolist())
         if array and zero_rows:
             message = f"row {zero_rows[0]} of {array!r} is a quaternion of zero length"
             self.document.add("RIG006", (*at, "keys"), message)

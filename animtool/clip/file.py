@@ -22,10 +22,10 @@ from animtool.core.files.reading import exists
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
-from animtool.documents.check import check_version, validated
+from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
-from animtool.documents.references import missing_hint, referred
+from animtool.documents.references import missing_hint, resolve_reference
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 
@@ -77,11 +77,11 @@ def open_clip(path: Path | str) -> ClipFile:
 def clip_of_document(document: Document) -> ClipFile:
     """Return the clip file of a document; see `open_clip`."""
     check_version(document, "clip")
-    model = with_array_keys(document, validated(document, ClipModel))
+    model = with_array_keys(document, validate_document(document, ClipModel))
     rig = None
     if model.rig is not None:
         roots = project_roots(document.path)
-        rig = referred(document, ("rig",), model.rig, roots)
+        rig = resolve_reference(document, ("rig",), model.rig, roots)
     return ClipFile(document, model, rig)
 
 

@@ -15,7 +15,7 @@ from animtool.clip.plain_keys import PlainKeys, plain_or_each
 from animtool.core.array_types import FloatArray
 from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector
+from animtool.documents.fields import IgnoreModel, Name, NumberPair, Real, Vector
 from animtool.maths import curves, tangents
 from animtool.maths.euler import ORDERS
 
@@ -168,7 +168,7 @@ class ClipModel(FileModel):
     fps: Real | str = key(
         "Frames per second: a number, or a fraction as text.", "24000/1001"
     )
-    range: Pair | None = key(
+    range: NumberPair | None = key(
         "First and last frame. Default: those of the first and last key.",
         [1.0, 48.0],
         default=None,

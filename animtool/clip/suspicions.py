@@ -21,11 +21,11 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import MAX_SIZE, Rig
 from animtool.rig.suspicions import (
     ANGLE_NAMES,
-    FULL_CIRCLE,
-    HALF_CIRCLE,
+    FULL_REVOLUTION,
     HALF_CIRCLE_Z,
+    HALF_REVOLUTION,
     MAX_DEGREES,
-    OTHER_ANGLES,
+    OTHER_ANGLE_UNITS,
     are_multiples,
     warn_of_quaternion,
 )
@@ -178,7 +178,7 @@ def _warn_of_angles(
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
     file_unit = "deg" if in_degrees else "rad"
-    likely_unit, factor = OTHER_ANGLES[file_unit]
+    likely_unit, factor = OTHER_ANGLE_UNITS[file_unit]
     message = (
         f"rotation keys of {counted(len(angles), 'channel')} look like "
         f"{ANGLE_NAMES[likely_unit]}, "
@@ -197,9 +197,9 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     values = values[values != 0.0]
     largest = np.abs(values).max()
     multiples = np.count_nonzero(are_multiples(values))
-    if largest <= FULL_CIRCLE and multiples >= MIN_EXACT * len(values):
+    if largest <= FULL_REVOLUTION and multiples >= MIN_EXACT * len(values):
         return True
-    if not MIN_LARGEST <= largest <= HALF_CIRCLE:
+    if not MIN_LARGEST <= largest <= HALF_REVOLUTION:
         return False
     moving = [
         name
@@ -219,7 +219,9 @@ def _in_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     integers = np.mean(values == np.round(values))
-    return bool(FULL_CIRCLE < np.abs(values).max() <= MAX_DEGREES and integers > 0.5)
+    return bool(
+        FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES and integers > 0.5
+    )
 
 
 def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
@@ -232,12 +234,12 @@ def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
     if not isinstance(limits, RangeLimit):
         return False
     ends = [abs(end) for end in (limits.low, limits.high) if math.isfinite(end)]
-    return len(ends) == 2 and bool(largest > max(ends) + FULL_CIRCLE)
+    return len(ends) == 2 and bool(largest > max(ends) + FULL_REVOLUTION)
 
 
 def _exceeds(values: FloatArray) -> bool:
     """Return whether the largest of some angles is more than a revolution [rad]."""
-    return bool(FULL_CIRCLE < np.abs(values).max() <= MAX_DEGREES)
+    return bool(FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES)
 
 
 def _translations(

@@ -17,7 +17,7 @@ from animtool.core.writers import CLIP, output_stem
 from animtool.motion.take import Take
 from animtool.motion.take_files import Contents, TakeFiles, WriteOptions
 from animtool.rig.skeleton import JointType, Rig
-from animtool.rig.surfaces import StoredArrays, with_file
+from animtool.rig.surfaces import StoredArrays, with_array_file
 from animtool.rig.write import rig_text
 
 MAX_NAMES = 6
@@ -42,7 +42,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     if options.rig_file is None:
         arrays_path = path.with_name(f"{stem}.npz")
         arrays: StoredArrays
-        rig, arrays = with_file(typed_by_motion(take), arrays_path, copy_all=True)
+        rig, arrays = with_array_file(typed_by_motion(take), arrays_path, copy_all=True)
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
     kept_clip = _kept_keys(take, options)

@@ -32,8 +32,8 @@ MAGIC = b"\x93NUMPY"
 MAX_HEAD_BYTES = 10_000
 MAX_DIMENSIONS = 8
 # Size of the header-length field by format version [byte].
-_WIDTHS = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
-_ENTRY = re.compile(
+_LENGTH_FIELD_SIZES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
+_HEADER_ENTRY = re.compile(
     r"""\s*(?P<quote>['"])(?P<key>descr|fortran_order|shape)(?P=quote)\s*:\s*
     (?: (?P<mark>['"])(?P<descr>[<>|=]?[A-Za-z]\d{0,6}(?:\[\w{1,9}\])?)(?P=mark)
       | (?P<fortran_order>True|False)
@@ -41,8 +41,8 @@ _ENTRY = re.compile(
     re.ASCII | re.VERBOSE,
 )
 # Object and structured types are refused.
-_OBJECTS = re.compile(r"""['"]descr['"]\s*:\s*['"]\|?O\d*['"]""")
-_STRUCTURE = re.compile(r"""['"]descr['"]\s*:\s*\[""")
+_OBJECT_DTYPE = re.compile(r"""['"]descr['"]\s*:\s*['"]\|?O\d*['"]""")
+_STRUCTURED_DTYPE = re.compile(r"""['"]descr['"]\s*:\s*\[""")
 
 
 class ArrayError(ValueError):
@@ -80,7 +80,7 @@ def read_head(file: ArrayFile, where: str) -> StoredArray:
     """Return the header of an array without reading its values."""
     start = file.read(len(MAGIC) + 2)
     version = tuple(start[len(MAGIC) :])
-    width = _WIDTHS.get(version)  # type: ignore[arg-type]
+    width = _LENGTH_FIELD_SIZES.get(version)  # type: ignore[arg-type]
     if not start.startswith(MAGIC) or width is None:
         raise ArrayError(f"{where} is not an array as numpy.savez writes it")
     length = int.from_bytes(file.read(width), "little")
@@ -91,25 +91,25 @@ def read_head(file: ArrayFile, where: str) -> StoredArray:
     text = file.read(length)
     if len(text) < length:
         raise ArrayError(f"{where} ends in its header")
-    return _parsed_header(text.decode("latin-1"), where, len(start) + width + length)
+    return _parse_header(text.decode("latin-1"), where, len(start) + width + length)
 
 
-def _parsed_header(text: str, where: str, begin: int) -> StoredArray:
-    if _OBJECTS.search(text):
+def _parse_header(text: str, where: str, begin: int) -> StoredArray:
+    if _OBJECT_DTYPE.search(text):
         raise ArrayError(f"{where} contains pickled Python objects")
-    if _STRUCTURE.search(text):
+    if _STRUCTURED_DTYPE.search(text):
         raise ArrayError(f"{where} contains structures, not numbers")
     text = text.strip()
     fields: dict[str, str] = {}
     if text.startswith("{") and text.endswith("}"):
-        rest = text[1:-1].strip()
-        while rest and (match := _ENTRY.match(rest)):
+        unparsed = text[1:-1].strip()
+        while unparsed and (match := _HEADER_ENTRY.match(unparsed)):
             value = match[match["key"]]
             if value is None or match["key"] in fields:
                 break
             fields[match["key"]] = value
-            rest = rest[match.end() :].strip()
-        if rest:
+            unparsed = unparsed[match.end() :].strip()
+        if unparsed:
             fields.clear()
     if len(fields) < 3:
         raise ArrayError(f"{where} has a header that is not that of an array")
@@ -117,12 +117,12 @@ def _parsed_header(text: str, where: str, begin: int) -> StoredArray:
         dtype = np.dtype(fields["descr"])
     except (TypeError, ValueError) as error:
         raise ArrayError(f"{where} contains {fields['descr']}, not numbers") from error
-    shape = _shape(fields["shape"], where)
+    shape = _parse_shape(fields["shape"], where)
     order: Literal["C", "F"] = "F" if fields["fortran_order"] == "True" else "C"
     return StoredArray(shape, dtype, order, begin)
 
 
-def _shape(text: str, where: str) -> tuple[int, ...]:
+def _parse_shape(text: str, where: str) -> tuple[int, ...]:
     # Python 2 wrote integers with a trailing L.
     parts = [part.strip().removesuffix("L") for part in text.split(",")]
     if parts[-1] == "":
@@ -135,19 +135,19 @@ def _shape(text: str, where: str) -> tuple[int, ...]:
 
 # Default limit of the bytes read from an archive; a setting and an environment variable
 # override it.
-MAX_BYTES = 1_000_000_000
-ARRAY_LIMIT = "ANIMTOOL_MAX_ARRAY_MB"
+DEFAULT_ARRAY_LIMIT = 1_000_000_000
+ARRAY_LIMIT_VARIABLE = "ANIMTOOL_MAX_ARRAY_MB"
 # Largest compression ratio of arrays above SMALL_BYTES. Zeros compress a thousandfold,
 # but real arrays are less than half zeros.
-MAX_RATIO = 100
+MAX_COMPRESSION_RATIO = 100
 SMALL_BYTES = 64_000_000
 # Limit of an archive's directory: some hundred thousand arrays.
-MAX_LIST_BYTES = 8_000_000
-MAX_SHOWN = 12
-_METHODS = (0, 8)  # stored and deflated
+MAX_DIRECTORY_BYTES = 8_000_000
+MAX_SHOWN_NAMES = 12
+_COMPRESSION_METHODS = (0, 8)  # stored and deflated
 _ENCRYPTED_FLAG = 0x1
 # Exceptions that `zipfile` raises for damaged archives; MemoryError is none of them.
-_DAMAGE = (
+_DAMAGE_ERRORS = (
     OSError,
     ValueError,
     LookupError,
@@ -160,7 +160,7 @@ _DAMAGE = (
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def archive_errors(path: Path) -> Iterator[None]:
     """Turn exceptions of reading an archive into `ArrayError`.
 
     Raises:
@@ -177,7 +177,7 @@ def reading(path: Path) -> Iterator[None]:
     except Exception as error:
         from zipfile import BadZipFile  # every command imports this module
 
-        if not isinstance(error, (*_DAMAGE, BadZipFile)):
+        if not isinstance(error, (*_DAMAGE_ERRORS, BadZipFile)):
             raise
         reason = getattr(error, "strerror", None) or str(error)
         raise ArrayError(f"{path.name} cannot be read: {reason}") from error
@@ -187,7 +187,7 @@ class Archive:
     """An open archive and the headers of its arrays."""
 
     def __init__(self, path: Path) -> None:
-        """Open a file and read its directory; call it within `reading`."""
+        """Open a file and read its directory; call it within `archive_errors`."""
         self._path = path
         self._file = open_input(path, None)
         try:
@@ -220,7 +220,7 @@ class Archive:
     def header(self, key: str, kinds: str = "fiub") -> StoredArray:
         """Return an array's header, its length checked."""
         if key not in self._headers:
-            info = self._member(key)
+            info = self._zip_entry(key)
             where = f"{self._path.name}#{key}"
             with self._zip.open(info) as file:
                 header = read_head(file, where)
@@ -261,7 +261,7 @@ class Archive:
         return str(self._values(key, header))
 
     def _values(self, key: str, header: StoredArray) -> npt.NDArray[Any]:
-        info = self._member(key)
+        info = self._zip_entry(key)
         # Values are converted to float64 for computation, whatever type is stored.
         self._check_size(key, info, max(info.file_size, 8 * header.count))
         with self._zip.open(info) as file:
@@ -289,10 +289,10 @@ class Archive:
                 members[key] = info
         return members, duplicates
 
-    def _member(self, key: str) -> ZipInfo:
+    def _zip_entry(self, key: str) -> ZipInfo:
         name, info = self._path.name, self._members.get(key)
         if info is None:
-            names = [name_[:40] for name_ in list(self._members)[:MAX_SHOWN]]
+            names = [name_[:40] for name_ in list(self._members)[:MAX_SHOWN_NAMES]]
             names_text = ", ".join(names) or "nothing"
             raise ArrayError(
                 f"{name} has no array {key!r}; its arrays are {names_text}"
@@ -301,7 +301,7 @@ class Archive:
             raise ArrayError(f"{name} contains {key!r} twice")
         if info.flag_bits & _ENCRYPTED_FLAG:
             raise ArrayError(f"{name}#{key} is encrypted")
-        if info.compress_type not in _METHODS:
+        if info.compress_type not in _COMPRESSION_METHODS:
             message = f"{name}#{key} is compressed by method {info.compress_type}, "
             raise ArrayError(f"{message}but numpy.savez uses 0 and 8")
         return info
@@ -309,29 +309,33 @@ class Archive:
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Refuse an array larger than the memory limit."""
         other_arrays = self._total_size - self._sizes.get(key, 0)
-        plausible = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
-        if other_arrays + size > MAX_BYTES or not plausible:
+        plausible = size <= max(SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size)
+        if other_arrays + size > DEFAULT_ARRAY_LIMIT or not plausible:
             configured_limit = _configured_limit(self._path)
             if configured_limit is None or other_arrays + size > configured_limit:
-                raise self._too_large(
+                raise self._size_error(
                     key, other_arrays + size, configured_limit, plausible
                 )
         self._sizes[key], self._total_size = size, other_arrays + size
 
-    def _too_large(
+    def _size_error(
         self, key: str, size: int, configured_limit: int | None, plausible: bool
     ) -> ArrayError:
         needed_mb = math.ceil(size / 1e6)
         message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
         if configured_limit is None and not plausible:
-            message += f", more than {MAX_RATIO} times what it takes in the file"
+            message += (
+                f", more than {MAX_COMPRESSION_RATIO} times what it takes in the file"
+            )
         else:
-            limit = MAX_BYTES if configured_limit is None else configured_limit
+            limit = (
+                DEFAULT_ARRAY_LIMIT if configured_limit is None else configured_limit
+            )
             message += f" with what was read before, and {limit // 1_000_000} are "
             message += "allowed"
         return ArrayError(
             f"{message}; max_array_mb = {needed_mb} in animtool.toml, or "
-            f"{ARRAY_LIMIT}={needed_mb}, allows it"
+            f"{ARRAY_LIMIT_VARIABLE}={needed_mb}, allows it"
         )
 
 
@@ -341,10 +345,12 @@ def _configured_limit(path: Path) -> int | None:
     Raises:
         ArrayError: The environment variable is not a number.
     """
-    text = os.environ.get(ARRAY_LIMIT)
+    text = os.environ.get(ARRAY_LIMIT_VARIABLE)
     if text:
         if not (text.isascii() and text.isdecimal() and len(text) < 10):
-            raise ArrayError(f"{ARRAY_LIMIT} is {text[:40]!r}, not a number of MB")
+            raise ArrayError(
+                f"{ARRAY_LIMIT_VARIABLE} is {text[:40]!r}, not a number of MB"
+            )
         return int(text) * 1_000_000
     configured = find_config(path).max_array_mb
     return None if configured is None else configured * 1_000_000
@@ -355,7 +361,7 @@ class _BoundedFile:
 
     def __init__(self, file: InputFile) -> None:
         self.file = file
-        self.limit: int | None = MAX_LIST_BYTES
+        self.limit: int | None = MAX_DIRECTORY_BYTES
         self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
 
     def read(self, size: int = -1) -> bytes:

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.documents.archive import Archive, reading
+from animtool.documents.archive import Archive, archive_errors
 
 # Files open at once: systems allow a few hundred.
-MAX_OPEN = 16
+MAX_OPEN_ARCHIVES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Archives:
                 than the limit.
             FormatError: The file changed while it was read (IO004).
         """
-        with reading(path):
+        with archive_errors(path):
             stored_array = self._archive(path).header(key)
         return ArrayHeader(stored_array.shape, stored_array.dtype.kind)
 
@@ -67,7 +67,7 @@ class Archives:
                 than the limit.
             FormatError: The file changed while it was read (IO004).
         """
-        with reading(path):
+        with archive_errors(path):
             return self._archive(path).values(key)
 
     def has(self, path: Path, key: str) -> bool:
@@ -76,7 +76,7 @@ class Archives:
         Raises:
             ValueError: The file is missing.
         """
-        with reading(path):
+        with archive_errors(path):
             return self._archive(path).has(key)
 
     def text(self, path: Path, key: str) -> str:
@@ -85,7 +85,7 @@ class Archives:
         Raises:
             ValueError: The file or text is missing.
         """
-        with reading(path):
+        with archive_errors(path):
             return self._archive(path).text(key)
 
     def texts(self, path: Path, key: str) -> list[str]:
@@ -94,7 +94,7 @@ class Archives:
         Raises:
             ValueError: The file or list is missing.
         """
-        with reading(path):
+        with archive_errors(path):
             return self._archive(path).texts(key)
 
     def names(self, path: Path) -> list[str]:
@@ -103,7 +103,7 @@ class Archives:
         Raises:
             ValueError: The file is missing.
         """
-        with reading(path):
+        with archive_errors(path):
             return self._archive(path).names
 
     def load(self, path: Path, key: str) -> FloatArray:
@@ -120,7 +120,7 @@ class Archives:
 
     def _archive(self, path: Path) -> Archive:
         archive = self._open.pop(path, None) or Archive(path)
-        if len(self._open) >= MAX_OPEN:
+        if len(self._open) >= MAX_OPEN_ARCHIVES:
             self._open.pop(next(iter(self._open))).close()
         # Least recently used first.
         self._open[path] = archive

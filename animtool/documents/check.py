@@ -20,7 +20,7 @@ from animtool.documents.model_faults import (
     note_renamed,
     wrong_values,
 )
-from animtool.documents.versions import STEPS, new_key, newest, version_of
+from animtool.documents.versions import MIGRATION_STEPS, new_key, newest, version_of
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -62,14 +62,14 @@ class FileModel(BaseModel, metaclass=_KeyedModels):
 
 def check_version(document: Document, kind: str) -> None:
     """Raise `FormatError` unless a document has the kind and its newest version."""
-    _, version = version_of(document, STEPS, kind)
-    if version < newest(STEPS[kind]):
+    _, version = version_of(document, MIGRATION_STEPS, kind)
+    if version < newest(MIGRATION_STEPS[kind]):
         message = f"animtool/{version} is an older version"
         document.add("DOC013", (kind,), message, "animtool migrate rewrites it")
         document.check()
 
 
-def validated(document: Document, model: type[Model]) -> Model:
+def validate_document(document: Document, model: type[Model]) -> Model:
     """Return a document as a model; record faults of keys, types and values.
 
     Each faulty value is replaced by a placeholder that `Document.add` ignores,

@@ -31,7 +31,7 @@ QUOTES = {
 }
 _TYPOGRAPHIC = frozenset(QUOTES)
 # A list that is read for decimal commas; others are no vectors.
-MAX_NUMBERS = 16
+MAX_SHOWN_NUMBERS = 16
 
 
 @dataclass(slots=True)
@@ -51,11 +51,11 @@ class Document:
     # continue.
     doubts: set[Location] = field(default_factory=set)
     # Values whose key was guessed from a misspelling.
-    guesses: set[Location] = field(default_factory=set)
+    guessed_keys: set[Location] = field(default_factory=set)
     # Keys of lists whose remaining entries are in another, unreadable file.
-    partial: set[str] = field(default_factory=set)
+    partial_lists: set[str] = field(default_factory=set)
     # The written key of each renamed value.
-    spellings: dict[Location, str] = field(default_factory=dict)
+    old_keys: dict[Location, str] = field(default_factory=dict)
     _marks: Marks | None = field(default=None, init=False, repr=False)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
@@ -63,17 +63,17 @@ class Document:
 
     def position(self, location: Location) -> tuple[int, int]:
         """Return line and column of a value, or of its nearest ancestor."""
-        return self._marked().positions[self._index(location)]
+        return self._cached_marks().positions[self._index(location)]
 
     def key_position(self, location: Location) -> tuple[int, int]:
         """Return line and column of a key, which precedes its value."""
         index = self._index(location)
         is_key = index > self._index(location[:-1])
-        return self._marked().positions[index - is_key]
+        return self._cached_marks().positions[index - is_key]
 
     def written(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for anything else."""
-        return self._marked().unquoted.get(self._index(location))
+        return self._cached_marks().unquoted.get(self._index(location))
 
     def decimal_commas(self, location: Location, width: int = 0) -> str | None:
         """Return a hint for a list whose numbers have decimal commas; None for others.
@@ -83,9 +83,9 @@ class Document:
             width: How many numbers are needed; 0 is any that the commas leave.
         """
         value: Any = self.value
-        for step in self._as_written(location):
+        for step in self._written_steps(location):
             value = value.get(step) if isinstance(value, dict) else value[step]
-        if not isinstance(value, list) or len(value) > MAX_NUMBERS:
+        if not isinstance(value, list) or len(value) > MAX_SHOWN_NUMBERS:
             return None
         texts = [self.written((*location, i)) or "" for i in range(len(value))]
         spots = [self.position((*location, i)) for i in range(len(value))]
@@ -103,7 +103,7 @@ class Document:
             return None
         return f"write [{', '.join(numbers)}], with decimal points"
 
-    def _marked(self) -> Marks:
+    def _cached_marks(self) -> Marks:
         if self._marks is None:
             self._marks = self.marks()
         return self._marks
@@ -114,7 +114,7 @@ class Document:
             self._index_nodes(self.value, 0)
         node: Any = self.value
         index = 0
-        for step in self._as_written(location):
+        for step in self._written_steps(location):
             start = self._starts.get((id(node), step))
             if start is not None:
                 node, index = node[step], start
@@ -133,16 +133,16 @@ class Document:
                 index = self._index_nodes(value, index)
         return index
 
-    def _as_written(self, location: Location) -> Iterator[str | int]:
+    def _written_steps(self, location: Location) -> Iterator[str | int]:
         for depth, step in enumerate(location, 1):
-            yield self.spellings.get(location[:depth], step)
+            yield self.old_keys.get(location[:depth], step)
 
     def is_placeholder(self, location: Location) -> bool:
         """Return whether a value or an ancestor is a placeholder.
 
         That is, it replaced a faulty value, or its key was guessed from a misspelling.
         """
-        unknown = self.doubts | self.guesses
+        unknown = self.doubts | self.guessed_keys
         return bool(unknown) and any(
             location[:depth] in unknown for depth in range(1, len(location) + 1)
         )
@@ -157,7 +157,7 @@ class Document:
             parts: Keys of an entry's name parts; ``name`` if omitted.
         """
         names = parts or ("name",)
-        return key in self.partial or any(
+        return key in self.partial_lists or any(
             doubt[0] == key and (len(doubt) < 3 or doubt[2] in names)
             for doubt in self.doubts
         )
@@ -232,7 +232,7 @@ class Document:
     ) -> Fault:
         """Return a fault at a location without recording it."""
         line, column = self.position(location)
-        where = spelled(tuple(self._as_written(location)))
+        where = location_text(tuple(self._written_steps(location)))
         path = str(self.path)
         return Fault(code, message, path, (line,), hint, column=column, where=where)
 
@@ -243,10 +243,10 @@ class Document:
             raise FormatError(_first_faults(in_file_order))
 
 
-def spelled(location: Location) -> str:
+def location_text(location: Location) -> str:
     """Return a location as text, such as `keys[2].t`.
 
-    >>> spelled(("joints", 3, "axis"))
+    >>> location_text(("joints", 3, "axis"))
     'joints[3].axis'
     """
     text = ""
@@ -255,10 +255,10 @@ def spelled(location: Location) -> str:
     return text.removeprefix(".")
 
 
-def location_of(where: str) -> Location:
+def parse_location(where: str) -> Location:
     """Parse the text of a location.
 
-    >>> location_of("joints[3].axis")
+    >>> parse_location("joints[3].axis")
     ('joints', 3, 'axis')
     """
     steps = re.findall(r"\[(\d+)\]|([^.\[\]]+)", where)

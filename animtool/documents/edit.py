@@ -19,8 +19,8 @@ from animtool.core.errors import FormatError
 from animtool.core.names import decimal_text, flow_list
 from animtool.core.names import yaml_scalar as plain_text
 from animtool.core.record import dataclass
-from animtool.documents.document import Location, document_of, spelled
-from animtool.documents.yaml_values import compose
+from animtool.documents.document import Location, document_of, location_text
+from animtool.documents.yaml_values import compose_yaml
 
 # Escapes and line ends that YAML and JSON interpret differently, each one code unit or
 # one escape long.
@@ -66,7 +66,7 @@ class Remove:
 Edit = Replace | Rename | Add | Remove
 
 
-def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
+def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
     """Apply edits to the text of a file; locations refer to the original text.
 
     Args:
@@ -90,7 +90,7 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     # The edit is accepted only if the new text parses to the expected values.
     if _parses_to(after, path, value):
         return after
-    locations = ", ".join(spelled(edit.location) for edit in edits)
+    locations = ", ".join(location_text(edit.location) for edit in edits)
     raise EditError(f"the layout around {locations} cannot be preserved")
 
 
@@ -136,21 +136,23 @@ class _SourceText:
         yaml_text = (
             _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text) if json else text
         )
-        root = compose(yaml_text)
+        root = compose_yaml(yaml_text)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
     def splice(self, edit: Edit) -> Splice:
         """Return the text range to replace, and its new text."""
         match edit:
             case Replace(location, value):
-                return self._written(self._node(location), value)
+                return self._replacement_text(self._node(location), value)
             case Rename((*outer, key), name):
-                return self._written(self._pair(tuple(outer), str(key))[0], name)
+                return self._replacement_text(
+                    self._pair(tuple(outer), str(key))[0], name
+                )
             case Add(location, key, value):
-                return self._added(self._node(location), key, value)
+                return self._added_text(self._node(location), key, value)
             case Remove((*outer, step)):
-                return self._removed(self._node(tuple(outer)), step)
-        raise EditError(f"{spelled(edit.location)} cannot be edited")
+                return self._removed_range(self._node(tuple(outer)), step)
+        raise EditError(f"{location_text(edit.location)} cannot be edited")
 
     def _node(self, location: Location) -> Any:
         node = self.root
@@ -166,9 +168,9 @@ class _SourceText:
         for name, value in self._node(parent).value:
             if name.value == key:
                 return name, value
-        raise EditError(f"{spelled((*parent, key))} does not exist")
+        raise EditError(f"{location_text((*parent, key))} does not exist")
 
-    def _written(self, node: Any, value: str) -> Splice:
+    def _replacement_text(self, node: Any, value: str) -> Splice:
         """Write a text in the quote style of the value that it replaces."""
         style = getattr(node, "style", None)
         new_text = _plain_or_quoted(value)
@@ -183,15 +185,15 @@ class _SourceText:
             new_text = f"'{escaped}'"
         return node.start_mark.index, node.end_mark.index, new_text
 
-    def _added(self, node: Any, key: str, value: Any) -> Splice:
+    def _added_text(self, node: Any, key: str, value: Any) -> Splice:
         if not node.value:
             raise EditError(f"no key next to {key!r}")
         entry = (
             f"{json.dumps(key)}: {json.dumps(value)}"
             if self.json
-            else f"{plain_text(key)}: {_flow(value)}"
+            else f"{plain_text(key)}: {_flow_text(value)}"
         )
-        end = _end(node.value[-1][1])
+        end = _value_end(node.value[-1][1])
         if node.flow_style:
             return end, end, f", {entry}"
         indent = " " * node.value[0][0].start_mark.column
@@ -200,19 +202,19 @@ class _SourceText:
             return next_line, next_line, f"{indent}{entry}{self.newline}"
         return next_line, next_line, f"{self.newline}{indent}{entry}"
 
-    def _removed(self, node: Any, step: str | int) -> Splice:
-        spans = list(_entries(node))
+    def _removed_range(self, node: Any, step: str | int) -> Splice:
+        spans = list(_entry_bounds(node))
         index = step
         if isinstance(index, str):
             index = [name.value for name, _ in spans].index(index)
         first, last = spans[index]
-        start, end = first.start_mark.index, _end(last)
+        start, end = first.start_mark.index, _value_end(last)
         if node.flow_style:
             if index + 1 < len(spans):
-                end = self._across_comma(end, spans[index + 1][0].start_mark.index)
+                end = self._end_after_comma(end, spans[index + 1][0].start_mark.index)
             elif index:
-                start = _end(spans[index - 1][1])
-                self._across_comma(start, first.start_mark.index)
+                start = _value_end(spans[index - 1][1])
+                self._end_after_comma(start, first.start_mark.index)
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1
         if self.text[line:start].strip() not in {"", "-"}:
@@ -226,20 +228,20 @@ class _SourceText:
         newline = self.text.find("\n", end)
         return len(self.text) if newline < 0 else newline + 1
 
-    def _across_comma(self, end: int, start: int) -> int:
+    def _end_after_comma(self, end: int, start: int) -> int:
         """Return the end of a range that may contain only a comma."""
         if self.text[end:start].strip() != ",":
             raise EditError("a comment separates it from the next")
         return start
 
 
-def _entries(node: Any) -> Iterator[tuple[Any, Any]]:
+def _entry_bounds(node: Any) -> Iterator[tuple[Any, Any]]:
     """Yield the first and the last node of each entry."""
     for entry in node.value:
         yield entry if isinstance(entry, tuple) else (entry, entry)
 
 
-def _end(node: Any) -> int:
+def _value_end(node: Any) -> int:
     """Return the end of a value; a block collection ends with its last value."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
         last = node.value[-1]
@@ -247,10 +249,10 @@ def _end(node: Any) -> int:
     return cast(int, node.end_mark.index)
 
 
-def _flow(value: Any) -> str:
+def _flow_text(value: Any) -> str:
     """Return a value as YAML on one line."""
     if isinstance(value, list):
-        return flow_list([_flow(entry) for entry in value])
+        return flow_list([_flow_text(entry) for entry in value])
     return plain_text(value) if isinstance(value, str) else decimal_text(value)
 
 

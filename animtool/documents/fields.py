@@ -55,7 +55,7 @@ NotNegative = Annotated[Real, Ge(0)]
 Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 # A single line; no control characters, and no longer than the longest path.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
-Pair = Annotated[list[Real], Len(2, 2)]
+NumberPair = Annotated[list[Real], Len(2, 2)]
 Vector = Annotated[list[Real], Len(3, 3)]
 
 
@@ -93,14 +93,14 @@ def check_numbers(value: Any) -> Any:
         if not -limit <= number <= limit:
             name = ".".join(keys)
             number_text = (
-                f"{number:g}" if isinstance(number, float) else _digits(number)
+                f"{number:g}" if isinstance(number, float) else _digit_count(number)
             )
             range_text = f"a finite number up to {limit:g}"
             raise ValueError(f"{name} is {number_text}, not {range_text}")
     return value
 
 
-def _digits(number: int) -> str:
+def _digit_count(number: int) -> str:
     # Formatting a very long integer takes quadratic time.
     return f"{number:#x}"[:20] + "…"
 
@@ -145,7 +145,7 @@ _TYPES: dict[Any, Any] = {
     float | None: Real | None,
     int: Integer,
     Sequence[float] | None: Vector | None,
-    Sequence[tuple[float, int]]: list[Pair],
+    Sequence[tuple[float, int]]: list[NumberPair],
 }
 # Type of a key by kind of option; None is the default of optional ones.
 _FILE_TYPES: dict[OptionKind, Any] = {
@@ -203,7 +203,7 @@ def with_fields(
         for name in names or keys:
             key = keys[name].alias or name
             if names or key not in model.model_fields:
-                new_fields[key] = _definition(record, name, keys[name], ranges)
+                new_fields[key] = _field_definition(record, name, keys[name], ranges)
         definitions = [
             *list(declared_keys.items())[:at],
             *new_fields.items(),
@@ -249,7 +249,9 @@ def _is_infinite(default: Any) -> bool:
     return isinstance(default, float) and math.isinf(default)
 
 
-def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
+def _field_definition(
+    record: Any, name: str, key: Key, ranges: Ranges
+) -> tuple[Any, Any]:
     """Return the type and the documentation of a key."""
     type_, default = _type_and_default(record, name, key, ranges)
     return type_, model_field(key, default)

@@ -12,10 +12,10 @@ from pydantic import BaseModel
 from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.documents.placeholders import (
-    annotation_inside,
     annotation_of,
     field_at,
     fields_of,
+    inner_annotation,
     models_of,
 )
 from animtool.documents.yaml_text import flow_text
@@ -23,13 +23,13 @@ from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
 MAX_EXAMPLE = 100
-_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
-_UNIT = re.compile(r"\d+([A-Za-z]+)")
+_NUMBER_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
+_NUMBER_UNIT = re.compile(r"\d+([A-Za-z]+)")
 _RANGE_LENGTH = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Forms:
+class EntryForms:
     """Option examples by name, for mappings with a single entry."""
 
     options: Mapping[str, Any] = field(hash=False)
@@ -62,7 +62,7 @@ def form_hint(
             text = flow_text(str(location[depth - 1]), shown)
             if shown and len(text) <= MAX_EXAMPLE:
                 return f"{'write' if shown is entries else 'for example'} {text}"
-    forms = _forms_of(annotation_of(info))
+    forms = _entry_forms(annotation_of(info))
     name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
@@ -100,7 +100,7 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
     for step in location[:-1]:
         around = around[step]
     entry = around.get(location[-1]) if isinstance(around, dict) else None
-    unit = _UNIT.fullmatch(example) if isinstance(example, str) else None
+    unit = _NUMBER_UNIT.fullmatch(example) if isinstance(example, str) else None
     if unit is not None and type(entry) in (int, float):
         return f"add a unit, such as {entry}{unit[1]}"
     if example is None or isinstance(example, bool | list | tuple | dict):
@@ -127,7 +127,7 @@ def paired_entries(
 
 def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Convert a mapping to the list of entries it means; empty if none fit."""
-    models = models_of(annotation_inside(annotation, None, 0))
+    models = models_of(inner_annotation(annotation, None, 0))
     keys = {key for model in models for key in fields_of(model)}
     if not keys:  # entries that are named by their only key, such as passes
         return [{key: one} for key, one in value.items()]
@@ -139,7 +139,18 @@ def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, A
 
 
 # Keys that other tools use for the ends of a range, the lower end first.
-_ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
+_RANGE_END_NAMES = (
+    "min",
+    "low",
+    "lower",
+    "first",
+    "start",
+    "max",
+    "high",
+    "upper",
+    "last",
+    "end",
+)
 
 
 def _converted_value(value: Any, example: Any) -> list[Any] | None:
@@ -149,7 +160,7 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
     if isinstance(value, str):
         return _list_of_text(value.strip(), example)
     if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
-        bounds = [value.get(key) for key in _ENDS if key in value]
+        bounds = [value.get(key) for key in _RANGE_END_NAMES if key in value]
         return bounds if len(bounds) == len(value) == _RANGE_LENGTH else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A magnitude along the only axis of the example: gravity of 9.81 points down.
@@ -180,7 +191,7 @@ def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
     """Convert a text of numbers, or one name, to a list."""
     if all(isinstance(entry, str) for entry in example):
         return [text]
-    ends = _PAIR.fullmatch(text)
+    ends = _NUMBER_PAIR.fullmatch(text)
     parts = re.split(r"[\s,;]+", text.strip("()[] ")) if ends is None else ends.groups()
     numbers = [plain_scalar(part) for part in parts if part]
     are_numbers = all(isinstance(entry, int | float) for entry in numbers)
@@ -196,12 +207,12 @@ def _contains(example: Any, value: Any) -> bool:
     return bool(example == value)
 
 
-def _forms_of(annotation: Any) -> Forms | None:
-    """Return the `Forms` annotation of a type or of a union's member."""
+def _entry_forms(annotation: Any) -> EntryForms | None:
+    """Return the `EntryForms` annotation of a type or of a union's member."""
     for constraint in getattr(annotation, "__metadata__", ()):
-        if isinstance(constraint, Forms):
+        if isinstance(constraint, EntryForms):
             return constraint
-    member_forms = (_forms_of(member) for member in get_args(annotation))
+    member_forms = (_entry_forms(member) for member in get_args(annotation))
     return next((member for member in member_forms if member is not None), None)
 
 

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 # Text that YAML refuses or interprets differently: surrogates, escapes of control
 # characters, and numbers longer than Python converts.
-_AMBIGUOUS = re.compile(
+_YAML_DIFFERENCES = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ue000-\uffff]"
     r"|\\[bfnrt]|\\u00(?:[01]|7[fF]|[89])|\\u202[89]|\\u[dDeEfF]|[0-9]{100}"
 )
@@ -31,7 +31,7 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
     >>> plain_json('{"t": 1, "t": 2}', 50, 1000) is None
     True
     """
-    if _AMBIGUOUS.search(text):
+    if _YAML_DIFFERENCES.search(text):
         return None
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -44,17 +44,23 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
         return values
 
     try:
-        value = json.loads(text, object_pairs_hook=mapping, parse_constant=_refuse)
+        value = json.loads(
+            text, object_pairs_hook=mapping, parse_constant=_refuse_constant
+        )
     except (ValueError, RecursionError):
         return None
-    return value if isinstance(value, dict) and _depth(value) <= max_depth else None
+    return (
+        value
+        if isinstance(value, dict) and _nesting_depth(value) <= max_depth
+        else None
+    )
 
 
-def _refuse(name: str) -> NoReturn:
+def _refuse_constant(name: str) -> NoReturn:
     raise _NotPlainJsonError(name)
 
 
-def _depth(value: Any) -> int:
+def _nesting_depth(value: Any) -> int:
     """Return the nesting depth of lists and mappings."""
     depth, level = 0, [value]
     while level:

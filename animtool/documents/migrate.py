@@ -24,14 +24,14 @@ from animtool.core.record import dataclass
 from animtool.documents.document import (
     Document,
     document_of,
+    location_text,
     read_document,
     read_text,
-    spelled,
 )
-from animtool.documents.edit import EditError, Rename, edited
+from animtool.documents.edit import EditError, Rename, apply_edits
 from animtool.documents.versions import (
-    STEPS,
-    Steps,
+    MIGRATION_STEPS,
+    MigrationSteps,
     newest,
     renamed_keys,
     version_of,
@@ -56,7 +56,7 @@ class Migration:
     )
 
     @property
-    def renames(self) -> bool:
+    def is_renames_only(self) -> bool:
         """Whether only key names are outdated."""
         return self.needed and self.version == self.newest
 
@@ -86,7 +86,9 @@ class Migrations:
     json_keys: ClassVar[str] = "'migrate' files"
 
 
-def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migration:
+def plan_migration(
+    path: Path | str, table: Mapping[str, MigrationSteps] = MIGRATION_STEPS
+) -> Migration:
     """Return a file's text in the newest version, without writing it.
 
     If only the version changes, one word of the text does; otherwise the file
@@ -97,7 +99,7 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
     kind, version = version_of(document, table)
     newest_version = newest(table[kind])
     if version == newest_version:
-        return _with_new_keys(
+        return _rename_keys(
             Migration(path, kind, version, newest_version, before, before)
         )
     old_value = document.value
@@ -106,7 +108,7 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
         new_value = table[kind][step](new_value)
     new_value[kind] = f"animtool/{newest_version}"
     if {**new_value, kind: old_value[kind]} == old_value:
-        after = _with_version(document, before, kind, f"animtool/{newest_version}")
+        after = _replace_version(document, before, kind, f"animtool/{newest_version}")
         return Migration(path, kind, version, newest_version, before, after)
     # The kind comes first in a file, in whatever order the steps left the keys.
     kind_first = {kind: new_value.pop(kind), **new_value}
@@ -138,7 +140,7 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
     return Migration(path, kind, version, newest_version, before, after, tuple(notices))
 
 
-def _with_new_keys(plan: Migration) -> Migration:
+def _rename_keys(plan: Migration) -> Migration:
     """Return a file with renamed keys and no other change."""
     value = document_of(plan.before, plan.path).value
     edits = [
@@ -147,10 +149,12 @@ def _with_new_keys(plan: Migration) -> Migration:
     if not edits:
         return plan
     try:
-        return replace(plan, after=edited(plan.before, plan.path, edits))
+        return replace(plan, after=apply_edits(plan.before, plan.path, edits))
     except EditError as error:
         message = f"its keys cannot be renamed: {error}"
-        hint = f"rename {listed([spelled(edit.location) for edit in edits])} by hand"
+        hint = (
+            f"rename {listed([location_text(edit.location) for edit in edits])} by hand"
+        )
         raise FormatError(Fault("DOC026", message, str(plan.path), (), hint)) from error
 
 
@@ -160,7 +164,7 @@ def migrate(
     overwrite: bool = False,
     check: bool = False,
     strict: bool = False,
-    table: Mapping[str, Steps] = STEPS,
+    table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
 ) -> list[Migration]:
     """Rewrite files of older versions in place, all or none.
 
@@ -179,7 +183,7 @@ def migrate(
         OutputError: A file cannot be written.
         StrictError: A warning occurred and ``strict`` is on.
     """
-    plans = _plans(paths, table)
+    plans = _plan_migrations(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
     # A file and links to it are migrated once.
     by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
@@ -205,7 +209,9 @@ def migrate(
     return [replace(plan, written=plan.needed) for plan in plans]
 
 
-def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migration]:
+def _plan_migrations(
+    paths: Sequence[Path | str], table: Mapping[str, MigrationSteps]
+) -> list[Migration]:
     plans: list[Migration] = []
     faults: list[Fault] = []
     for path in dict.fromkeys(map(Path, paths)):
@@ -218,7 +224,7 @@ def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migr
     return plans
 
 
-def _with_version(document: Document, text: str, kind: str, version: str) -> str:
+def _replace_version(document: Document, text: str, kind: str, version: str) -> str:
     """Return a text with only its version changed."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)

@@ -20,12 +20,12 @@ from animtool.documents.placeholders import (
     fields_of,
     models_of,
     placeholder_of,
-    replaced,
+    with_value_at,
 )
 from animtool.documents.value_faults import (
     expected_structures,
-    is_angles,
-    type_fault,
+    is_euler_angles,
+    is_type_fault,
     value_hint,
     values_message,
 )
@@ -77,7 +77,7 @@ def key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
 def note_renamed(document: Document, location: Location, name: str) -> None:
     """Warn of a renamed key (DOC102)."""
     *parent, key = location
-    document.spellings[*parent, name] = str(key)
+    document.old_keys[*parent, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
     hint = f"animtool migrate FILE {flag('overwrite')} renames it"
     document.warn("DOC102", (*parent, name), message, hint)
@@ -151,8 +151,8 @@ class ModelFaults:
         if meant_key and meant_key not in node:
             # Its names may be referenced, but whether it was meant is unknown.
             node[meant_key] = value
-            self.document.spellings[*mapping, meant_key] = str(key)
-            self.document.guesses.add((*mapping, meant_key))
+            self.document.old_keys[*mapping, meant_key] = str(key)
+            self.document.guessed_keys.add((*mapping, meant_key))
 
     def _key_of_sibling(
         self, mapping: Location, node: dict[str, Any], key: str
@@ -207,12 +207,12 @@ class ModelFaults:
         node.clear()
         node.update(entries[0])
         for name in entries[0]:
-            self.document.spellings[*mapping, name] = str(key)
+            self.document.old_keys[*mapping, name] = str(key)
         return True
 
     def _missing_key(self, mapping: Location, key: str) -> None:
         location = (*mapping, key)
-        if location in self.document.spellings:
+        if location in self.document.old_keys:
             return
         if not self._depends_on_kind(location):
             self.document.add("DOC021", mapping, f"key {key!r} is missing")
@@ -257,7 +257,7 @@ class ModelFaults:
         commas = self.document.decimal_commas(location)
         if structures and commas is not None:
             return commas
-        if is_angles(faults):
+        if is_euler_angles(faults):
             return "write a quaternion [w, x, y, z]"
         axis = AXES.get(str(value).upper())
         if axis is not None and structures == {"a list"}:
@@ -268,7 +268,7 @@ class ModelFaults:
             return form_hint(
                 self.model, self.value, location, expects_list=expects_list
             )
-        if type_fault(faults):
+        if is_type_fault(faults):
             return example_hint(self.model, self.value, location)
         return None
 
@@ -276,7 +276,7 @@ class ModelFaults:
         """Return whether a key exists in only some kinds, and the kind is faulty."""
         for depth, key in enumerate(location):
             mapping = location[:depth]
-            unknown = self.document.doubts | self.document.guesses
+            unknown = self.document.doubts | self.document.guessed_keys
             if (*mapping, "type") in unknown and key != "type":
                 kinds = models_of(annotation_at(self.model, self.value, mapping))
                 kinds_with_key = [kind for kind in kinds if key in fields_of(kind)]
@@ -292,7 +292,7 @@ class ModelFaults:
             self.document.check()
         annotation = annotation_at(self.model, self.value, location)
         self.document.doubts.add(location)
-        replaced(self.value, location, placeholder_of(annotation))
+        with_value_at(self.value, location, placeholder_of(annotation))
 
 
 def _cut_names(names: Sequence[Any]) -> str:

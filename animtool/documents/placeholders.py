@@ -24,7 +24,7 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
     annotation: Any = model
     node = value
     for step in location:
-        annotation = annotation_inside(annotation, node, step)
+        annotation = inner_annotation(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
@@ -45,7 +45,7 @@ def field_at(
             (candidate for candidate in candidates if candidate is not None), None
         )
         nearest = nearest if field is None else (depth, field)
-        annotation = annotation_inside(annotation, node, step)
+        annotation = inner_annotation(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
@@ -66,7 +66,7 @@ def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     """Return the models of a type; for a tagged union, the one the value names."""
     kinds = (
         get_args(member)[0] if get_origin(member) is Annotated else member
-        for member in _alternatives(annotation)
+        for member in _union_members(annotation)
     )
     models = [
         kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)
@@ -91,7 +91,7 @@ def placeholder_of(annotation: Any) -> Any:
     models = models_of(annotation)
     if models:
         return _empty_values(min(models, key=lambda model: len(model.model_fields)))
-    first_type = _alternatives(annotation)[0]
+    first_type = _union_members(annotation)[0]
     if get_origin(first_type) is Annotated:
         return placeholder_of(first_type)
     if get_origin(first_type) is Literal:
@@ -111,12 +111,12 @@ def takes_no_text(annotation: Any) -> bool:
     """
     kinds = [
         get_args(member)[0] if get_origin(member) is Annotated else member
-        for member in _alternatives(annotation)
+        for member in _union_members(annotation)
     ]
     return all(kind in {float, int, bool} for kind in kinds)
 
 
-def replaced(value: Any, location: Location, new: Any) -> None:
+def with_value_at(value: Any, location: Location, new: Any) -> None:
     """Return a copy with a value replaced at a location."""
     *parents, last_step = location
     for step in parents:
@@ -145,13 +145,13 @@ def _selects_model(model: type[BaseModel], node: Any) -> bool:
     return node.get("type") in get_args(kinds.annotation)
 
 
-def annotation_inside(annotation: Any, node: Any, step: str | int) -> Any:
+def inner_annotation(annotation: Any, node: Any, step: str | int) -> Any:
     """Return the type one step into a type."""
     for model in models_of(annotation, node):
         field = fields_of(model).get(str(step))
         if field is not None:
             return annotation_of(field)
-    for member in _alternatives(annotation):
+    for member in _union_members(annotation):
         if get_origin(member) is Annotated:
             member = get_args(member)[0]  # noqa: PLW2901
         if get_origin(member) is list and isinstance(step, int):
@@ -161,7 +161,7 @@ def annotation_inside(annotation: Any, node: Any, step: str | int) -> Any:
     return None
 
 
-def _alternatives(annotation: Any) -> list[Any]:
+def _union_members(annotation: Any) -> list[Any]:
     """Return the members of a union, or the type itself."""
     inner_type = annotation
     if get_origin(inner_type) is Annotated:
@@ -170,7 +170,7 @@ def _alternatives(annotation: Any) -> list[Any]:
         alternatives = [
             member
             for argument in get_args(inner_type)
-            for member in _alternatives(argument)
+            for member in _union_members(argument)
         ]
         return [member for member in alternatives if member is not NoneType]
     return [annotation]

@@ -37,7 +37,7 @@ def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
     return path
 
 
-def referred(
+def resolve_reference(
     document: Document,
     location: Location,
     name: str,
@@ -95,7 +95,7 @@ def missing_hint(document: Document, name: str) -> str | None:
     return unexpanded_hint(name) or nearest_file(Path(name), document.path.parent)
 
 
-def referred_input(
+def resolve_input(
     document: Document,
     location: Location,
     name: str,
@@ -109,7 +109,7 @@ def referred_input(
         name: The reference as written.
         roots: Folders that references may lead into.
     """
-    path = referred(document, location, name, roots)
+    path = resolve_reference(document, location, name, roots)
     if path is not None and not exists(path):
         message = f"{name!r} does not exist"
         document.add("DOC015", location, message, missing_hint(document, name))

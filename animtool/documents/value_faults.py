@@ -12,9 +12,9 @@ from animtool.documents.other_words import OTHER_VALUES
 from animtool.documents.yaml_values import flow_value, plain_scalar
 
 # Larger bounds are general limits, not the key's.
-LARGE = 1e9
+LARGE_NUMBER = 1e9
 # A bound at most this small is how "above 0" is checked.
-SMALL = 1e-30
+SMALL_NUMBER = 1e-30
 # Faults of numbers out of range: the key of the bound, and what the number is.
 _BOUNDS = {
     "less_than_equal": ("le", "above the maximum of {}"),
@@ -43,20 +43,20 @@ _EXPECTED_NOUNS = {
 
 
 # Faults of values of the right type: what else a union takes was not meant.
-_SIZES = {"too_short", "too_long"}
-_FIT_PRIORITY = (_SIZES, _BOUNDS.keys())
+_LENGTH_FAULTS = {"too_short", "too_long"}
+_FIT_PRIORITY = (_LENGTH_FAULTS, _BOUNDS.keys())
 # Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}
 _LONGEST_NUMBER = 40
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))\s*([A-Za-z%°]+)")
-_SECONDS = {"s": 1, "sec": 1, "m": 60, "min": 60, "h": 3600}
-_SWITCHES = {
+_SECONDS_PER_UNIT = {"s": 1, "sec": 1, "m": 60, "min": 60, "h": 3600}
+_BOOLEAN_WORDS = {
     **dict.fromkeys(("yes", "on", "y", "1", "true"), "true"),
     **dict.fromkeys(("no", "off", "n", "0", "false"), "false"),
 }
 
 
-def fitting(faults: Sequence[Any]) -> list[Any]:
+def likely_faults(faults: Sequence[Any]) -> list[Any]:
     """Return the faults of the union member that was most likely intended."""
     for kinds in _FIT_PRIORITY:
         meant = [fault for fault in faults if fault["type"] in kinds]
@@ -67,21 +67,21 @@ def fitting(faults: Sequence[Any]) -> list[Any]:
 
 def expected_structures(faults: Sequence[Any]) -> set[str]:
     """Return which of a list and a mapping the faults ask for."""
-    meant = fitting(faults)
+    meant = likely_faults(faults)
     kinds = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in meant}
-    if any(fault["type"] in _SIZES for fault in meant):
+    if any(fault["type"] in _LENGTH_FAULTS for fault in meant):
         kinds.add("a list")
     return kinds & _STRUCTURES
 
 
-def is_angles(faults: Sequence[Any]) -> bool:
+def is_euler_angles(faults: Sequence[Any]) -> bool:
     """Return whether a value has three numbers where a quaternion is needed."""
     value = faults[0]["input"]
-    least = {fault.get("ctx", {}).get("min_length") for fault in fitting(faults)}
+    least = {fault.get("ctx", {}).get("min_length") for fault in likely_faults(faults)}
     return isinstance(value, list) and len(value) == 3 and least == {4}
 
 
-def type_fault(faults: Iterable[Any]) -> bool:
+def is_type_fault(faults: Iterable[Any]) -> bool:
     """Return whether a value has the wrong type, and not another fault."""
     return any(fault["type"] in _EXPECTED_NOUNS for fault in faults)
 
@@ -90,7 +90,7 @@ def values_message(faults: Sequence[Any]) -> str:
     """Return the message of all faults of a value."""
     if len(faults) > 1 and faults[0]["input"] is None:
         return "the value is missing"
-    return _either(dict.fromkeys(map(_value_message, fitting(faults))))
+    return _join_messages(dict.fromkeys(map(_value_message, likely_faults(faults))))
 
 
 def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
@@ -100,7 +100,7 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     if kinds & {"a number", "a whole number"}:
         return number_hint(key, value)
     if "true or false" in kinds:
-        switch = _SWITCHES.get(str(value).lower())
+        switch = _BOOLEAN_WORDS.get(str(value).lower())
         return switch and f"write {switch}"
     return _choice_hint(faults)
 
@@ -124,8 +124,8 @@ def _unit_hint(key: str | int, number: float, unit: str) -> str:
     """Return a hint for a number with a unit."""
     if key == "t":
         return "times of keys are frames, without a unit"
-    if key == "seconds" and unit in _SECONDS:
-        return f"write {number * _SECONDS[unit]:g}, in seconds"
+    if key == "seconds" and unit in _SECONDS_PER_UNIT:
+        return f"write {number * _SECONDS_PER_UNIT[unit]:g}, in seconds"
     return f"write {number:g}, without a unit"
 
 
@@ -133,10 +133,10 @@ def _missing_message(last: int | str, value: Any) -> str:
     """Return a message for a missing key or list item."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
-    return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
+    return f"{counted(len(value), 'item')} where {_count_phrase(last + 1)} needed"
 
 
-def _either(texts: Iterable[str]) -> str:
+def _join_messages(texts: Iterable[str]) -> str:
     """Join the messages of a union's members into one."""
     first, *others = texts
     start, negation, _ = first.partition(" is not ")
@@ -151,7 +151,7 @@ def _either(texts: Iterable[str]) -> str:
 
 
 # Faults of values outside an enumeration.
-_CHOICES = {"literal_error", "enum", "union_tag_invalid"}
+_CHOICE_FAULTS = {"literal_error", "enum", "union_tag_invalid"}
 
 
 def _value_message(fault: Any) -> str:
@@ -161,12 +161,12 @@ def _value_message(fault: Any) -> str:
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(value, str) else "item"
-        return f"{counted(len(value), noun)} where {_are(length)} needed"
+        return f"{counted(len(value), noun)} where {_count_phrase(length)} needed"
     if kind == "missing":
         return _missing_message(fault["loc"][-1], value)
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
-    if kind in _CHOICES:
+    if kind in _CHOICE_FAULTS:
         allowed = context.get("expected", context.get("expected_tags"))
         tag = excerpt(str(context["tag"])) if "tag" in context else value_text
         return f"{tag} is not one of {allowed}"
@@ -182,9 +182,9 @@ def _value_fault(value_text: str, fault: Any) -> str:
         return f"unknown key {excerpt(str(fault['loc'][-1]))}"
     key, side = _BOUNDS.get(kind, ("", ""))
     bound = context.get(key)
-    if bound is not None and abs(bound) >= LARGE:
+    if bound is not None and abs(bound) >= LARGE_NUMBER:
         return f"{value_text} is beyond {bound:g}"
-    if bound is not None and 0 < bound <= SMALL:
+    if bound is not None and 0 < bound <= SMALL_NUMBER:
         is_positive = fault["input"] > 0
         return (
             f"{value_text} is below {bound:g}"
@@ -204,7 +204,7 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
         context = fault.get("ctx", {})
         value = context.get("tag", fault["input"])
         allowed = context.get("expected", context.get("expected_tags"))
-        if fault["type"] in _CHOICES and isinstance(value, str):
+        if fault["type"] in _CHOICE_FAULTS and isinstance(value, str):
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"
@@ -226,7 +226,7 @@ def _is_repeated(value: str, names: Sequence[str]) -> bool:
     return is_order and "XYZ" in names and len(set(value.upper())) < len(value)
 
 
-def _are(count: int) -> str:
+def _count_phrase(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 

@@ -18,21 +18,21 @@ from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
     annotation_at,
     placeholder_of,
-    replaced,
     takes_no_text,
+    with_value_at,
 )
 from animtool.documents.yaml_values import plain_scalar
 
 # Key of the variables' default values.
-DEFAULTS = "variables"
+DEFAULTS_KEY = "variables"
 # Key of a document's output.
-OUTPUT = "output"
+OUTPUT_KEY = "output"
 # First and last key of output paths.
-WRITTEN = frozenset({(OUTPUT, "file"), ("passes", "save")})
+OUTPUT_PATH_KEYS = frozenset({(OUTPUT_KEY, "file"), ("passes", "save")})
 # Longest text [character]: longer than any path or number.
-LONGEST = 10_000
+MAX_TEXT_LENGTH = 10_000
 # `$$` is an escaped dollar.
-_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
+_VARIABLE_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Variables:
 
     names: frozenset[str] = frozenset()  # variables it uses or defines
     # Variables with a value that no text uses.
-    idle: frozenset[str] = frozenset()
+    unused: frozenset[str] = frozenset()
     # Variables that affect more than the key ``output``.
     effective: frozenset[str] = frozenset()
 
@@ -80,9 +80,9 @@ def resolve_variables(
     resolver = _Resolver(document, model, dict(variables), parts=set(parts))
     resolver.defaults()
     for location, text in list(_texts(document.value, ())):
-        if location[0] != DEFAULTS:
+        if location[0] != DEFAULTS_KEY:
             resolver.put(location, text)
-    with_default = frozenset(resolver.with_default)
+    with_default = frozenset(resolver.defined)
     used_names = frozenset().union(*resolver.uses.values())
     return Variables(
         with_default | used_names, with_default - used_names, resolver.effective()
@@ -90,7 +90,7 @@ def resolve_variables(
 
 
 # JSON Schema of a variable: text that becomes another type.
-_TEXT = {"type": "string", "pattern": rf"\$\{{{VARIABLE_NAME}\}}"}
+_VARIABLE_TEXT = {"type": "string", "pattern": rf"\$\{{{VARIABLE_NAME}\}}"}
 # Schema keywords that describe a value's type, not its meaning.
 _TYPE_KEYWORDS = frozenset(
     {"type", "enum", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
@@ -108,13 +108,13 @@ def with_variables(schema: Any) -> Any:
     if not isinstance(schema, dict):
         return schema
     extended_schema = {key: _inner_schema(key, value) for key, value in schema.items()}
-    if "anyOf" not in schema and _is_other(schema):
+    if "anyOf" not in schema and _excludes_text(schema):
         type_keywords = {
             key: extended_schema.pop(key)
             for key in list(extended_schema)
             if key in _TYPE_KEYWORDS
         }
-        extended_schema["anyOf"] = [type_keywords, _TEXT]
+        extended_schema["anyOf"] = [type_keywords, _VARIABLE_TEXT]
     return extended_schema
 
 
@@ -124,7 +124,7 @@ def _inner_schema(key: str, value: Any) -> Any:
     return value if key in {"default", "examples"} else with_variables(value)
 
 
-def _is_other(schema: dict[str, Any]) -> bool:
+def _excludes_text(schema: dict[str, Any]) -> bool:
     """Return whether a schema excludes text."""
     return "enum" in schema or schema.get("type") in {"number", "integer", "boolean"}
 
@@ -150,7 +150,7 @@ class _Resolver:
     model: type[BaseModel]  # expected model
     values: dict[str, str]  # known variables and their values
     # Variables with a value in the document.
-    with_default: set[str] = field(default_factory=set)
+    defined: set[str] = field(default_factory=set)
     # Variables used by texts, by key of the document; inside the values of variables
     # also by the variable's name.
     uses: dict[Location, set[str]] = field(default_factory=dict)
@@ -161,17 +161,17 @@ class _Resolver:
 
     def defaults(self) -> None:
         """Read the document's default values; each may use earlier ones."""
-        default_values = self.document.value.get(DEFAULTS)
+        default_values = self.document.value.get(DEFAULTS_KEY)
         for name, value in (
             default_values if isinstance(default_values, dict) else {}
         ).items():
-            location = (DEFAULTS, name)
+            location = (DEFAULTS_KEY, name)
             if not is_variable_name(name):
                 message = f"{name!r} is not a valid variable name"
                 hint = "use letters, digits and _, and do not start with a digit"
                 self.document.add("SCN032", location, message, hint)
                 continue
-            self.with_default.add(name)
+            self.defined.add(name)
             if name in self.values:
                 continue
             written_values = self.document.written(location)
@@ -190,20 +190,23 @@ class _Resolver:
         output_only = {
             name
             for key, names in self.uses.items()
-            if key[0] not in {DEFAULTS, OUTPUT}
+            if key[0] not in {DEFAULTS_KEY, OUTPUT_KEY}
             for name in names
         }
         used_names: set[str] = set()
         while output_only:
             name = output_only.pop()
             used_names.add(name)
-            output_only |= self.uses.get((DEFAULTS, name), set()) - used_names
+            output_only |= self.uses.get((DEFAULTS_KEY, name), set()) - used_names
         return frozenset(used_names)
 
     def put(self, location: Location, text: str) -> None:
         """Substitute variables in one text of the document."""
         resolved_text = self.resolved(location, text)
-        if resolved_text is not None and (location[0], location[-1]) in WRITTEN:
+        if (
+            resolved_text is not None
+            and (location[0], location[-1]) in OUTPUT_PATH_KEYS
+        ):
             resolved_text = self.output_name(location, text, resolved_text)
         value: Any = resolved_text
         if resolved_text is not None and self.is_typed(location, text):
@@ -216,13 +219,15 @@ class _Resolver:
             annotation = annotation_at(self.model, self.document.value, location)
             value = placeholder_of(annotation)
             self.document.doubts.add(location)
-        replaced(self.document.value, location, value)
+        with_value_at(self.document.value, location, value)
 
     def output_name(self, location: Location, text: str, spelling: str) -> str | None:
         """Return an output's name; None and a fault if it is unsafe."""
         for component in text.split("/"):
             used_names = {
-                match["name"] for match in _USE.finditer(component) if match["name"]
+                match["name"]
+                for match in _VARIABLE_USE.finditer(component)
+                if match["name"]
             }
             if not used_names & self.parts:
                 continue
@@ -242,7 +247,7 @@ class _Resolver:
         """
         if self.document.written(location) is not None:
             return True
-        use = _USE.fullmatch(text)
+        use = _VARIABLE_USE.fullmatch(text)
         if use is None or not use["name"]:
             return False
         kind = annotation_at(self.model, self.document.value, location)
@@ -252,11 +257,11 @@ class _Resolver:
         """Return a text with its variables substituted; None on a fault."""
         pieces: list[str] = []
         complete, end, length = True, 0, 0
-        for use in _USE.finditer(text):
+        for use in _VARIABLE_USE.finditer(text):
             piece = self._value(location, use)
             length += len(piece or "")
-            if length > LONGEST:
-                message = f"variables expand to more than {LONGEST} characters"
+            if length > MAX_TEXT_LENGTH:
+                message = f"variables expand to more than {MAX_TEXT_LENGTH} characters"
                 self.document.add("DOC025", location, message)
                 return None
             complete &= piece is not None
@@ -274,11 +279,11 @@ class _Resolver:
             hint = "write ${name}, or $${ for the literal characters"
             self.document.add("SCN032", location, message, hint)
             return None
-        key = location[:2] if location[0] == DEFAULTS else location[:1]
+        key = location[:2] if location[0] == DEFAULTS_KEY else location[:1]
         self.uses.setdefault(key, set()).add(name)
         if name not in self.values and name not in self.faulty:
             message = f"unknown variable {name!r}"
-            hint = f"give it a value under {DEFAULTS}:"
+            hint = f"give it a value under {DEFAULTS_KEY}:"
             hint += clause(f", or with {argument('set', f'{name}=VALUE')}")
             similar_names = most_similar(name, sorted(self.values))
             hint = f"did you mean {similar_names!r}?" if similar_names else hint

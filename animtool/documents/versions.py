@@ -12,14 +12,14 @@ from animtool.core.names import FILE_KINDS
 from animtool.documents.document import Document, Location, kind_named
 
 # A step converts a file's values to the next version.
-Step = Callable[[dict[str, Any]], dict[str, Any]]
-Steps = Mapping[int, Step]
+MigrationStep = Callable[[dict[str, Any]], dict[str, Any]]
+MigrationSteps = Mapping[int, MigrationStep]
 
 # Migration steps by kind and source version.
-STEPS: dict[str, dict[int, Step]] = {kind: {} for kind in FILE_KINDS}
+MIGRATION_STEPS: dict[str, dict[int, MigrationStep]] = {kind: {} for kind in FILE_KINDS}
 # Keys renamed within a version, by kind and location; None is any entry of a list. The
 # old name is still read.
-RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
+RENAMED_KEYS: dict[str, dict[tuple[str | None, ...], str]] = {
     "scene": {
         ("beside",): "props",
         ("passes", None, "simulate", "colliders"): "capsules",
@@ -29,11 +29,11 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
     },
 }
 # Reused names: an old name only if its value has this type.
-_OF_TYPE: dict[tuple[str | None, ...], type] = {
+_OLD_KEY_TYPES: dict[tuple[str | None, ...], type] = {
     ("passes", None, "simulate", "colliders"): bool,
 }
 # Hints for files passed instead of a clip, by their kind.
-_INSTEAD = {
+_WRONG_KIND_HINTS = {
     "rig": ": a clip holds motion for it; animtool validate checks it, animtool "
     "convert writes it as USD",
     "targets": ": animtool ik solves it to a clip",
@@ -44,7 +44,7 @@ _INSTEAD = {
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
 
 
-def newest(steps: Steps) -> int:
+def newest(steps: MigrationSteps) -> int:
     """Return the newest version of a format.
 
     >>> newest({}), newest({1: dict, 2: dict})
@@ -60,9 +60,9 @@ def new_key(kind: str, location: Location, value: object) -> str | None:
     'max_particles'
     """
     steps = tuple(step if isinstance(step, str) else None for step in location)
-    if not isinstance(value, _OF_TYPE.get(steps, object)):
+    if not isinstance(value, _OLD_KEY_TYPES.get(steps, object)):
         return None
-    return RENAMED.get(kind, {}).get(steps)
+    return RENAMED_KEYS.get(kind, {}).get(steps)
 
 
 def renamed_keys(
@@ -79,7 +79,9 @@ def renamed_keys(
 
 
 def version_of(
-    document: Document, table: Mapping[str, Steps] = STEPS, kind: str | None = None
+    document: Document,
+    table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
+    kind: str | None = None,
 ) -> tuple[str, int]:
     """Return kind and version of a document.
 
@@ -96,7 +98,7 @@ def version_of(
     if kind is None and path_kind in table and path_kind not in kinds_in_file:
         kind = path_kind
     named_kind = kind or next((name for name in kinds_in_file if name in table), "")
-    if named_kind not in kinds_in_file or _of_another_kind(
+    if named_kind not in kinds_in_file or _is_other_kind(
         document, named_kind, kinds_in_file[0]
     ):
         other = format_mismatch("DOC009", document.path, DOCUMENT)
@@ -110,7 +112,9 @@ def version_of(
         if kinds_in_file and not names_rig:
             message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {kinds_in_file[0]} file"
-            hint += _INSTEAD.get(kinds_in_file[0], "") if kind == "clip" else ""
+            hint += (
+                _WRONG_KIND_HINTS.get(kinds_in_file[0], "") if kind == "clip" else ""
+            )
         document.add("DOC009", (), message, hint)
         document.check()
     newest_version, file_version = newest(table[named_kind]), document.value[named_kind]
@@ -137,7 +141,7 @@ def version_of(
     raise AssertionError(file_version)
 
 
-def _of_another_kind(document: Document, kind: str, first: str) -> bool:
+def _is_other_kind(document: Document, kind: str, first: str) -> bool:
     """Return whether a file of another kind refers to a file of this one."""
     version_text = document.value[kind]
     is_version = isinstance(version_text, str) and version_text.startswith("animtool/")

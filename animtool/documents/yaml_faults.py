@@ -49,14 +49,14 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     """
     lines = text.splitlines() or [""]
     return (
-        _tab(lines, line)
+        _tab_fault(lines, line)
         or find_slip(text, line)
-        or _no_colon(lines, problem, line)
+        or _missing_colon_fault(lines, problem, line)
         or _scanner_fault(lines, problem, line, column)
     )
 
 
-def _tab(lines: list[str], line: int) -> YamlFault | None:
+def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
     """Return the fault of a tab before the scanner's position, often a line later."""
     for number in (line, line - 1):
         source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
@@ -67,7 +67,7 @@ def _tab(lines: list[str], line: int) -> YamlFault | None:
     return None
 
 
-def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
+def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault | None:
     """Return the fault of a key without a colon above the scanner's position."""
     line_text = lines[min(line, len(lines)) - 1]
     line_before = _line_above(lines, line)
@@ -76,7 +76,7 @@ def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
         "could not find expected ':'" in problem
         or (
             "mapping values" in problem
-            and _indent(line_text) >= _indent(lines[line_before - 1])
+            and _indent_width(line_text) >= _indent_width(lines[line_before - 1])
         )
     ):
         return None
@@ -93,9 +93,11 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
             lines[min(line, len(lines)) - 1],
             _line_above(lines, line),
         )
-        if line_before and _indent(line_text) > _indent(lines[line_before - 1]):
+        if line_before and _indent_width(line_text) > _indent_width(
+            lines[line_before - 1]
+        ):
             message = f"line {line} is indented further than line {line_before}"
-            hint = f"start it in column {_indent(lines[line_before - 1]) + 1}"
+            hint = f"start it in column {_indent_width(lines[line_before - 1]) + 1}"
             return YamlFault(message, hint, line, column)
         hint = "put the value in quotes"
         return YamlFault("a value contains ': '", hint, line, column)
@@ -111,9 +113,9 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
 def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
     """Return the fault of a line whose indentation matches no line above it."""
     line_text = lines[min(line, len(lines)) - 1]
-    indent, is_entry = _indent(line_text), line_text.lstrip().startswith("-")
+    indent, is_entry = _indent_width(line_text), line_text.lstrip().startswith("-")
     indents = [
-        _indent(text)
+        _indent_width(text)
         for text in lines[: line - 1]
         if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
@@ -144,5 +146,5 @@ def _line_above(lines: list[str], line: int) -> int:
     return 0
 
 
-def _indent(line: str) -> int:
+def _indent_width(line: str) -> int:
     return len(line) - len(line.lstrip(" "))

@@ -10,8 +10,8 @@ import re
 from typing import NamedTuple
 
 # Characters that are read within about half a second.
-MAX_SCANNED = 1_000_000
-_CLOSER = {"[": "]", "{": "}"}
+MAX_SCANNED_CHARACTERS = 1_000_000
+_CLOSING_BRACKETS = {"[": "]", "{": "}"}
 _KEY = r"[A-Za-z_][\w.]*"
 _BLOCK_TEXT = re.compile(r"(?:: |- |^)[|>][-+0-9]*\s*(?:#.*)?$")
 _ENTRY = re.compile(rf"- |{_KEY}:(?:\s|$)")
@@ -44,12 +44,12 @@ def find_slip(text: str, stop: int) -> YamlFault | None:
     >>> find_slip("a: {stem}.usdc\n", 1)[:2]
     ('a value that starts with { is a mapping', 'put it in quotes: "{stem}.usdc"')
     """
-    if len(text) > MAX_SCANNED:
+    if len(text) > MAX_SCANNED_CHARACTERS:
         return None
-    return _Slips(text.splitlines(), stop).find()
+    return _SlipFinder(text.splitlines(), stop).find()
 
 
-class _Slips:
+class _SlipFinder:
     """Reads lines as the scanner does, with the brackets that are open."""
 
     def __init__(self, lines: list[str], stop: int) -> None:
@@ -70,7 +70,7 @@ class _Slips:
             if text_indent is not None and (indent > text_indent or not line.strip()):
                 continue
             text_indent = None
-            slip = self._line_start(indent) or self._rest(indent)
+            slip = self._line_start(indent) or self._slip_after_indent(indent)
             if slip is not None:
                 return slip
             if not self.open and not self.quote and _BLOCK_TEXT.search(line):
@@ -80,7 +80,7 @@ class _Slips:
             hint = f"close it with {quote} on the same line"
             return YamlFault("a quote is not closed", hint, opened, column)
         if self.open and self.stop >= len(self.lines):
-            return self._unclosed(len(self.lines))
+            return self._unclosed_fault(len(self.lines))
         return None
 
     def _slip(self, message: str, hint: str, at: int) -> YamlFault:
@@ -98,13 +98,13 @@ class _Slips:
             return self._slip("no space after '-'", hint, indent)
         key = _TIGHT_KEY.fullmatch(rest.split(" #")[0].rstrip())
         if key and self._is_last():
-            return self._tight(key[1], key[2], indent + key.start(1))
+            return self._tight_fault(key[1], key[2], indent + key.start(1))
         return None
 
     def _line_inside(self, rest: str, indent: int) -> YamlFault | None:
         """Return the slip before a line that starts within brackets."""
         if indent <= self.open[0][3] and _ENTRY.match(rest):
-            return self._unclosed(self.number - 1)
+            return self._unclosed_fault(self.number - 1)
         line_above = self.number - 1
         before = re.sub(r"\s#.*", "", self.lines[line_above - 1]).rstrip()
         is_key = self.open[-1][0] == "{" and _FLOW_KEY.match(rest)
@@ -118,24 +118,24 @@ class _Slips:
         between = self.lines[self.number : self.stop - 1]
         return not any(line.split("#")[0].strip() for line in between)
 
-    def _tight(self, key: str, value: str, at: int) -> YamlFault:
+    def _tight_fault(self, key: str, value: str, at: int) -> YamlFault:
         short = value if len(value) <= 20 else value[:20] + "…"
         return self._slip(f"no space after '{key}:'", f"write '{key}: {short}'", at)
 
-    def _unclosed(self, line: int) -> YamlFault:
+    def _unclosed_fault(self, line: int) -> YamlFault:
         """Return the fault of the innermost bracket that is open at a line's end."""
         bracket, start, column, _ = self.open[-1]
         while line > start and not self.lines[line - 1].split("#")[0].strip():
             line -= 1
         end = "this line" if line == start else f"line {line}"
-        closers = "".join(_CLOSER[each[0]] for each in reversed(self.open))
+        closers = "".join(_CLOSING_BRACKETS[each[0]] for each in reversed(self.open))
         hint = f"add '{closers}' at the end of {end}"
         return YamlFault(f"'{bracket}' is not closed", hint, start, column)
 
-    def _rest(self, indent: int) -> YamlFault | None:
+    def _slip_after_indent(self, indent: int) -> YamlFault | None:
         """Return the first mistake in a line; update the open brackets and quotes."""
         line = self.line
-        at = self._quoted(0) if self.quote else 0
+        at = self._quoted_end(0) if self.quote else 0
         fresh = True  # whether a value may start
         while at < len(line):
             letter = line[at]
@@ -144,23 +144,23 @@ class _Slips:
             if letter in " \t":
                 at += 1
                 continue
-            slip = self._no_comma(letter)
+            slip = self._missing_comma_fault(letter)
             if slip is not None:
                 return slip
             if letter in "[{" and (fresh or self.open):
                 self.open.append((letter, self.number, at + 1, indent))
                 fresh, at = True, at + 1
             elif letter in "]}" and self.open:
-                slip = self._closing(letter, at)
+                slip = self._close_bracket(letter, at)
                 fresh, at = False, at + 1
                 self.ended = (self.number, at, letter) if self.open else None
             elif letter in "\"'" and fresh:
-                start, at = at, self._quoted(at)
-                fresh, slip = False, self._after_quote(start, at)
+                start, at = at, self._quoted_end(at)
+                fresh, slip = False, self._after_quote_fault(start, at)
             elif fresh and _RESERVED_CHARACTER.match(line[at:]):
-                slip = self._reserved(at)
+                slip = self._reserved_fault(at)
             else:
-                slip = self._flow_key(at) if fresh and self.open else None
+                slip = self._flow_key_slip(at) if fresh and self.open else None
                 fresh = bool(self.open and letter == ",")
                 fresh = fresh or line[at : at + 2] in {": ", "- ", ":"}
                 at += 1
@@ -168,7 +168,7 @@ class _Slips:
                 return slip
         return None
 
-    def _no_comma(self, letter: str) -> YamlFault | None:
+    def _missing_comma_fault(self, letter: str) -> YamlFault | None:
         """Return the fault of a value that starts right after another."""
         if self.ended is None:
             return None
@@ -179,7 +179,7 @@ class _Slips:
         message, hint = f"no comma after '{last}'", f"write '{last},'"
         return YamlFault(message, hint, line, column)
 
-    def _quoted(self, at: int) -> int:
+    def _quoted_end(self, at: int) -> int:
         """Return the end of a quoted text; note one that does not end here."""
         if self.quote:
             quote, start = self.quote[0], at
@@ -195,10 +195,10 @@ class _Slips:
             self.ended = self.number, match.end(), quote
         return match.end()
 
-    def _closing(self, letter: str, at: int) -> YamlFault | None:
+    def _close_bracket(self, letter: str, at: int) -> YamlFault | None:
         bracket, line, column, _ = self.open[-1]
-        if letter != _CLOSER[bracket]:
-            closer = _CLOSER[bracket]
+        if letter != _CLOSING_BRACKETS[bracket]:
+            closer = _CLOSING_BRACKETS[bracket]
             place = "this line" if line == self.number else f"line {line}"
             message = f"'{bracket}' in column {column} of {place} is not closed"
             return self._slip(message, f"add '{closer}' before this '{letter}'", at)
@@ -215,10 +215,10 @@ class _Slips:
             return self._slip(message, f"{hint}, or put all in quotes", at + 1)
         name = "mapping" if bracket == "{" else "list"
         message = f"a value that starts with {bracket} is a {name}"
-        hint = f'put it in quotes: "{self._scalar(column - 1)}"'
+        hint = f'put it in quotes: "{self._scalar_text(column - 1)}"'
         return self._slip(message, hint, column - 1)
 
-    def _scalar(self, at: int) -> str:
+    def _scalar_text(self, at: int) -> str:
         """Return the text from a column to the likely end of its value."""
         rest = re.sub(r"\s+#.*", "", self.line[at:]).rstrip()
         if not self.open:
@@ -230,30 +230,30 @@ class _Slips:
                 return rest[:i].rstrip()
         return rest
 
-    def _after_quote(self, start: int, at: int) -> YamlFault | None:
+    def _after_quote_fault(self, start: int, at: int) -> YamlFault | None:
         """Return the fault of text that continues after a quote."""
         rest = self.line[at:]
         if self.quote or _AFTER_VALUE.match(rest) or rest.lstrip()[:1] in "\"'[{":
             return None
-        value = self._scalar(start)
+        value = self._scalar_text(start)
         hint = "put all of the value in quotes"
         if "'" not in value:
             hint = f"put all of it in single quotes: '{value}'"
         message = "text follows the closing quote"
         return self._slip(message, hint, at + len(rest) - len(rest.lstrip()))
 
-    def _reserved(self, at: int) -> YamlFault:
+    def _reserved_fault(self, at: int) -> YamlFault:
         message = f"a value cannot start with '{self.line[at]}'"
-        hint = f'put it in quotes: "{self._scalar(at)}"'
+        hint = f'put it in quotes: "{self._scalar_text(at)}"'
         return self._slip(message, hint, at)
 
-    def _flow_key(self, at: int) -> YamlFault | None:
+    def _flow_key_slip(self, at: int) -> YamlFault | None:
         """Return the slip in a key or a value within brackets."""
         rest = self.line[at:]
         tight = re.match(rf"({_KEY}):(?![\s/\\])([^,\]}}]+[\]}}]?)", rest)
         is_key = self.open[-1][0] == "{" and re.search(r"[{,]\s*$", self.line[:at])
         if tight and is_key:
-            return self._tight(tight[1], tight[2], at)
+            return self._tight_fault(tight[1], tight[2], at)
         text = _FLOW_TEXT.match(rest)
         lost = re.search(rf"\s({_KEY}):(?:\s|$)", rest)
         if text and lost and lost.start() < text.end():

@@ -10,7 +10,7 @@ import yaml
 
 from animtool.documents.yaml_values import masked_variables, plain_scalar
 
-WIDTH = 88
+LINE_WIDTH = 88
 
 
 class _Dumper(yaml.SafeDumper):
@@ -54,7 +54,7 @@ def yaml_text(value: dict[str, Any]) -> str:
         default_flow_style=None,
         allow_unicode=True,
         sort_keys=False,
-        width=WIDTH,
+        width=LINE_WIDTH,
     )
     return text
 
@@ -66,7 +66,7 @@ def flow_text(key: str, value: Any) -> str:
     'keys: [{t: 1, v: 0.5}]'
     """
     text: str = yaml.dump(
-        {key: _with_integers(value)},
+        {key: _integral_values(value)},
         Dumper=_Dumper,
         default_flow_style=True,
         allow_unicode=True,
@@ -76,12 +76,12 @@ def flow_text(key: str, value: Any) -> str:
     return text.strip()
 
 
-def _with_integers(value: Any) -> Any:
+def _integral_values(value: Any) -> Any:
     """Return a value with integral floats as integers."""
     if isinstance(value, dict):
-        return {key: _with_integers(item) for key, item in value.items()}
+        return {key: _integral_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_with_integers(item) for item in value]
+        return [_integral_values(item) for item in value]
     is_integer = isinstance(value, float) and value.is_integer()
     return int(value) if is_integer and abs(value) < 1e15 else value
 

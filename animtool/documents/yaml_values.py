@@ -29,16 +29,16 @@ MAX_DEPTH = 50
 # 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6 million. Reading takes about
 # 1 s of CPU per 100,000.
 MAX_MARKS = 2_000_000
-_MARKS = ("\n", ",", ":", "[", "{", "- ", "? ")
+_NODE_MARKERS = ("\n", ",", ":", "[", "{", "- ", "? ")
 # Faults to collect before parsing stops.
 MAX_FAULTS = 200
 # Longest number: Python refuses longer ones, and no float has as many digits.
 MAX_DIGITS = 400
-LONGEST_HINT = 200
-LONGEST_NAME = 40
-LONGEST_KEY = 1000
+MAX_HINT_LENGTH = 200
+MAX_SHOWN_KEY_LENGTH = 40
+MAX_KEY_LENGTH = 1000
 # The key whose list is sometimes written as a mapping of times to values.
-TIMED = "keys"
+TIMED_KEY = "keys"
 # Suffixes of files with such text; files with other suffixes are likely of another
 # kind.
 SUFFIXES = (".yaml", ".yml", ".json")
@@ -48,10 +48,10 @@ _NUMBER = re.compile(
     r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
 )
-_BASES = {"octal": 8, "hexadecimal": 16}
+_INTEGER_BASES = {"octal": 8, "hexadecimal": 16}
 # A key that lacks a space: `{t:25}`.
 _TIGHT_KEY = re.compile(r"([A-Za-z_][\w.]*):([^\s/\\].*)")
-_NUMERIC = frozenset("+-.0123456789")
+_NUMBER_STARTS = frozenset("+-.0123456789")
 _CONSTANTS = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -61,14 +61,14 @@ _CONSTANTS = {
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
 # A surrogate pair, or any other escape, so that "\\\\ud83d" stays a backslash.
-_PAIRS = re.compile(
+_SURROGATE_PAIRS = re.compile(
     r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
 )
 # The braces of a variable would be YAML brackets. Private-use characters replace them
 # while YAML is parsed.
 _VARIABLE = re.compile(rf"\$\{{({VARIABLE_NAME})\}}")
-_MASK = {"{": "\ue07b", "}": "\ue07d"}
-_UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
+_BRACE_MASKS = {"{": "\ue07b", "}": "\ue07d"}
+_BRACE_UNMASKS = str.maketrans({mask: brace for brace, mask in _BRACE_MASKS.items()})
 
 
 class Marks(NamedTuple):
@@ -90,13 +90,13 @@ class ReadValues(NamedTuple):
 
 def read_values(text: str, path: Path) -> ReadValues:
     """Parse YAML or JSON text."""
-    marks = sum(map(text.count, _MARKS))
+    marks = sum(map(text.count, _NODE_MARKERS))
     if marks > MAX_MARKS:
         message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
         advice = "put arrays in npz files"
         raise FormatError(Fault("DOC024", message, str(path), (), advice))
     if path.suffix == ".json":
-        value = plain_json(text, MAX_DEPTH, LONGEST_KEY)
+        value = plain_json(text, MAX_DEPTH, MAX_KEY_LENGTH)
         if value is not None:
             return ReadValues(value, lambda: _read_yaml(text, path).marks())
     return _read_yaml(text, path)
@@ -104,7 +104,7 @@ def read_values(text: str, path: Path) -> ReadValues:
 
 def _read_yaml(text: str, path: Path) -> ReadValues:
     if path.suffix == ".json":
-        text = _PAIRS.sub(_yaml_escape, text)
+        text = _SURROGATE_PAIRS.sub(_yaml_escape, text)
         # Ends of lines in YAML, but letters like others in JSON's strings.
         for letter in "\x85\u2028\u2029":
             text = text.replace(letter, f"\\u{ord(letter):04x}")
@@ -127,7 +127,9 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
             fault = YamlFault(message, None, 1, 1)
             hint = f"name a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
-            fault = fault._replace(message="'${' without the name of a variable")
+            fault = fault._replace(
+                message="'${' without the name of a variable"
+            )
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
     except yaml.YAMLError as error:
@@ -146,19 +148,19 @@ def masked_variables(text: str) -> str:
     >>> len(masked_variables("{a: ${k}}"))
     9
     """
-    if any(mask in text for mask in _MASK.values()):
+    if any(mask in text for mask in _BRACE_MASKS.values()):
         return text
-    return _VARIABLE.sub(f"${_MASK['{']}\\1{_MASK['}']}", text)
+    return _VARIABLE.sub(f"${_BRACE_MASKS['{']}\\1{_BRACE_MASKS['}']}", text)
 
 
-def compose(text: str) -> Any:
+def compose_yaml(text: str) -> Any:
     """Return the outermost YAML node of a text, variables read as plain text."""
     root = yaml.compose(masked_variables(text), yaml.CSafeLoader)
     nodes = [root]
     while nodes:
         node = nodes.pop()
         if isinstance(node, yaml.ScalarNode):
-            node.value = node.value.translate(_UNMASK)
+            node.value = node.value.translate(_BRACE_UNMASKS)
         elif isinstance(node, yaml.MappingNode):
             nodes += [child for pair in node.value for child in pair]
         elif isinstance(node, yaml.SequenceNode):
@@ -192,13 +194,13 @@ def plain_scalar(text: str) -> Any:
     """
     if text in _CONSTANTS:
         return _CONSTANTS[text]
-    if text[0] not in _NUMERIC or not (match := _NUMBER.fullmatch(text)):
+    if text[0] not in _NUMBER_STARTS or not (match := _NUMBER.fullmatch(text)):
         return text
     if len(text) > MAX_DIGITS:
         raise OverflowError
     kind = match.lastgroup
     if kind is not None:
-        return int(match[kind], _BASES[kind])
+        return int(match[kind], _INTEGER_BASES[kind])
     return int(text) if match.lastindex is None else float(text)
 
 
@@ -238,14 +240,14 @@ class _YamlReader:
         is_masked = masked_text is not text
         parser = cast("Any", yaml.CSafeLoader(masked_text))
         root: list[Any] = []
-        stack: list[_Open] = [_Open(root)]
+        stack: list[_OpenCollection] = [_OpenCollection(root)]
         documents = 0
         while (event := parser.get_event()) is not None:
             kind = type(event)
             if kind is yaml.ScalarEvent:
                 position = self._node_position(event)
                 if is_masked:
-                    event.value = event.value.translate(_UNMASK)
+                    event.value = event.value.translate(_BRACE_UNMASKS)
                 unquoted = event.value if event.implicit[0] else ""
                 if unquoted:
                     self.unquoted[len(self.positions) - 1] = unquoted
@@ -255,10 +257,12 @@ class _YamlReader:
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > MAX_DEPTH:
                     self._stop("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
-                is_keys_value = stack[-1].key == TIMED
+                is_keys_value = stack[-1].key == TIMED_KEY
                 stack[-1].put(value, position, self)
                 flow = bool(event.flow_style)
-                stack.append(_Open(value, flow=flow, is_keys_value=is_keys_value))
+                stack.append(
+                    _OpenCollection(value, flow=flow, is_keys_value=is_keys_value)
+                )
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop().close(self)
             elif kind is yaml.AliasEvent:
@@ -310,7 +314,7 @@ class _YamlReader:
 
 
 @dataclass(slots=True)
-class _Open:
+class _OpenCollection:
     """A mapping or list that is still open."""
 
     value: Any  # content so far
@@ -343,7 +347,7 @@ class _Open:
             self.value[self.key] = value
             self.key = None
             if self.flow and (self.pieces or "(" in unquoted):
-                self._piece(value, position, reader, unquoted)
+                self._rejoin_piece(value, position, reader, unquoted)
             return
         if self.is_keys_value and type(value) in (int, float):
             self.times.append((value, position))
@@ -362,8 +366,8 @@ class _Open:
                 "DOC010", f"a key is {value_text}, not text", position, "quote it"
             )
             value = f"\0{position}"
-        elif len(value) > LONGEST_KEY:
-            message = f"a key of {len(value)} characters; the limit is {LONGEST_KEY}"
+        elif len(value) > MAX_KEY_LENGTH:
+            message = f"a key of {len(value)} characters; the limit is {MAX_KEY_LENGTH}"
             reader.fault("DOC025", message, position)
             value = f"\0{position}"
         elif "\n" in value or "\t" in value:
@@ -404,13 +408,13 @@ class _Open:
             for time, position in self.times
             for value in [self.value[f"\0{position}"]]
         ]
-        hint = f"write {TIMED}: {flow_value(entries)}"
-        if len(hint) > LONGEST_HINT:
-            hint = f"write {TIMED}: {flow_value(entries[:1])[:-1]}, …]"
-        message = f"a key is {self.times[0][0]!r}, not text: {TIMED} must be a list"
-        reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
+        hint = f"write {TIMED_KEY}: {flow_value(entries)}"
+        if len(hint) > MAX_HINT_LENGTH:
+            hint = f"write {TIMED_KEY}: {flow_value(entries[:1])[:-1]}, …]"
+        message = f"a key is {self.times[0][0]!r}, not text: {TIMED_KEY} must be a list"
+        reader.fault("DOC010", message, self.times[0][1], hint[:MAX_HINT_LENGTH])
 
-    def _piece(
+    def _rejoin_piece(
         self, value: Any, position: tuple[int, int], reader: _YamlReader, unquoted: str
     ) -> None:
         """Rejoin a text that commas split into a value and keys."""
@@ -423,12 +427,16 @@ class _Open:
             del reader.faults[self.faults :]
             message = f"{excerpt(self.pieces[0])} ends at a comma"
             hint = f'quote all of it: "{", ".join(self.pieces)}"'
-            reader.fault("DOC010", message, self.pieces_position, hint[:LONGEST_HINT])
+            reader.fault(
+                "DOC010", message, self.pieces_position, hint[:MAX_HINT_LENGTH]
+            )
             self.pieces = []
 
 
 def _shortened_name(name: str) -> str:
-    return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
+    return (
+        name if len(name) <= MAX_SHOWN_KEY_LENGTH else name[:MAX_SHOWN_KEY_LENGTH] + "…"
+    )
 
 
 def flow_value(value: Any) -> str:

@@ -17,7 +17,7 @@ from animtool.motion.take import Take
 # A sample within this distance of its curve, relative to the larger of 1 and its size,
 # is on the curve: more than the rounding of times in the millions, and a tenth of a
 # curve's tolerance [m], [rad], [1].
-ON_CURVE = 1e-10
+CURVE_TOLERANCE = 1e-10
 # Frames per block of the comparison.
 BLOCK_FRAMES = 512
 # Decimals to which times are rounded [frame]; this restores the decimals that users
@@ -28,7 +28,7 @@ CURVE_CHANNELS = ("translations", "rotations", "scales", "weights", "controls")
 
 
 @dataclass(frozen=True, slots=True)
-class Between:
+class TakeSampler:
     """A take that can be sampled at any time.
 
     A row is a joint, a shape or a control of a channel. If the take has a curve and all
@@ -46,7 +46,7 @@ class Between:
     curved: Mapping[str, BoolArray]
 
     @staticmethod
-    def of(take: Take) -> Between:
+    def of(take: Take) -> TakeSampler:
         """Return a take for sampling between frames; compares samples with its curve.
 
         >>> from fractions import Fraction
@@ -58,18 +58,18 @@ class Between:
         [True]
         """
         if take.curve is None:
-            return Between(take, {})
+            return TakeSampler(take, {})
         times, curved = take.clock.times, dict[str, BoolArray]()
         for start in range(0, len(times), BLOCK_FRAMES):
             part = slice(start, start + BLOCK_FRAMES)
             curve_values, samples = take.curve(times[part]), take.motion.select(part)
             for name in CURVE_CHANNELS:
-                is_equal = _same_rows(
+                is_equal = _equal_rows(
                     getattr(samples, name), getattr(curve_values, name)
                 )
                 if is_equal is not None:
                     curved[name] = curved.get(name, is_equal) & is_equal
-        return Between(take, {k: rows for k, rows in curved.items() if rows.any()})
+        return TakeSampler(take, {k: rows for k, rows in curved.items() if rows.any()})
 
     def at(
         self, at: FramePositions, *, smooth: bool = False, shared: bool = False
@@ -80,7 +80,7 @@ class Between:
         results have the same animated rows, as required for blocks of one motion.
         """
         motion = self.take.motion
-        interpolated = motion.map(at.blend)
+        interpolated = motion.map(at.interpolate)
         if smooth:
             scales = motion.scales
             interpolated = replace(
@@ -152,7 +152,7 @@ class Between:
         )
 
 
-def _same_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
+def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
     """Return which rows of two channels have equal values in all frames ``(J,)``.
 
     None if there is nothing to compare.
@@ -169,5 +169,5 @@ def _is_equal(a: FloatArray, b: FloatArray) -> BoolArray:
     """Return a mask of equal values ``(F, J, K)``: ``(F, J)``."""
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)
-    bound = ON_CURVE * np.maximum(1.0, np.abs(a).max(axis=-1))
+    bound = CURVE_TOLERANCE * np.maximum(1.0, np.abs(a).max(axis=-1))
     return np.asarray(np.abs(a - b).max(axis=-1) <= bound)

@@ -18,15 +18,15 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, listed
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.travel import even_positions
 from animtool.maths import additive, so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion
+from animtool.motion.reorient import place_motion
 from animtool.motion.take import Take
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -35,7 +35,7 @@ POSITIVE_DOT = 1e-12
 MAX_NAMED = 6
 
 
-def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
+def align_signs(motion: Motion, previous: FloatArray | None = None) -> Motion:
     """Return the motion with rotation signs continuous along its frames.
 
     ``previous``: last rotations before the motion ``(A, 4)``.
@@ -57,7 +57,7 @@ Operation: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Operations:
+class ChannelOperations:
     """The operation on each kind of channel; ``numbers`` for weights and controls."""
 
     translations: Operation
@@ -67,7 +67,7 @@ class Operations:
 
 
 @dataclass(frozen=True, slots=True)
-class Strength:
+class BlendStrength:
     """Weight of the second motion, and the joints it affects."""
 
     weights: FloatArray  # [1] ``(F,)``
@@ -130,7 +130,7 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         if placement is None:
             return motion
         rotations = motion.rotations
-        motion = placed_motion(motion, roots, placement)
+        motion = place_motion(motion, roots, placement)
         return replace(motion, rotations=rotations) if is_additive else motion
 
     matched_rig, curve = other.rig, other.curve
@@ -142,7 +142,7 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
             matched_rig, controls=tuple(matched_rig.controls[i] for i in controls)
         )
     if placement is not None:
-        matched_rig = placed_rig(matched_rig, placement, rig.up)
+        matched_rig = place_rig(matched_rig, placement, rig.up)
     return replace(
         other,
         rig=matched_rig,
@@ -172,7 +172,7 @@ def _ordered(channel: Channel | None, order: IntArray | None) -> Channel | None:
 
 
 def combine(
-    base: Motion, other: Motion, operations: Operations, strength: Strength
+    base: Motion, other: Motion, operations: ChannelOperations, strength: BlendStrength
 ) -> Motion:
     """Return the combination of two motions with the same frames and rig.
 
@@ -187,7 +187,7 @@ def combine(
             return _as_channel(a)
         if name == "controls" and (a is None or b is None):
             return _as_channel(a)
-        a, b = a or _neutral(b, 0.0), b or _neutral(a, 0.0)
+        a, b = a or _neutral_values(b, 0.0), b or _neutral_values(a, 0.0)
         if a.rest.shape != b.rest.shape:
             raise OptionError(
                 Fault("SCN017", f"one take has {len(a.rest)} {name}, the other "
@@ -197,8 +197,8 @@ def combine(
 
     scales = base.scales
     if base.scales is not None or other.scales is not None:
-        a = base.scales or _neutral(_not_none(other.scales), 1.0)
-        b = other.scales or _neutral(a, 1.0)
+        a = base.scales or _neutral_values(_require_channel(other.scales), 1.0)
+        b = other.scales or _neutral_values(a, 1.0)
         scales = _combine_channels(a, b, operations.scales, strength)
     return Motion(
         _combine_channels(
@@ -214,7 +214,7 @@ def combine(
     )
 
 
-def _not_none(channel: Channel | None) -> Channel:
+def _require_channel(channel: Channel | None) -> Channel:
     assert channel is not None
     return channel
 
@@ -223,12 +223,12 @@ def _as_channel(value: object) -> Channel | None:
     return value if isinstance(value, Channel) else None
 
 
-def _neutral(like: Channel, value: float) -> Channel:
+def _neutral_values(like: Channel, value: float) -> Channel:
     return Channel.static(np.full(like.rest.shape, value), len(like.values))
 
 
 def _combine_channels(
-    a: Channel, b: Channel, operation: Operation, strength: Strength
+    a: Channel, b: Channel, operation: Operation, strength: BlendStrength
 ) -> Channel:
     is_affected = (
         np.arange(len(a.rest))
@@ -252,7 +252,7 @@ def _combine_channels(
     return result
 
 
-def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
+def add_delta(base: Motion, delta: Motion, strength: BlendStrength) -> Motion:
     """Return a motion with a weighted delta on top.
 
     Weights may be above 1 or negative. Signs of rotations may jump.
@@ -260,14 +260,15 @@ def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
     >>> from animtool.motion.take import Channel
     >>> one = Channel.from_dense(np.ones((1, 1, 3)))
     >>> turn = Channel.from_dense(np.array([[[0.6, 0, 0, 0.8]]]))
-    >>> found = add(Motion(one, turn), Motion(one, turn), Strength(np.ones(1)))
+    >>> motion, full = Motion(one, turn), BlendStrength(np.ones(1))
+    >>> found = add_delta(motion, motion, full)
     >>> found.translations.rest.tolist(), found.rotations.rest.round(2).tolist()
     ([[2.0, 2.0, 2.0]], [[0.96, 0.0, 0.0, 0.28]])
     """
     return combine(base, delta, _ADD, strength)
 
 
-def subtract(source: Motion, base: Motion) -> Motion:
+def subtract_base(source: Motion, base: Motion) -> Motion:
     """Return the delta from ``base`` to ``source``; `add` reverses it.
 
     Scales of the base must not be 0. Signs of rotations may jump.
@@ -275,10 +276,10 @@ def subtract(source: Motion, base: Motion) -> Motion:
     >>> from animtool.motion.take import Channel
     >>> one = Channel.from_dense(np.ones((1, 1, 3)))
     >>> turn = Channel.from_dense(np.array([[[0.6, 0, 0, 0.8]]]))
-    >>> subtract(Motion(one, turn), Motion(one, turn)).rotations.rest.tolist()
+    >>> subtract_base(Motion(one, turn), Motion(one, turn)).rotations.rest.tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    return combine(source, base, _SUBTRACT, Strength(np.ones(source.frames)))
+    return combine(source, base, _SUBTRACT, BlendStrength(np.ones(source.frames)))
 
 
 def _full_difference(operation: additive.Difference) -> Operation:
@@ -288,13 +289,13 @@ def _full_difference(operation: additive.Difference) -> Operation:
     return apply
 
 
-_ADD = Operations(
+_ADD = ChannelOperations(
     additive.add_offset,
     additive.add_rotation,
     additive.multiply_scale,
     additive.add_offset,
 )
-_SUBTRACT = Operations(
+_SUBTRACT = ChannelOperations(
     _full_difference(additive.offset_delta),
     _full_difference(additive.rotation_delta),
     _full_difference(additive.scale_delta),
@@ -302,7 +303,7 @@ _SUBTRACT = Operations(
 )
 
 
-def mix(base: Motion, other: Motion, strength: Strength) -> Motion:
+def interpolate_motions(base: Motion, other: Motion, strength: BlendStrength) -> Motion:
     """Return a motion between two, weight 0 to 1.
 
     Rotations follow the shortest arc (slerp), other values are linear; at weight 0 and
@@ -311,29 +312,37 @@ def mix(base: Motion, other: Motion, strength: Strength) -> Motion:
     >>> from animtool.motion.take import Channel
     >>> zero, one = (Channel.from_dense(np.full((1, 1, 3), x)) for x in (0.0, 1.0))
     >>> turn = Channel.from_dense(np.array([[[0.0, 0, 0, 1]]]))
-    >>> half = mix(Motion(zero, turn), Motion(one, turn), Strength(np.array([0.5])))
+    >>> start, end = Motion(zero, turn), Motion(one, turn)
+    >>> half = interpolate_motions(start, end, BlendStrength(np.array([0.5])))
     >>> half.translations.rest.tolist()
     [[0.5, 0.5, 0.5]]
     """
-    return combine(base, other, _MIX, strength)
+    return combine(base, other, _INTERPOLATE, strength)
 
 
-def _line(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
+def _interpolate_linear(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
     return np.where(weight == 1, b, a + (b - a) * weight)
 
 
-def _arc(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
+def _interpolate_rotations(
+    a: FloatArray, b: FloatArray, weight: FloatArray
+) -> FloatArray:
     interpolated = so3.slerp(a, b, weight[..., 0])
     # Equal values stay bit-identical.
     is_unchanged = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
     return np.where(is_unchanged, a, np.where(weight == 1, b, interpolated))
 
 
-_MIX = Operations(_line, _arc, _line, _line)
+_INTERPOLATE = ChannelOperations(
+    _interpolate_linear,
+    _interpolate_rotations,
+    _interpolate_linear,
+    _interpolate_linear,
+)
 
 
 def other_frames(
-    other: Take | Between,
+    other: Take | TakeSampler,
     rate: Fraction,
     first: int,
     count: int,
@@ -345,7 +354,7 @@ def other_frames(
     Its curves are evaluated. Pass a `Between` to read block by block, so that all
     blocks share the animated rows.
     """
-    sampler = other if isinstance(other, Between) else Between.of(other)
+    sampler = other if isinstance(other, TakeSampler) else TakeSampler.of(other)
     clock = sampler.take.clock
     index = np.arange(first, first + count)
     positions = even_positions(index, -delay, clock.rate / rate, clock.count)

@@ -20,14 +20,19 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.travel import joint_frame, rest_rotation, traveller, twist
+from animtool.edit.travel import (
+    joint_frame,
+    rest_rotation,
+    travelling_joint,
+    vertical_twist,
+)
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 
 # Interval that converts a speed difference to a position difference [s].
-SPEED_TIME = 0.1
+SPEED_INTERVAL = 0.1
 # Frame rate of the coarse comparison; then the best pair is refined.
 SEARCH_RATE = Fraction(30)
 # Minimum extent of a cycle, as a fraction of the take's variation.
@@ -88,12 +93,14 @@ def find_cycle(
             such a length (SCN018).
     """
     clock = take.clock
-    first_index, last_index = _ends(clock, first, last)
+    first_index, last_index = _end_indices(clock, first, last)
     stride = max(1, int(clock.rate // SEARCH_RATE))
     frames = np.arange(first_index, last_index + 1, stride)
     rate = float(clock.rate) / stride
-    min_lag = max(2, math.ceil(_length(shortest, "shortest") * rate))
-    max_lag = min(len(frames) - 1, math.floor(_length(longest, "longest") * rate))
+    min_lag = max(2, math.ceil(_length_in_frames(shortest, "shortest") * rate))
+    max_lag = min(
+        len(frames) - 1, math.floor(_length_in_frames(longest, "longest") * rate)
+    )
     if min_lag > max_lag:
         seconds = (last_index - first_index) / float(clock.rate)
         message = f"of {shortest:g} to {longest:g} s in a take of {seconds:.3g} s"
@@ -102,28 +109,28 @@ def find_cycle(
         hint = f"use a longer take, or lower {argument('shortest')}"
         if len(frames) == 1:
             hint = "a cycle needs several frames: choose another take"
-        raise _no_cycle(message, hint)
+        raise _no_cycle_error(message, hint)
     view = _PoseView.of(take)
     coarse = _best_cycle(view.see(frames), min_lag, max_lag, view.static_extent)
     if coarse is None:
-        raise _no_cycle("where nothing moves")
+        raise _no_cycle_error("where nothing moves")
     start, lag, extent = coarse
-    pairs = _nearby(
+    pairs = _nearby_pairs(
         frames[start], frames[start + lag], stride, (first_index, last_index)
     )
     length = pairs[1] - pairs[0]
     has_length = (length >= min_lag * stride) & (length <= max_lag * stride)
-    i, j, distance = _closest(view, pairs[:, has_length])
-    return _cycle(clock, i, j, distance, max(distance, extent))
+    i, j, distance = _closest_pair(view, pairs[:, has_length])
+    return _build_cycle(clock, i, j, distance, max(distance, extent))
 
 
 def measure_cycle(
     take: Take, first: float | None = None, last: float | None = None
 ) -> Cycle:
     """Return how well the two ends of a cycle match."""
-    first_index, last_index = _ends(take.clock, first, last)
+    first_index, last_index = _end_indices(take.clock, first, last)
     if first_index >= last_index:
-        raise _no_cycle(f"from frame {first} to {last}")
+        raise _no_cycle_error(f"from frame {first} to {last}")
     view = _PoseView.of(take)
     stride = max(1, int(take.clock.rate // SEARCH_RATE))
     first_column = view.see(np.array([first_index]))
@@ -132,26 +139,28 @@ def measure_cycle(
         first_column, view.see(np.arange(first_index, last_index + 1, stride))
     )
     largest_extent = max(distance, float(extents.max()), view.static_extent)
-    return _cycle(take.clock, first_index, last_index, distance, largest_extent)
+    return _build_cycle(take.clock, first_index, last_index, distance, largest_extent)
 
 
-def _ends(clock: Clock, first: float | None, last: float | None) -> tuple[int, int]:
+def _end_indices(
+    clock: Clock, first: float | None, last: float | None
+) -> tuple[int, int]:
     first_index = 0 if first is None else frame_index(clock, first, "first")
     last_index = clock.count - 1 if last is None else frame_index(clock, last, "last")
     return first_index, last_index
 
 
-def _length(seconds: float, option: str) -> float:
+def _length_in_frames(seconds: float, option: str) -> float:
     if not 0 < seconds < math.inf:
-        raise _no_cycle(f"with {option} {seconds:g} s")
+        raise _no_cycle_error(f"with {option} {seconds:g} s")
     return seconds
 
 
-def _no_cycle(message: str, hint: str | None = None) -> OptionError:
+def _no_cycle_error(message: str, hint: str | None = None) -> OptionError:
     return OptionError(Fault("SCN018", f"no cycle can be found {message}", hint=hint))
 
 
-def _cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -> Cycle:
+def _build_cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -> Cycle:
     first, last = (float(clock.start + k * clock.step) for k in (i, j))
     return Cycle(first, last, distance, extent)
 
@@ -171,7 +180,9 @@ class _PoseView:
     def of(take: Take) -> _PoseView:
         rig = take.rig
         if not rig.joints:
-            raise _no_cycle("without joints: a cycle is found from their positions")
+            raise _no_cycle_error(
+                "without joints: a cycle is found from their positions"
+            )
         leaves = np.setdiff1d(np.arange(len(rig.joints)), rig.parents)
         bones = np.linalg.norm(rig.rest_translations, axis=-1)
         bones = np.where(rig.parents < 0, 0.0, bones)
@@ -185,7 +196,7 @@ class _PoseView:
         # A leaf is represented by its origin and a point along two of its axes.
         weights[leaves] /= 3
         weights = np.concatenate([weights, np.tile(weights[leaves], 2)])
-        travellers = [traveller(rig, take.motion, root) for root in rig.roots]
+        travellers = [travelling_joint(rig, take.motion, root) for root in rig.roots]
         main_joint = next((j for j in travellers if j is not None), rig.roots[0])
         weights /= weights.sum()
         return _PoseView(
@@ -224,7 +235,7 @@ class _PoseView:
         )
         ground, heading = self._ground_pose(frames)
         inverse_heading = so3.conjugate(heading)[:, None]
-        speed_as_distance = velocities * (SPEED_TIME * float(self.take.clock.rate))
+        speed_as_distance = velocities * (SPEED_INTERVAL * float(self.take.clock.rate))
         columns = [
             so3.rotate(inverse_heading, current_points - ground[:, None]),
             so3.rotate(inverse_heading, speed_as_distance),
@@ -247,7 +258,7 @@ class _PoseView:
         up = np.array(rig.up.vector)
         frame = joint_frame(rig, self.take.motion.select(frames), self.chief)
         inverse_rest = so3.conjugate(rest_rotation(rig, self.chief))
-        heading = twist(so3.multiply(frame.rotation, inverse_rest), up)
+        heading = vertical_twist(so3.multiply(frame.rotation, inverse_rest), up)
         return np.where(up == 0, frame.position, 0.0), heading
 
 
@@ -283,7 +294,7 @@ def _best_cycle(
             starts[lag], largest_extents[lag] = k, extents[k]
     if not np.isfinite(scores).any():
         return None
-    lag = _shortest(scores)
+    lag = _shortest_cycle(scores)
     return int(starts[lag]), lag, float(largest_extents[lag])
 
 
@@ -308,7 +319,7 @@ def _first_minimum(values: FloatArray) -> tuple[float, int]:
     return float(coarse[index]), index
 
 
-def _shortest(scores: FloatArray) -> int:
+def _shortest_cycle(scores: FloatArray) -> int:
     """Return the length of the shortest cycle that is nearly as good as the best."""
     first_acceptable = int(
         np.argmax(scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET)
@@ -319,14 +330,14 @@ def _shortest(scores: FloatArray) -> int:
     return first_acceptable + int(np.argmin(nearby_scores))
 
 
-def _nearby(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
+def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
     """Return the pairs of frames around a coarse pair ``(2, N)``."""
     offsets = np.arange(1 - stride, stride)
     candidates = (np.unique(np.clip(frame + offsets, *ends)) for frame in (i, j))
     return np.stack([grid.ravel() for grid in np.meshgrid(*candidates, indexing="ij")])
 
 
-def _closest(view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
+def _closest_pair(view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
     """Return the best-matching pair of frames, and its distance [m]."""
     frames, columns = np.unique(pairs, return_inverse=True)
     table, (starts, end_columns) = view.see(frames), columns.reshape(pairs.shape)

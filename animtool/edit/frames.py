@@ -10,13 +10,13 @@ from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, OptionError
 
 
-def exact(number: float, name: str) -> Fraction:
+def exact_fraction(number: float, name: str) -> Fraction:
     """Return the fraction that a decimal literal denotes.
 
     Raises:
         OptionError: It is not finite (SCN013).
 
-    >>> exact(0.1, "pivot")
+    >>> exact_fraction(0.1, "pivot")
     Fraction(1, 10)
     """
     if not math.isfinite(number):
@@ -27,7 +27,7 @@ def exact(number: float, name: str) -> Fraction:
 def check_range(first: float | None, last: float | None) -> None:
     """Refuse a reversed range of frames; None is an end of the take."""
     range_ends = [
-        exact(range_end, name)
+        exact_fraction(range_end, name)
         for range_end, name in ((first, "first"), (last, "last"))
         if range_end is not None
     ]
@@ -49,7 +49,7 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
     >>> frame_index(Clock(Fraction(24), Fraction(1001), Fraction(1), 9), 1003, "first")
     2
     """
-    index = round((exact(frame, name) - clock.start) / clock.step)
+    index = round((exact_fraction(frame, name) - clock.start) / clock.step)
     if not 0 <= index < clock.count:
         last = clock.start + (clock.count - 1) * clock.step
         raise frame_refusal(

@@ -15,22 +15,22 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.combine import (
-    Strength,
-    add,
-    continuous,
-    mix,
+    BlendStrength,
+    add_delta,
+    align_signs,
+    interpolate_motions,
     on_same_rig,
     other_frames,
-    subtract,
+    subtract_base,
 )
-from animtool.edit.frames import check_count, exact, frame_index
+from animtool.edit.frames import check_count, exact_fraction, frame_index
 from animtool.edit.tree import joints_matching
 from animtool.motion.key_times import weight_warnings
 from animtool.motion.keyed import (
     KeyInterpolation,
-    Weight,
+    WeightOption,
     parse_choice,
     weights_at,
 )
@@ -68,7 +68,7 @@ def blend(
     take: Take,
     other: Take,
     *,
-    weight: Weight = 0.5,
+    weight: WeightOption = 0.5,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     delay: float = 0.0,
 ) -> Take:
@@ -93,16 +93,18 @@ def blend(
     """
     other = on_same_rig(take.rig, other)
     clock = take.clock
-    delay_frames = exact(delay, "delay") / clock.step
+    delay_frames = exact_fraction(delay, "delay") / clock.step
     length = (other.clock.count - 1) * clock.rate / other.clock.rate
     count = max(clock.count, 1 + math.floor(delay_frames + length))
     check_count(count)
     full_clock = replace(clock, count=count)
     weights = weights_at(weight, full_clock.times, interpolation)
-    strength = Strength(weights, isinstance(weight, (int, float)))
+    strength = BlendStrength(weights, isinstance(weight, (int, float)))
     first_motion = other_frames(take, clock.rate, 0, count)
     second_motion = other_frames(other, clock.rate, 0, count, delay_frames)
-    motion = continuous(mix(first_motion, second_motion, strength)).map(Channel.compact)
+    motion = align_signs(
+        interpolate_motions(first_motion, second_motion, strength)
+    ).map(Channel.compact)
     return replace(take, clock=full_clock, motion=motion)
 
 
@@ -122,7 +124,7 @@ def _check_blend(options: BlendOptions) -> OptionChecks:
     return {
         "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0)),
-        "delay": lambda: exact(options.delay, "delay"),
+        "delay": lambda: exact_fraction(options.delay, "delay"),
     }
 
 
@@ -170,7 +172,9 @@ def difference(
             (SCN017), or a scale of it is 0 (SCN023).
     """
     base_take = rest_take(take.rig, take.clock) if base is None else base
-    return _subtract_stream(TakeStream.of(take), _base(base_take, frame)).collect()
+    return _subtract_stream(
+        TakeStream.of(take), _base_motion(base_take, frame)
+    ).collect()
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
@@ -180,7 +184,7 @@ def rest_take(rig: Rig, clock: Clock) -> Take:
     return Take(rig, replace(clock, count=1), motion)
 
 
-def _base(base: Take, frame: float | None) -> Take:
+def _base_motion(base: Take, frame: float | None) -> Take:
     if frame is not None:
         index = frame_index(base.clock, frame, "frame")
         motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
@@ -202,10 +206,10 @@ def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
 
 def _blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
     first, previous = 0, None
-    rate, between = stream.fps / stream.step, Between.of(base)
+    rate, between = stream.fps / stream.step, TakeSampler.of(base)
     for block in stream.blocks:
         below = other_frames(between, rate, first, block.frames)
-        motion = continuous(subtract(block, below), previous)
+        motion = align_signs(subtract_base(block, below), previous)
         yield motion
         first, previous = first + block.frames, motion.rotations.values[-1]
 
@@ -218,7 +222,7 @@ def _run_difference(
         base = rest_take(stream.rig, Clock(stream.fps, first_code, stream.step, 1))
     else:
         base = context.take(options.base, "base")
-    return _subtract_stream(stream, _base(base, options.frame))
+    return _subtract_stream(stream, _base_motion(base, options.frame))
 
 
 DIFFERENCE = Pass(
@@ -269,7 +273,7 @@ def layer(
     other: Take,
     *,
     mode: LayerMode | str = LayerMode.OVERRIDE,
-    weight: Weight = 1.0,
+    weight: WeightOption = 1.0,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     joints: str | Sequence[str] = (),
     children: bool = False,
@@ -299,28 +303,28 @@ def layer(
             malformed (SCN015), the rigs differ (SCN017), or there is no such mode
             or interpolation (SCN025).
     """
-    plan = _Plan(
+    plan = _LayerPlan(
         other,
         parse_choice(LayerMode, mode, "mode"),
         weight,
         parse_choice(KeyInterpolation, interpolation, "interpolation"),
-        _limit_joints(take.rig, joints, children),
+        _selected_joints(take.rig, joints, children),
         delay,
     )
     return plan.over(TakeStream.of(take)).collect()
 
 
-def _limit_joints(
+def _selected_joints(
     rig: Rig, joints: str | Sequence[str], children: bool
 ) -> list[int] | None:
     return joints_matching(rig, joints, children=children) if joints else None
 
 
 @dataclass(frozen=True, slots=True)
-class _Plan:
+class _LayerPlan:
     other: Take
     mode: LayerMode
-    weight: Weight
+    weight: WeightOption
     interpolation: KeyInterpolation
     joints: list[int] | None
     delay: float
@@ -338,18 +342,20 @@ class _Plan:
 
     def _blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
         first_code = Fraction(1) if stream.start is None else stream.start
-        delay = exact(self.delay, "delay") / stream.step
-        operation = mix if self.mode is LayerMode.OVERRIDE else add
+        delay = exact_fraction(self.delay, "delay") / stream.step
+        operation = (
+            interpolate_motions if self.mode is LayerMode.OVERRIDE else add_delta
+        )
         is_constant = isinstance(self.weight, (int, float))
-        sampler = Between.of(other)
+        sampler = TakeSampler.of(other)
         frame_count, previous = 0, None
         for block in stream.blocks:
             block_code = first_code + frame_count * stream.step
             weights = self._weights(time_codes(block_code, stream.step, block.frames))
             rate = stream.fps / stream.step
             other_motion = other_frames(sampler, rate, frame_count, block.frames, delay)
-            strength = Strength(weights, is_constant, self.joints)
-            motion = continuous(operation(block, other_motion, strength), previous)
+            strength = BlendStrength(weights, is_constant, self.joints)
+            motion = align_signs(operation(block, other_motion, strength), previous)
             yield motion
             frame_count, previous = (
                 frame_count + block.frames,
@@ -362,12 +368,12 @@ class _Plan:
 def _run_layer(
     stream: TakeStream, options: LayerOptions, context: PassContext
 ) -> TakeStream:
-    plan = _Plan(
+    plan = _LayerPlan(
         context.take(options.take),
         parse_choice(LayerMode, options.mode, "mode"),
         options.weight,
         parse_choice(KeyInterpolation, options.interpolation, "interpolation"),
-        _limit_joints(stream.rig, options.joints, options.children),
+        _selected_joints(stream.rig, options.joints, options.children),
         options.delay,
         context.in_shot,
     )
@@ -379,7 +385,7 @@ def _check_layer(options: LayerOptions) -> OptionChecks:
     return {
         "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=is_bounded),
-        "delay": lambda: exact(options.delay, "delay"),
+        "delay": lambda: exact_fraction(options.delay, "delay"),
     }
 
 

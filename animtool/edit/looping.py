@@ -22,7 +22,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.edit.combine import continuous
+from animtool.edit.combine import align_signs
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.loop_options import LoopOptions
@@ -74,7 +74,7 @@ class SeamBlend:
         return SeamBlend(length, before, behind, pose, speed)
 
     @property
-    def late(self) -> slice:
+    def blended_frames(self) -> slice:
         """The blended frames at the end of the cycle."""
         (frames,) = np.nonzero(self.pose[:, 0, 0])
         return slice(int(frames[0]) if len(frames) else self.length, self.length)
@@ -96,7 +96,9 @@ class SeamBlend:
         return values[:3], values[-3:]
 
 
-def closed_lines(values: FloatArray, blend: SeamBlend, onward: NextCycle) -> FloatArray:
+def close_vectors(
+    values: FloatArray, blend: SeamBlend, onward: NextCycle
+) -> FloatArray:
     """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
     cycle = blend.cycle(values)
     start_frames, end_frames = blend.ends(values)
@@ -107,14 +109,14 @@ def closed_lines(values: FloatArray, blend: SeamBlend, onward: NextCycle) -> Flo
         blend,
     )
     offset = onward(cycle[:1])[0] - cycle[-1]
-    corrected_values, blend_frames = cycle[:-1].copy(), blend.late
+    corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     corrected_values[blend_frames] += (
         blend.pose[blend_frames] * offset + blend.speed[blend_frames] * missing_velocity
     )
     return corrected_values
 
 
-def closed_rotations(
+def close_rotations(
     values: FloatArray, blend: SeamBlend, onward: NextCycle
 ) -> FloatArray:
     """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
@@ -126,7 +128,7 @@ def closed_rotations(
     missing_velocity = _missing_speed(
         so3.steps(onward(start_frames)), end_values, lambda: so3.steps(cycle), blend
     )
-    corrected_values, blend_frames = cycle[:-1].copy(), blend.late
+    corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     correction = so3.slerp(so3.IDENTITY, offset, blend.pose[blend_frames, :, 0])
     corrected_part = so3.multiply(corrected_values[blend_frames], correction)
     corrected_values[blend_frames] = so3.multiply(
@@ -159,7 +161,7 @@ def _missing_speed(
     return np.asarray(missing * (excess / np.where(magnitude > 0, magnitude, 1)))
 
 
-def mapped_numbers(
+def map_attributes(
     track: Track, known: Transforms, function: Callable[[FloatArray], FloatArray]
 ) -> Transforms:
     """Return transforms with a function applied to all numeric attributes.
@@ -185,7 +187,7 @@ def mapped_numbers(
     )
 
 
-def gridded(track: Track, known: Transforms) -> Track:
+def resample_track(track: Track, known: Transforms) -> Track:
     """Return a track sampled at times 0, 1, 2 ..., clamped at its ends.
 
     Between samples, rotations follow the shortest arc, numbers are linear and tokens
@@ -198,9 +200,9 @@ def gridded(track: Track, known: Transforms) -> Track:
 
         def between(values: FloatArray) -> FloatArray:
             all_rows = np.arange(values.shape[1])
-            return positions.blend(Channel(values[0], all_rows, values)).values
+            return positions.interpolate(Channel(values[0], all_rows, values)).values
 
-        mapped_transforms = mapped_numbers(track, known, between)
+        mapped_transforms = map_attributes(track, known, between)
         values = tuple(
             mapped_transforms.values[i]
             if attribute.width
@@ -214,7 +216,7 @@ def gridded(track: Track, known: Transforms) -> Track:
 
 
 # Ends that differ by more than this fraction of the cycle's extent visibly slide.
-POOR_SEAM = 0.2
+MAX_GOOD_SEAM = 0.2
 
 
 _DEFAULTS = LoopOptions()
@@ -258,8 +260,8 @@ def loop(
     if j <= i:
         message = f"{j - i} frames are too few for a cycle"
         raise OptionError(Fault("SCN018", message))
-    _check_least(repeats, 1, "repeats")
-    _check_least(blend, 0, "blend")
+    _check_minimum(repeats, 1, "repeats")
+    _check_minimum(blend, 0, "blend")
     length = j - i
     check_count(length * repeats)
     has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
@@ -281,7 +283,7 @@ def loop(
     return replace(
         take,
         clock=replace(clock, start=first_code, count=length * repeats),
-        motion=continuous(motion).map(Channel.compact),
+        motion=align_signs(motion).map(Channel.compact),
         tracks=tracks,
     )
 
@@ -320,10 +322,10 @@ def _looped_track(
     looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
-        cycle_values = closed_lines(values, seam, lambda frame_values: frame_values)
+        cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
-    mapped_transforms = mapped_numbers(track, known, closed)
+    mapped_transforms = map_attributes(track, known, closed)
     looped_values = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
         for attribute, values in zip(
@@ -339,7 +341,7 @@ def _looped_track(
         if known.clamped is None
         else np.tile(seam.cycle(known.clamped)[:-1], repeats),
     )
-    return gridded(track, result)
+    return resample_track(track, result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +358,7 @@ class _CycleState:
         )
 
     def numbers(self, channel: Channel) -> Channel:
-        cycle = closed_lines(channel.values, self.blend, lambda values: values)
+        cycle = close_vectors(channel.values, self.blend, lambda values: values)
         return replace(channel, values=np.concatenate([cycle] * self.repeats))
 
     def translations(self, channel: Channel) -> Channel:
@@ -366,7 +368,7 @@ class _CycleState:
         def onward(values: FloatArray) -> FloatArray:
             return np.asarray(np.einsum("aij,faj->fai", linear, values) + shifts)
 
-        cycle = closed_lines(channel.values, self.blend, onward)
+        cycle = close_vectors(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
     def rotations(self, channel: Channel) -> Channel:
@@ -375,7 +377,7 @@ class _CycleState:
         def onward(values: FloatArray) -> FloatArray:
             return so3.multiply(travel, values)
 
-        cycle = closed_rotations(channel.values, self.blend, onward)
+        cycle = close_rotations(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
     def repeated(self, cycle: FloatArray, onward: NextCycle) -> FloatArray:
@@ -386,7 +388,7 @@ class _CycleState:
         return np.concatenate(cycles)
 
 
-def _check_least(number: int, minimum: int, name: str) -> None:
+def _check_minimum(number: int, minimum: int, name: str) -> None:
     if not number >= minimum:  # NaN too
         message = f"{name} is {number}; it must be at least {minimum}"
         raise OptionError(Fault("SCN018", message))
@@ -395,8 +397,8 @@ def _check_least(number: int, minimum: int, name: str) -> None:
 def _checks(options: LoopOptions) -> OptionChecks:
     return {
         "last": lambda: check_range(options.first, options.last),
-        "repeats": lambda: _check_least(options.repeats, 1, "repeats"),
-        "blend": lambda: _check_least(options.blend, 0, "blend"),
+        "repeats": lambda: _check_minimum(options.repeats, 1, "repeats"),
+        "blend": lambda: _check_minimum(options.blend, 0, "blend"),
     }
 
 
@@ -431,7 +433,7 @@ def cycle_notices(cycle: Cycle, clock: Clock, options: LoopOptions) -> list[Faul
     if options.find:
         message = f"the best cycle: {ends_text}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
-    if cycle.share > POOR_SEAM:
+    if cycle.share > MAX_GOOD_SEAM:
         hint = (
             f"choose other frames with {argument('first')} and {argument('last')}, or "
             f"a longer {argument('blend')}"

@@ -32,9 +32,9 @@ from animtool.rig.sides import SidePairs, pair_sides, unpaired_sides
 from animtool.rig.skeleton import Rig
 
 # Test change of a control, as a fraction of its range [1].
-TEST_CHANGE = 0.1
+PROBE_CHANGE = 0.1
 # Effects that differ by less are equal [rad], [m].
-SAME_EFFECT = 1e-9
+EFFECT_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +69,11 @@ class ControlMirror:
         rest_rotations = rest_world(rig).linear[0]
 
         def effect(c: int, sign: float) -> FloatArray:
-            return _flatten_effect(_effect(rig, c, sign, rest_rotations))
+            return _flatten_effect(_control_effect(rig, c, sign, rest_rotations))
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
-            effects, weights = _effect(rig, i, 1.0, rest_rotations)
+            effects, weights = _control_effect(rig, i, 1.0, rest_rotations)
             flat_effect = _flatten_effect(
                 ((effects * mirror_signs)[joints], weights[shapes])
             )
@@ -83,7 +83,7 @@ class ControlMirror:
                 np.linalg.norm(flat_effect - effect(partner, sign))
                 for sign in (1.0, -1.0)
             )
-            if mirrored_distances < partner_effects - SAME_EFFECT:
+            if mirrored_distances < partner_effects - EFFECT_TOLERANCE:
                 signs[i] = -1.0
         pivots = np.array([_pivot(control) for control in rig.controls])
         return ControlMirror(partners, signs, pivots)
@@ -107,7 +107,7 @@ def _flatten_effect(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
     return np.concatenate([part.ravel() for part in effect])
 
 
-def _effect(
+def _control_effect(
     rig: Rig, c: int, sign: float, turned: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the effect of a small change of a control, in direction 1 or -1.
@@ -121,7 +121,7 @@ def _effect(
     if control.low is not None and control.high is not None:
         range_width = control.high - control.low
     base_value = np.array([_pivot(control)])
-    changed = base_value + sign * TEST_CHANGE * range_width
+    changed = base_value + sign * PROBE_CHANGE * range_width
     targets_before = evaluate_controls(rig.controls, {control.name: base_value}).targets
     targets_after = evaluate_controls(rig.controls, {control.name: changed}).targets
     local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
@@ -202,11 +202,11 @@ def mirror(
         OptionError: A pair names an unknown joint (SCN012), the parents of partners are
             not partners (SCN019), or the axis is unknown (SCN025).
     """
-    options = MirrorOptions(parse_choice(Axis, axis, "axis"), _tuples(pairs))
+    options = MirrorOptions(parse_choice(Axis, axis, "axis"), _pair_tuples(pairs))
     return _run_mirror(TakeStream.of(take), options).collect()
 
 
-def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
+def _pair_tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
     if any(isinstance(pair, str) or len(pair) != 2 for pair in pairs):
         message = f"pairs must be pairs of joint names, not {list(pairs)!r:.80}"
         raise OptionError(Fault("SCN019", message))
@@ -227,7 +227,7 @@ def _run_mirror(
 ) -> TakeStream:
     rig = stream.rig
     pairs = pair_sides(
-        rig.names, rig.parents, _with_rig_pairs(rig, _tuples(options.pairs))
+        rig.names, rig.parents, _with_rig_pairs(rig, _pair_tuples(options.pairs))
     )
     partners = pairs.partners
     _check_stated(rig, options.pairs, partners)
@@ -240,12 +240,12 @@ def _run_mirror(
     }
     swaps = {kind: pair_sides(names) for kind, names in names_by_kind.items()}
     if context is not None:
-        context.notices.extend(_strays("joints", rig.names, pairs, is_kept))
+        context.notices.extend(_unpaired_warnings("joints", rig.names, pairs, is_kept))
         for kind, names in names_by_kind.items():
-            context.notices.extend(_strays(kind, names, swaps[kind]))
+            context.notices.extend(_unpaired_warnings(kind, names, swaps[kind]))
         keeps_values = is_kept.copy()
-        keeps_values[list(pairs.strays)] = True
-        context.notices.extend(_asymmetries(rig, partners, ~keeps_values, axis))
+        keeps_values[list(pairs.unpaired)] = True
+        context.notices.extend(_asymmetry_warnings(rig, partners, ~keeps_values, axis))
     joint_mirror = _JointMirror.of(rig, partners, is_kept, axis)
     shapes = swaps["shapes"].partners
     controls = ControlMirror.of(
@@ -261,12 +261,12 @@ def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
     return np.asarray(is_unpaired & (parents >= 0) & (partners[parents] != parents))
 
 
-def _strays(
+def _unpaired_warnings(
     kind: str, names: Sequence[str], pairs: SidePairs, is_kept: BoolArray | None = None
 ) -> Iterator[Fault]:
     """Yield a warning about joints of one side without a partner."""
     stray_indices = {
-        *pairs.strays,
+        *pairs.unpaired,
         *([] if is_kept is None else np.flatnonzero(is_kept).tolist()),
     }
     if not stray_indices:
@@ -290,7 +290,7 @@ def _strays(
     yield Fault("SCN082", message, hint=hint, severity=Severity.WARNING)
 
 
-def _asymmetries(
+def _asymmetry_warnings(
     rig: Rig, partners: IntArray, is_checked: BoolArray, axis: int
 ) -> Iterator[Fault]:
     """Yield a warning where the rest pose is not its own mirror image."""
@@ -371,7 +371,7 @@ class _JointMirror:
     kept: BoolArray  # mask of the joints that keep their values (J,)
     normal: FloatArray
     world: FloatArray  # world rotations at rest (J, 4)
-    above: FloatArray  # world rotations of the parents at rest
+    parent_rotations: FloatArray  # world rotations of the parents at rest
     rest: FloatArray
 
     @staticmethod
@@ -389,19 +389,23 @@ class _JointMirror:
 
     def rotations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
-        world_rotations = so3.multiply(self.above[j], values)
+        world_rotations = so3.multiply(self.parent_rotations[j], values)
         world_rotations = so3.multiply(world_rotations, so3.conjugate(self.world[j]))
         # A mirror reverses axes of rotation.
         world_rotations = world_rotations * np.append(-self.normal, 1.0)
-        world_rotations = so3.multiply(so3.conjugate(self.above[p]), world_rotations)
+        world_rotations = so3.multiply(
+            so3.conjugate(self.parent_rotations[p]), world_rotations
+        )
         world_rotations = so3.multiply(world_rotations, self.world[p])
         return np.where(self.kept[j, None], values, world_rotations)
 
     def translations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
-        mirrored_offset = so3.rotate(self.above[j], values - self.rest[j]) * self.normal
+        mirrored_offset = (
+            so3.rotate(self.parent_rotations[j], values - self.rest[j]) * self.normal
+        )
         reflected = self.rest[p] + so3.rotate(
-            so3.conjugate(self.above[p]), mirrored_offset
+            so3.conjugate(self.parent_rotations[p]), mirrored_offset
         )
         return np.where(self.kept[j, None], values, reflected)
 

@@ -16,9 +16,9 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.rates import FractionLike, rate_option, rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.frames import check_count
-from animtool.edit.straight import straight_notices
+from animtool.edit.straight import interpolation_notices
 from animtool.edit.travel import FramePositions, even_positions
 from animtool.maths import filters, so3
 from animtool.motion.motion import Channel, Motion
@@ -83,7 +83,7 @@ def plan_samples(
     ratio = clock.rate / fps  # source frames per time code
     frame_span = Fraction(clock.count - 1) / ratio
     if keep_samples:
-        return _kept_samples(clock, start, 1 / ratio, frame_range)
+        return _source_samples(clock, start, 1 / ratio, frame_range)
     # Frames are counted from the integer time code at or before the take's first frame.
     origin, shift = start, Fraction(0)
     frame_numbers = range(int(frame_span) + 1)
@@ -101,7 +101,7 @@ def plan_samples(
         even_positions(index, shift + offset, ratio, clock.count)
         for offset in offsets or (0,)
     ]
-    codes = np.stack([_codes(first + o, frame_numbers) for o in offsets or (0,)])
+    codes = np.stack([_time_codes(first + o, frame_numbers) for o in offsets or (0,)])
     sort_order = np.argsort(codes.T.ravel(), kind="stable")
     frames = np.stack(
         [positions.frames for positions in positions_by_offset]
@@ -189,7 +189,7 @@ def outside_take(
     return Fault("CLI005", message)
 
 
-def _codes(first: Fraction, frames: range) -> FloatArray:
+def _time_codes(first: Fraction, frames: range) -> FloatArray:
     return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
@@ -213,7 +213,7 @@ def _covered_frames(
     return frames
 
 
-def _kept_samples(
+def _source_samples(
     clock: Clock, start: Fraction, step: Fraction, frame_range: FrameRange | None
 ) -> SampleTimes:
     first_index, last_index = 0, clock.count - 1
@@ -258,8 +258,8 @@ def single_frame_warning(
     return [Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)]
 
 
-def sample(
-    take: Take | Between, times: SampleTimes, *, smooth: bool = False
+def sample_blocks(
+    take: Take | TakeSampler, times: SampleTimes, *, smooth: bool = False
 ) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
@@ -268,7 +268,7 @@ def sample(
     linear. With ``smooth``, joints follow splines of class C1; weights and controls,
     which may have bounds, do not. Curves of the take are evaluated.
     """
-    sampler = take if isinstance(take, Between) else Between.of(take)
+    sampler = take if isinstance(take, TakeSampler) else TakeSampler.of(take)
     previous_rotations = None
     # Blocks share their animated rows, which depend on the complete take.
     length = max(1, len(times.codes)) if sampler.curved else BLOCK_FRAMES
@@ -291,7 +291,7 @@ def sample(
 CUTOFF_FRACTION, FILTER_ORDER = 0.35, 4
 
 
-def lowpassed(motion: Motion, cutoff: float, rate: float) -> Motion:
+def filter_motion(motion: Motion, cutoff: float, rate: float) -> Motion:
     """Return a motion low-pass filtered at a cut-off [Hz], times unchanged."""
 
     def slow(channel: Channel) -> Channel:
@@ -328,17 +328,17 @@ def resampled(
     source, rate = take, take.clock.rate
     if lowpass and fps < rate:
         cutoff = CUTOFF_FRACTION * float(fps)
-        source = replace(take, motion=lowpassed(take.motion, cutoff, float(rate)))
-    sampler = Between.of(source)
+        source = replace(take, motion=filter_motion(take.motion, cutoff, float(rate)))
+    sampler = TakeSampler.of(source)
     motion = Motion.concatenate(
-        [block for _, block in sample(sampler, times, smooth=smooth)]
+        [block for _, block in sample_blocks(sampler, times, smooth=smooth)]
     )
     new_start, codes_ratio = take.clock.start, float(take.clock.fps / fps)
     clock, notices = Clock(fps, new_start, Fraction(1), motion.frames), take.notices
     if not smooth:
         positions = FramePositions(times.frames, times.fractions)
         hint = f"{argument('smooth', True)} interpolates smoothly"
-        notices = (*notices, *straight_notices(sampler, positions, hint))
+        notices = (*notices, *interpolation_notices(sampler, positions, hint))
     notices = (*notices, *rate_warning(fps))
     notices = (*notices, *single_frame_warning(times, take.clock, fps))
     if times.dropped:

@@ -14,15 +14,15 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
-from animtool.edit.between import Between
-from animtool.edit.combine import continuous
-from animtool.edit.frames import check_count, check_range, exact, frame_refusal
-from animtool.edit.straight import straight_notices
+from animtool.edit.between import TakeSampler
+from animtool.edit.combine import align_signs
+from animtool.edit.frames import check_count, check_range, exact_fraction, frame_refusal
+from animtool.edit.straight import interpolation_notices
 from animtool.edit.travel import FramePositions, even_positions, nearby_positions
 from animtool.motion.keyed import (
     KeyInterpolation,
-    Keys,
-    evaluate_keyed,
+    KeyPairs,
+    interpolate_keys,
     key_arrays,
 )
 from animtool.motion.motion import Channel, Motion
@@ -82,7 +82,9 @@ def _run_trim(
     first_code = Fraction(1) if stream.start is None else stream.start
     first_index, last_index = 0, None
     if options.first is not None:
-        frames_from_start = (exact(options.first, "first") - first_code) / stream.step
+        frames_from_start = (
+            exact_fraction(options.first, "first") - first_code
+        ) / stream.step
         first_full = (
             math.floor(frames_from_start + FRAME_TOLERANCE)
             if in_shot
@@ -90,7 +92,9 @@ def _run_trim(
         )
         first_index = max(0, first_full)
     if options.last is not None:
-        frames_from_start = (exact(options.last, "last") - first_code) / stream.step
+        frames_from_start = (
+            exact_fraction(options.last, "last") - first_code
+        ) / stream.step
         last_index = (
             math.ceil(frames_from_start - FRAME_TOLERANCE)
             if in_shot
@@ -204,8 +208,8 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     """
     _check_speed(speed)
     clock = take.clock
-    rate = exact(speed, "speed")
-    pivot_code = clock.start if pivot is None else exact(pivot, "pivot")
+    rate = exact_fraction(speed, "speed")
+    pivot_code = clock.start if pivot is None else exact_fraction(pivot, "pivot")
     # All in frames of the take, counted from its first.
     pivot_frame = (pivot_code - clock.start) / clock.step
     end_positions = sorted(
@@ -220,7 +224,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         index, pivot_frame / rate - pivot_frame, rate, clock.count
     )
     pivot_and_rate, factor = float(pivot_code), float(rate)
-    return _retime(
+    return _resample_at(
         take,
         replace(clock, start=clock.start + first_index * clock.step, count=len(index)),
         positions,
@@ -228,7 +232,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     )
 
 
-def _retime(
+def _resample_at(
     take: Take,
     clock: Clock,
     positions: FramePositions,
@@ -238,12 +242,15 @@ def _retime(
 
     clock: clock of the result, whose time t shows time ``shown(t)`` of the take.
     """
-    sampler = Between.of(take)
+    sampler = TakeSampler.of(take)
     return replace(
         take,
         clock=clock,
-        motion=continuous(sampler.at(positions)).map(Channel.compact),
-        notices=(*take.notices, *straight_notices(sampler, positions, RESAMPLE_HINT)),
+        motion=align_signs(sampler.at(positions)).map(Channel.compact),
+        notices=(
+            *take.notices,
+            *interpolation_notices(sampler, positions, RESAMPLE_HINT),
+        ),
         curve=sampler.curve(shown),
     )
 
@@ -316,7 +323,7 @@ class TimeWarpOptions:
 
 def time_warp(
     take: Take,
-    curve: Keys,
+    curve: KeyPairs,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> Take:
     """Return the take retimed, from the curve's first frame to its last.
@@ -337,9 +344,13 @@ def time_warp(
     """
     clock = take.clock
     key_times, values = key_arrays(curve, "curve")
-    _check_inside(clock, values)
-    first_index = math.ceil((exact(key_times[0], "curve") - clock.start) / clock.step)
-    last_index = math.floor((exact(key_times[-1], "curve") - clock.start) / clock.step)
+    _check_curve_range(clock, values)
+    first_index = math.ceil(
+        (exact_fraction(key_times[0], "curve") - clock.start) / clock.step
+    )
+    last_index = math.floor(
+        (exact_fraction(key_times[-1], "curve") - clock.start) / clock.step
+    )
     if first_index > last_index:
         first_code, last_code = key_times[0], key_times[-1]
         message = (
@@ -355,15 +366,15 @@ def time_warp(
     )
 
     def shown(times: FloatArray) -> FloatArray:
-        return evaluate_keyed(key_times, values, times, interpolation)
+        return interpolate_keys(key_times, values, times, interpolation)
 
     positions = nearby_positions(
         (shown(result_clock.times) - start) / step, clock.count
     )
-    return _retime(take, result_clock, positions, shown)
+    return _resample_at(take, result_clock, positions, shown)
 
 
-def _check_inside(clock: Clock, values: FloatArray) -> None:
+def _check_curve_range(clock: Clock, values: FloatArray) -> None:
     first, last = clock.times[[0, -1]] if clock.count else np.zeros(2)
     tolerance = 1e-6 * float(clock.step)
     outside_values = values[(values < first - tolerance) | (values > last + tolerance)]

@@ -9,15 +9,21 @@ import numpy as np
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.edit.combine import continuous
+from animtool.edit.combine import align_signs
 from animtool.edit.travel import (
-    above,
     joint_frame,
+    parent_frame,
     rest_rotation,
-    traveller,
-    twist,
+    travelling_joint,
+    vertical_twist,
 )
-from animtool.edit.tree import LocalPlacement, inserted, joint_index, removed, set_joint
+from animtool.edit.tree import (
+    LocalPlacement,
+    insert_joint,
+    joint_index,
+    remove_joint,
+    set_joint,
+)
 from animtool.maths import so3
 from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
@@ -80,16 +86,16 @@ def extract_root(
     """
     _check_axes(axes)
     rig = take.rig
-    hip = _hips(take, root, hips)
+    hip = _hips_index(take, root, hips)
     if root not in rig.names:
-        take = inserted(take, root, hip)
+        take = insert_joint(take, root, hip)
         hip += 1
     joint = take.rig.index(root)
     if joint not in take.rig.upwards(hip)[1:]:
         name = take.rig.names[hip]
         raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
     placing = _root_path(take, joint, hip, axes.lower(), yaw)
-    return _compact(set_joint(take, joint, placing))
+    return _compact_take(set_joint(take, joint, placing))
 
 
 def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
@@ -118,7 +124,7 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
             np.array([entry.translation]), np.array([entry.rotation])
         )
     at_rest = set_joint(take, joint, identity)
-    return _compact(at_rest if keep else removed(at_rest, joint))
+    return _compact_take(at_rest if keep else remove_joint(at_rest, joint))
 
 
 def _check_axes(axes: str) -> None:
@@ -136,7 +142,7 @@ def _refusal(message: str, hint: str) -> OptionError:
     return OptionError(Fault("SCN020", message, hint=hint))
 
 
-def _hips(take: Take, root: str, hips: str) -> int:
+def _hips_index(take: Take, root: str, hips: str) -> int:
     rig = take.rig
     if hips:
         return joint_index(rig, hips, "hips")
@@ -146,7 +152,7 @@ def _hips(take: Take, root: str, hips: str) -> int:
         )
     has_root = root in rig.names
     topmost = rig.index(root) if has_root else rig.roots[0]
-    traveller_joint = traveller(rig, take.motion, topmost, below=has_root)
+    traveller_joint = travelling_joint(rig, take.motion, topmost, below=has_root)
     if traveller_joint is None and has_root:
         traveller_joint = next(
             (
@@ -165,7 +171,7 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPl
     up = np.array(rig.up.vector)
     parse_choice = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
     hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
-    frame = above(rig, motion, root)
+    frame = parent_frame(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
         raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
@@ -175,14 +181,14 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPl
     rotations = motion.rotations.gather(np.array([root]))[:, 0]
     if yaw:
         inverse_rest = so3.conjugate(rest_rotation(rig, hip))
-        yaw_rotation = twist(so3.multiply(hips.rotation, inverse_rest), up)
+        yaw_rotation = vertical_twist(so3.multiply(hips.rotation, inverse_rest), up)
         full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
         rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
     return LocalPlacement(translations, rotations)
 
 
-def _compact(take: Take) -> Take:
-    return replace(take, motion=continuous(take.motion).map(Channel.compact))
+def _compact_take(take: Take) -> Take:
+    return replace(take, motion=align_signs(take.motion).map(Channel.compact))
 
 
 def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:

@@ -11,7 +11,7 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.record import dataclass
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.travel import FramePositions
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -28,7 +28,7 @@ BLOCK_FRAMES = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class StraightError:
+class InterpolationError:
     """The largest error of one kind of channel between frames."""
 
     channel: str  # field of a motion
@@ -37,7 +37,9 @@ class StraightError:
     size: float  # estimated size [m], [rad], [1]
 
 
-def straight_errors(between: Between, positions: FramePositions) -> list[StraightError]:
+def interpolation_errors(
+    between: TakeSampler, positions: FramePositions
+) -> list[InterpolationError]:
     """Return the largest interpolation error of each kind of channel.
 
     A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
@@ -54,16 +56,16 @@ def straight_errors(between: Between, positions: FramePositions) -> list[Straigh
         straight = np.ones(len(channel.animated), bool)
         if name in between.curved:
             straight = ~between.curved[name][channel.animated]
-        largest = _largest(channel, np.flatnonzero(straight), positions)
+        largest = _largest_error(channel, np.flatnonzero(straight), positions)
         if largest is not None:
             frame, column, largest_size = largest
             channel_row = int(channel.animated[column])
-            errors.append(StraightError(name, channel_row, frame, largest_size))
+            errors.append(InterpolationError(name, channel_row, frame, largest_size))
     return errors
 
 
-def straight_notices(
-    between: Between, positions: FramePositions, hint: str
+def interpolation_notices(
+    between: TakeSampler, positions: FramePositions, hint: str
 ) -> list[Fault]:
     """Return the note of the estimated interpolation error (TAKE007), if it matters.
 
@@ -76,7 +78,7 @@ def straight_notices(
         "rotations": NEGLIGIBLE_ANGLE,
     }
     error_texts = []
-    for error in straight_errors(between, positions):
+    for error in interpolation_errors(between, positions):
         if error.size <= thresholds.get(error.channel, NEGLIGIBLE_WEIGHT):
             continue
         size = plain_number(error.size)
@@ -103,7 +105,7 @@ def straight_notices(
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 
-def _largest(
+def _largest_error(
     channel: Channel, columns: IntArray, positions: FramePositions
 ) -> tuple[float, int, float] | None:
     """Return frame, column and size of the largest error of some columns."""
@@ -117,7 +119,7 @@ def _largest(
         # Curvature at the frames before and after each position.
         first_bend = int(np.clip(frames.min(), 1, count - 2))
         last_bend = int(np.clip(frames.max() + 1, 1, count - 2))
-        second_differences = _bends(
+        second_differences = _second_differences(
             channel.values[first_bend - 1 : last_bend + 2], columns
         )
         peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
@@ -156,7 +158,7 @@ def _blocks(indices: IntArray) -> Iterator[IntArray]:
         yield indices[start : start + BLOCK_FRAMES]
 
 
-def _bends(values: FloatArray, columns: IntArray) -> FloatArray:
+def _second_differences(values: FloatArray, columns: IntArray) -> FloatArray:
     """Return norms ``(F-2, A)`` of the second differences of values ``(F, A, K)``."""
     if len(columns) < values.shape[1]:
         values = values[:, columns]

@@ -27,7 +27,7 @@ MAX_DROP_PASSES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Thinned:
+class ThinnedSamples:
     """Which samples are kept, and the resulting error."""
 
     samples: int  # number of samples before thinning
@@ -50,7 +50,7 @@ def thin_samples(
     tolerance: float,
     *,
     joint_tolerances: Mapping[str, float] | None = None,
-) -> Thinned:
+) -> ThinnedSamples:
     """Return the samples that reproduce a motion within a tolerance > 0 [m].
 
     Between two samples USD interpolates translations, scales and weights linearly, and
@@ -63,14 +63,14 @@ def thin_samples(
     tolerance of weights is `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    measure = _Measure(rig, codes, motion, bounds)
-    kept_samples = _split(measure, np.unique([0, len(codes) - 1]))
+    measure = _RestoredError(rig, codes, motion, bounds)
+    kept_samples = _add_samples(measure, np.unique([0, len(codes) - 1]))
     for round_ in range(MAX_DROP_PASSES):
-        kept_samples = _without_alternate(measure, kept_samples, round_ % 2)
+        kept_samples = _drop_alternate(measure, kept_samples, round_ % 2)
     return measure.report(kept_samples)
 
 
-def _split(measure: _Measure, kept_samples: IntArray) -> IntArray:
+def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
     """Add samples until every interval is within the tolerance."""
     frames = np.setdiff1d(np.arange(len(measure.codes)), kept_samples)
     while len(frames):
@@ -96,8 +96,8 @@ def _split(measure: _Measure, kept_samples: IntArray) -> IntArray:
     return kept_samples
 
 
-def _without_alternate(
-    measure: _Measure, kept_samples: IntArray, skip: int
+def _drop_alternate(
+    measure: _RestoredError, kept_samples: IntArray, skip: int
 ) -> IntArray:
     """Return the samples without every second unnecessary one."""
     trial = np.arange(1 + skip, len(kept_samples) - 1, 2)
@@ -116,7 +116,7 @@ def _without_alternate(
     return np.delete(kept_samples, trial[worst_ratios <= 1])
 
 
-class _Measure:
+class _RestoredError:
     """Error of the motion restored from the kept samples."""
 
     def __init__(
@@ -136,7 +136,7 @@ class _Measure:
     ) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
-        restored_motion = self.motion.select(kept_samples).map(positions.blend)
+        restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
         world = restored_motion.world(self.rig)
         weights = np.zeros(len(frames))
@@ -152,14 +152,14 @@ class _Measure:
         largest = (joints / self.bounds).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
 
-    def report(self, kept_samples: IntArray) -> Thinned:
+    def report(self, kept_samples: IntArray) -> ThinnedSamples:
         """Return the result for the kept samples."""
         count = len(self.codes)
         joints, weights = self.errors(kept_samples, np.arange(count))
         if not joints.shape[1]:
             joints = np.zeros((count, 1))
         frame, joint = divmod(int(np.argmax(joints)), joints.shape[1])
-        return Thinned(
+        return ThinnedSamples(
             count,
             kept_samples,
             float(joints[frame, joint]),

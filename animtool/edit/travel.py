@@ -26,7 +26,7 @@ class JointFrame:
     linear: FloatArray
 
 
-def above(rig: Rig, motion: Motion, joint: int) -> JointFrame:
+def parent_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return the world frame that contains a joint's local transform."""
     return _travel_frame(motion, rig.upwards(joint)[:0:-1])
 
@@ -61,12 +61,13 @@ def _travel_frame(motion: Motion, joints: list[int]) -> JointFrame:
     return JointFrame(position, rotation, linear)
 
 
-def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
+def vertical_twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
     """Return the part of rotations ``(..., 4)`` about a unit axis ``(3,)``.
 
     It is the identity for half a revolution about a perpendicular axis.
 
-    >>> twist(np.array([0.0, 0.6, 0.8, 0.0]), np.array([0.0, 1.0, 0.0])).tolist()
+    >>> up = np.array([0.0, 1.0, 0.0])
+    >>> vertical_twist(np.array([0.0, 0.6, 0.8, 0.0]), up).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
     vector_on_axis = np.sum(rotation[..., :3] * up, axis=-1, keepdims=True) * up
@@ -85,7 +86,7 @@ class FramePositions:
     frames: IntArray  # frame at or before each sample ``(N,)``
     fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
 
-    def blend(self, channel: Channel) -> Channel:
+    def interpolate(self, channel: Channel) -> Channel:
         """Return the channel at these positions.
 
         On a frame the result equals that frame exactly. Between two frames, rotations
@@ -115,7 +116,7 @@ class FramePositions:
         """
         values, count = channel.values, len(channel.values)
         if count < 3:
-            return self.blend(channel)
+            return self.interpolate(channel)
         # The parabola of the last three frames continues beyond the ends.
         row_before = 3 * values[:1] - 3 * values[1:2] + values[2:3]
         row_after = 3 * values[-1:] - 3 * values[-2:-1] + values[-3:-2]
@@ -222,7 +223,7 @@ class CycleTravel:
     shifts: FloatArray  # ``(J, 3)`` [m]
 
 
-def traveller(
+def travelling_joint(
     rig: Rig, motion: Motion, root: int, *, below: bool = False
 ) -> int | None:
     """Return the joint that carries the full character, from a root down.
@@ -231,10 +232,10 @@ def traveller(
     below static joints only: the one with the most descendants, then the first. None if
     nothing travels.
     """
-    if not below and (_slides(rig, motion, root) or _rotates(motion, root)):
+    if not below and (_is_translated(rig, motion, root) or _is_rotated(motion, root)):
         return root
-    travellers = _travellers(rig, motion, root)
-    return max(travellers, key=lambda j: (_weight(rig, j), -j), default=None)
+    travellers = _travelling_joints(rig, motion, root)
+    return max(travellers, key=lambda j: (_subtree_size(rig, j), -j), default=None)
 
 
 def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
@@ -242,7 +243,7 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
 
     Motion on the ground and about the up axis accumulates; height and lean return. Each
     root travels independently, and joints below a static root move with the joint that
-    `traveller` returns.
+    `travelling_joint` returns.
     """
     count = len(rig.joints)
     travel = CycleTravel(
@@ -252,13 +253,13 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
     )
     end_frames = motion.select(np.array([0, -1]))
     for root in rig.roots:
-        main_joint = traveller(rig, motion, root)
+        main_joint = travelling_joint(rig, motion, root)
         if main_joint is None:
             continue
-        joints = [root] if main_joint == root else _travellers(rig, motion, root)
+        joints = [root] if main_joint == root else _travelling_joints(rig, motion, root)
         rotation, displacement = _ground_step(rig, end_frames, main_joint)
         for joint in joints:
-            _carry(travel, joint, rig, end_frames, rotation, displacement)
+            _store_travel(travel, joint, rig, end_frames, rotation, displacement)
     return travel
 
 
@@ -267,12 +268,12 @@ def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatA
     up = np.array(rig.up.vector)
     frame = joint_frame(rig, ends, joint)
     change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
-    rotation = twist(change, up)
+    rotation = vertical_twist(change, up)
     displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
     return rotation, displacement - (displacement @ up) * up
 
 
-def _carry(
+def _store_travel(
     travel: CycleTravel,
     joint: int,
     rig: Rig,
@@ -285,7 +286,7 @@ def _carry(
         travel.rotations[joint], travel.shifts[joint] = world_rotation, slide
         travel.linear[joint] = so3.to_matrix(world_rotation)
         return
-    frame = above(rig, ends, joint)
+    frame = parent_frame(rig, ends, joint)
     position, rotation, linear = (
         part[0] for part in (frame.position, frame.rotation, frame.linear)
     )
@@ -301,31 +302,31 @@ def _carry(
     travel.shifts[joint] = np.linalg.solve(linear, shift)
 
 
-def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
+def _travelling_joints(rig: Rig, motion: Motion, root: int) -> list[int]:
     """Return the topmost moving free joints below a root."""
     travellers: list[int] = []
     static = {root}
     for j, joint in enumerate(rig.joints):
         if joint.parent not in static:
             continue
-        if joint.type is JointType.FREE and _slides(rig, motion, j):
+        if joint.type is JointType.FREE and _is_translated(rig, motion, j):
             travellers.append(j)
-        elif not _rotates(motion, j):
+        elif not _is_rotated(motion, j):
             static.add(j)
     return travellers
 
 
-def _slides(rig: Rig, motion: Motion, joint: int) -> bool:
+def _is_translated(rig: Rig, motion: Motion, joint: int) -> bool:
     extent = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
     return bool(np.linalg.norm(extent) > STATIC_FRACTION * rest_size(rig))
 
 
-def _rotates(motion: Motion, joint: int) -> bool:
+def _is_rotated(motion: Motion, joint: int) -> bool:
     values = motion.rotations.gather(np.array([joint]))
     return bool(so3.angle_between(values, values[:1]).max() > STATIC_FRACTION)
 
 
-def _weight(rig: Rig, joint: int) -> int:
+def _subtree_size(rig: Rig, joint: int) -> int:
     subtree = {joint}
     for j, rig_joint in enumerate(rig.joints):
         if rig_joint.parent in subtree:

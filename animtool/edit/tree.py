@@ -26,7 +26,7 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 def joint_index(rig: Rig, name: str, option: str) -> int:
     """Return the index of a joint."""
     if name not in rig.names:
-        raise _unknown(rig, name, option)
+        raise _unknown_joint_error(rig, name, option)
     return rig.index(name)
 
 
@@ -44,7 +44,7 @@ def joints_matching(
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matches = [fnmatchcase(name, pattern) for name in rig.names]
         if not any(matches):
-            raise _unknown(rig, pattern, "joints")
+            raise _unknown_joint_error(rig, pattern, "joints")
         is_selected = [a or b for a, b in zip(is_selected, matches, strict=True)]
     if children:
         for i, joint in enumerate(rig.joints):
@@ -54,7 +54,7 @@ def joints_matching(
     return [i for i, selected in enumerate(is_selected) if selected]
 
 
-def _unknown(rig: Rig, name: str, option: str) -> OptionError:
+def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
     suggestions = most_similar(name, rig.names)
     message = (
         f"{option}: unknown joint {excerpt(name)}; the rig has {listed(rig.names)}"
@@ -86,7 +86,7 @@ def set_joint(take: Take, joint: int, placing: LocalPlacement) -> Take:
     inverse_rotations = so3.conjugate(placing.rotations)
     rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
     rotates = so3.angle_between(placing.rotations, rotations[:, 0]) > EQUAL_VALUES
-    scale = _scale(take, joint, rotates)[:, None]
+    scale = _joint_scale(take, joint, rotates)[:, None]
     shift = so3.rotate(inverse_rotations, translations[:, 0] - placing.translations)[
         :, None
     ]
@@ -105,7 +105,7 @@ def set_joint(take: Take, joint: int, placing: LocalPlacement) -> Take:
     )
 
 
-def _scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
+def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     """Return the scale of a joint ``(F, 3)``, uniform where the joint rotates."""
     scales = take.motion.scales
     if scales is None:
@@ -125,7 +125,7 @@ def _scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     return values
 
 
-def inserted(take: Take, name: str, below: int) -> Take:
+def insert_joint(take: Take, name: str, below: int) -> Take:
     """Return the take with a new static joint right above another.
 
     The new joint takes the other's index, and the other the next one.
@@ -144,10 +144,10 @@ def inserted(take: Take, name: str, below: int) -> Take:
             channel.values,
         )
 
-    return _on(take, replace(take.rig, joints=tuple(joints)), grown)
+    return _with_rig(take, replace(take.rig, joints=tuple(joints)), grown)
 
 
-def removed(take: Take, joint: int) -> Take:
+def remove_joint(take: Take, joint: int) -> Take:
     """Return the take without a joint at its parent's origin and orientation.
 
     Its children move to its parent and take over its scale and rest pose.
@@ -182,8 +182,8 @@ def removed(take: Take, joint: int) -> Take:
             channel.values[:, is_kept],
         )
 
-    smaller_rig = replace(rig, joints=tuple(joints), bind=_bind(rig, joint))
-    return _on(take, smaller_rig, shrunk)
+    smaller_rig = replace(rig, joints=tuple(joints), bind=_bind_without(rig, joint))
+    return _with_rig(take, smaller_rig, shrunk)
 
 
 def _move_scale_to_children(take: Take, joint: int) -> Take:
@@ -191,7 +191,7 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
     scales = take.motion.scales
     if scales is None:
         return take
-    scale = _scale(take, joint, np.ones(1, np.bool_))[:, None]
+    scale = _joint_scale(take, joint, np.ones(1, np.bool_))[:, None]
     children = np.flatnonzero(take.rig.parents == joint)
     translations = take.motion.translations
     family = np.concatenate([[joint], children])
@@ -205,7 +205,9 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
     return replace(take, motion=motion)
 
 
-def _on(take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]) -> Take:
+def _with_rig(
+    take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]
+) -> Take:
     motion = take.motion
     return replace(
         take,
@@ -233,7 +235,7 @@ def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
     return Pose((x, y, z), (a, b, c, w))
 
 
-def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
+def _bind_without(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig without a joint."""
     removed_joint = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
@@ -331,13 +333,17 @@ def hang(
     frame_and_world, world = np.array([j]), take.world()
     _check_scales(take, world, j)
     rotation = world.rotations[:, j]
-    local_axis = _axis(take, j) if axis is None else np.asarray(axis, np.float64)
+    local_axis = (
+        _hanging_axis(take, j) if axis is None else np.asarray(axis, np.float64)
+    )
     if local_axis.any():
         segment = ends[:, 1] - ends[:, 0]
         rotation = so3.multiply(
-            _shortest(so3.rotate(rotation, local_axis), segment), rotation
+            _shortest_rotations(so3.rotate(rotation, local_axis), segment), rotation
         )
-    positions, rotations = _local(world, rig.joints[j].parent, ends[:, 1], rotation)
+    positions, rotations = _to_parent_space(
+        world, rig.joints[j].parent, ends[:, 1], rotation
+    )
     rotations = so3.align_signs(rotations)
     return replace(
         take,
@@ -353,14 +359,14 @@ def hang(
     )
 
 
-def _axis(take: Take, joint: int) -> FloatArray:
+def _hanging_axis(take: Take, joint: int) -> FloatArray:
     """Return the axis that points down at rest, in a joint's frame."""
     down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
     rest_rotation = rest_world(take.rig).rotations[0, joint]
     return np.asarray(so3.rotate(so3.conjugate(rest_rotation), down_vector))
 
 
-def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
+def _shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
     sizes = [np.linalg.norm(v, axis=1, keepdims=True) for v in (before, after)]
     # A segment without length has no direction.
@@ -381,7 +387,7 @@ def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     return so3.exp(np.where(no_length, 0.0, axis * angle))
 
 
-def _local(
+def _to_parent_space(
     world: WorldTransforms, parent: int, positions: FloatArray, rotations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return world transforms of a joint in the space of its parent."""

@@ -16,12 +16,12 @@ from animtool.core.files.reading import MAX_INPUT_BYTES, read_input
 from animtool.core.record import dataclass
 
 SEPARATORS = (b"\t", b";", b",")
-BLANK = b" \t,;"
+BLANKS = b" \t,;"
 ROWS_AT_ONCE = 4096
 # Number of rows checked for decimal commas.
 COMMA_ROWS = 100
 # Bytes of a number in which decimals are counted.
-MAX_CELL = 40
+MAX_CELL_LENGTH = 40
 # Maximum ratio of padded to actual values.
 MAX_PADDING = 20
 # Tables up to this many values may be padded freely.
@@ -38,7 +38,7 @@ def read_lines(path: Path) -> list[bytes]:
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
 
 
-def decoded(text: bytes) -> str:
+def decode_text(text: bytes) -> str:
     """Return bytes decoded as UTF-8, else Latin-1."""
     try:
         return text.decode()
@@ -73,13 +73,13 @@ def row_separator(line: bytes, default: bytes) -> bytes:
 def split_cells(line: bytes, separator: bytes) -> list[str]:
     """Return the cells of a line, stripped of blanks and quotes."""
     cells = line.split() if separator == b" " else line.split(separator)
-    return [decoded(cell).strip().strip('"').strip() for cell in cells]
+    return [decode_text(cell).strip().strip('"').strip() for cell in cells]
 
 
-def number_of(text: str | None) -> float | None:
+def parse_number(text: str | None) -> float | None:
     """Return a finite number with decimal point or comma; else None.
 
-    >>> number_of("59,94"), number_of("1e3"), number_of("x")
+    >>> parse_number("59,94"), parse_number("1e3"), parse_number("x")
     (59.94, 1000.0, None)
     """
     text = text or ""
@@ -120,7 +120,7 @@ class TextRows:
         """Return the maximum number of decimals in a column; 15 for exponents."""
         max_decimals = 0
         for text in self.texts:
-            begin = text[: MAX_CELL * (column + 1)]
+            begin = text[: MAX_CELL_LENGTH * (column + 1)]
             cell = begin.split(None, column + 1)[column : column + 1] or [b""]
             exact = b"e" in cell[0].lower()
             max_decimals = max(
@@ -153,7 +153,7 @@ class TextRows:
             if len(block) < len(texts):
                 message = f"has {count} values instead of {width}"
                 if token:
-                    message = f"{excerpt(decoded(token))} is not a number"
+                    message = f"{excerpt(decode_text(token))} is not a number"
                 raise error(message, int(self.lines[begin + len(block)]))
             blocks.append(block)
         return blocks[1] if len(blocks) == 2 else np.concatenate(blocks)
@@ -170,7 +170,7 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
     for i in range(begin, len(lines)):
         line = lines[i]
         if separator not in line or separator == b" ":
-            if not line.strip(BLANK):
+            if not line.strip(BLANKS):
                 continue
             line = line.strip()
             cell_count = used_count = len(line.split())

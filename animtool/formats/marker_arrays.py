@@ -21,7 +21,7 @@ from animtool.documents.references import split_reference
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.motion.markers import Markers
 
-_UNIT = re.compile(r"_(mm|cm|m|in)")
+_UNIT_SUFFIX = re.compile(r"_(mm|cm|m|in)")
 # Prefix of the default array of positions.
 DEFAULT_PREFIX = "markers"
 
@@ -65,7 +65,7 @@ def read_markers(
     open_input(path, None).close()
     try:
         with Archives() as archives:
-            return _read(file, archives, path, array, unit, up, fps, subject)
+            return _read_arrays(file, archives, path, array, unit, up, fps, subject)
     except ValueError as error:
         raise file.error("MKR012", _message_of(str(error), path)) from error
 
@@ -75,7 +75,7 @@ def _message_of(message: str, path: Path) -> str:
     return message.removeprefix(path.name).lstrip("# ")
 
 
-def _read(
+def _read_arrays(
     file: MarkerFile,
     archives: Archives,
     path: Path,
@@ -86,7 +86,7 @@ def _read(
     subject: str | None,
 ) -> Markers:
     array_names = archives.names(path)
-    key = _array(file, archives, path, array_names, array)
+    key = _positions_array(file, archives, path, array_names, array)
     header = archives.header(path, key)
     if len(header.shape) != 3 or header.shape[2] != 3 or header.kind not in "fiu":
         message = f"{key!r} has shape {header.shape}, not (frames, markers, 3)"
@@ -97,7 +97,7 @@ def _read(
     if frames * count > MAX_POSITIONS:
         message = f"{key!r} has {frames} frames of {count} points, above the limit"
         raise file.error("MKR012", message)
-    suffix = _UNIT.fullmatch(key[key.rfind("_") :]) if "_" in key else None
+    suffix = _UNIT_SUFFIX.fullmatch(key[key.rfind("_") :]) if "_" in key else None
     length = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
     def number(name: str) -> float | None:
@@ -124,8 +124,8 @@ def _read(
     filled, start = point_array("filled"), number("start")
     return Markers(
         file.names(labels, subject),
-        Clock(rate, _start(start), Fraction(1), frames),
-        file.cleaned(positions, length.meters),
+        Clock(rate, _start_fraction(start), Fraction(1), frames),
+        file.clean_positions(positions, length.meters),
         axis,
         None if cameras is None else cameras.astype(np.int64),
         None if residuals is None else residuals.astype(np.float64),
@@ -134,7 +134,7 @@ def _read(
     )
 
 
-def _array(
+def _positions_array(
     file: MarkerFile,
     archives: Archives,
     path: Path,
@@ -148,7 +148,7 @@ def _array(
         return array
     candidates = [key for key in array_names if key.partition("_")[0] == DEFAULT_PREFIX]
     if not candidates:
-        with_unit = [key for key in array_names if _UNIT.search(key)]
+        with_unit = [key for key in array_names if _UNIT_SUFFIX.search(key)]
         message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"
         hint = f"name one: {path.name}#{with_unit[0]}" if with_unit else None
         raise file.error(
@@ -156,11 +156,13 @@ def _array(
         )
     if len(candidates) > 1:
         # The array of marker names has the same prefix.
-        candidates = [key for key in candidates if _UNIT.search(key)] or candidates
+        candidates = [
+            key for key in candidates if _UNIT_SUFFIX.search(key)
+        ] or candidates
     return candidates[0]
 
 
-def _start(start: float | None) -> Fraction:
+def _start_fraction(start: float | None) -> Fraction:
     if start is None or not np.isfinite(start):
         return Fraction(1)
     return time_fraction(start)

@@ -18,17 +18,17 @@ from animtool.core.record import dataclass
 # the step: accumulating a step in float64 or float32 causes such errors.
 STEP_TOLERANCE = 1e-3
 # Largest plausible number of a first frame.
-LAST_START = 1e9
+MAX_START_FRAME = 1e9
 # Maximum frames per row, and number of empty positions that is always allowed: more
 # frames without a row indicate a wrong number, not a pause.
-MAX_FRAMES_EACH = 10
-MAX_ABSENT = 1_000_000
+MAX_FRAMES_PER_ROW = 10
+MAX_EMPTY_FRAMES = 1_000_000
 # Relative difference up to which jittering times have the header's rate.
 RATE_TOLERANCE = 0.05
 # Minimum rows per gap, on average; more gaps indicate another rate.
 MIN_ROWS_PER_GAP = 4
 # Longest interval that is interpolated between two rows [steps].
-MAX_INTERPOLATED = 1.5
+MAX_INTERPOLATED_GAP = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class TimeSteps:
     regular: bool
 
 
-def rounding_of(decimals: int) -> float:
+def rounding_error(decimals: int) -> float:
     """Return the rounding error of a number with some decimals."""
     return float(0.5 * 10.0**-decimals)
 
@@ -81,7 +81,7 @@ def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | Non
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         steps_between = np.rint(np.diff(times) / step)
     is_countable = (
-        np.isfinite(steps_between).all() and steps_between.sum() <= LAST_START
+        np.isfinite(steps_between).all() and steps_between.sum() <= MAX_START_FRAME
     )
     if not is_countable or steps_between.min() < 1:
         return None
@@ -131,7 +131,7 @@ def find_steps(
         return fitted_steps[0]
     median = median_step(times)
     intervals = np.diff(times)
-    mean = float(intervals[intervals <= MAX_INTERPOLATED * median].mean())
+    mean = float(intervals[intervals <= MAX_INTERPOLATED_GAP * median].mean())
     gap_steps = fit_gaps(times, mean, rounding)
     if gap_steps is not None and gap_steps.regular:
         return gap_steps
@@ -165,7 +165,7 @@ def is_rate_of(stated_rate: float, steps: TimeSteps, rounding: float) -> bool:
 def has_few_empty_frames(at: FloatArray | IntArray, markers: int) -> bool:
     """Return whether rows at frames ``(R,)`` leave few enough frames empty."""
     frames = (float(at[-1]) + 1) * markers
-    return frames <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers)
+    return frames <= max(MAX_EMPTY_FRAMES, MAX_FRAMES_PER_ROW * len(at) * markers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +205,7 @@ class RowFrames:
         fraction = np.clip((frames - self.at[row_before]) / width, 0.0, 1.0)
         tolerance = STEP_TOLERANCE / width
         in_gap = (
-            (width > MAX_INTERPOLATED)
+            (width > MAX_INTERPOLATED_GAP)
             & (fraction > tolerance)
             & (fraction < 1.0 - tolerance)
         )

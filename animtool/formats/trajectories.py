@@ -104,7 +104,7 @@ class MarkerFile:
                 f"set the unit with {argument('source.unit')}",
             )
             return default
-        unit = _unit(stated_unit.strip().lower().rstrip("s."))
+        unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
         if unit is None:
             message = f"unknown unit {excerpt(stated_unit)}"
             hint = f"set one of {', '.join(LengthUnit)} with {argument('source.unit')}"
@@ -153,7 +153,7 @@ class MarkerFile:
             self.notices.append(warning)
         return tuple(unique)
 
-    def cleaned(self, positions: FloatArray, meters: float) -> FloatArray:
+    def clean_positions(self, positions: FloatArray, meters: float) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
 
         Invalid are points with an infinity or a number beyond float32, points with one
@@ -187,7 +187,7 @@ class MarkerFile:
         return positions
 
 
-def _unit(text: str) -> LengthUnit | None:
+def _parse_unit(text: str) -> LengthUnit | None:
     """Return the unit of a text; some writers truncate it."""
     if text in _UNITS or len(text) < 4:
         return _UNITS.get(text)

@@ -20,7 +20,7 @@ from animtool.rig.joints import (
     coordinate_slices,
     local_from_coordinates,
 )
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -244,7 +244,7 @@ def _limbs(
     """Return the root and middle node of each goal's limb."""
     if not any(goal.pole > 0 for goal in goals):
         return [(-1, -1)] * len(goals), []
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     origins = world.positions[0]
     limbs, faults = [], []
     for i, goal in enumerate(goals):

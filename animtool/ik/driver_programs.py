@@ -16,7 +16,7 @@ from animtool.rig.drivers import (
     ANGLE,
     SLIDE,
     SWING,
-    SWINGS,
+    SWING_PARTS,
     TWIST,
     Driver,
     smooth_slopes,
@@ -280,5 +280,5 @@ def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
     middle = (low + high) / 2 if high - low < 2 * np.pi - REVOLUTION_TOLERANCE else 0.0
     if part in (TWIST, SWING):
         return (float(part == TWIST), 0.0, 0.0, float(part == SWING), middle)
-    first_axis, second_axis = limits.axes[1:, SWINGS.index(part)].tolist()
+    first_axis, second_axis = limits.axes[1:, SWING_PARTS.index(part)].tolist()
     return (0.0, first_axis, second_axis, 0.0, middle)

@@ -18,7 +18,7 @@ from animtool.core.names import nearest
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
-from animtool.documents.check import check_version, validated
+from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
@@ -52,7 +52,7 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
 def targets_of_document(document: Document, rig: Rig | None) -> TargetTracks:
     """Return the target tracks of a document; see `load_targets`."""
     check_version(document, "targets")
-    model = validated(document, TargetsModel)
+    model = validate_document(document, TargetsModel)
     with Archives() as archives:
         tracks = _TargetsReader(document, model, rig, archives).tracks()
     document.check()

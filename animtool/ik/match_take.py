@@ -35,7 +35,7 @@ from animtool.maths.fit import fit_keys
 from animtool.maths.tangents import Tangent
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Rig
 
@@ -112,7 +112,7 @@ def match_take(
     part, indices = sub_rig(take.rig, [chain.tip for chain in chains])
     refuse_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
-    world = forward(
+    world = forward_kinematics(
         part, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
     matched_limbs = match(part, chains, world)

@@ -19,7 +19,7 @@ from animtool.ik.problem import moving_joints
 from animtool.ik.sub_rig import with_types
 from animtool.ik.two_bone import perpendicular
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
@@ -79,7 +79,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     [[[1.207, -0.207, 0.0]]]
     """
     rig = with_types(rig)
-    rest_transforms = forward(
+    rest_transforms = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
     shape = (len(world.positions), len(chains))

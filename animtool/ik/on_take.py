@@ -27,11 +27,11 @@ from animtool.ik.take_run import (
     gathered_take,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.take import Take
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import LocalTransforms
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # Maps tracks, and for each goal the take it fades from, to the solved take.
@@ -155,7 +155,7 @@ def solve_take(
 
     fade_sources = takes_released(take, tracks, bring_take)
     result = solve_round(tracks, fade_sources)
-    driven = driven_take(result.take)
+    driven = drive_take(result.take)
     return replace(result, take=driven, seconds=seconds_spent + result.seconds)
 
 
@@ -176,7 +176,7 @@ def _solve_take(
     local = LocalTransforms(
         take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
     )
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     solved_parts: list[SolvedPart] = []
     with _locate_faults(tracks):
         fade_transforms = tuple(
@@ -213,7 +213,9 @@ def _open_poles(
     motion = solved.take.motion
     local = motion.translations.gather(indices), motion.rotations.gather(indices)
     goals = [track.goal for track in solved.tracks.goals]
-    return poles_on_lines(rig, goals, forward(rig, *local), targets, solved.active)
+    return poles_on_lines(
+        rig, goals, forward_kinematics(rig, *local), targets, solved.active
+    )
 
 
 def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
@@ -249,7 +251,7 @@ def _world(
 ) -> WorldTransforms:
     """Return world transforms of a take, one frame repeated to another's length."""
     motion = take.motion
-    world = forward(
+    world = forward_kinematics(
         rig, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
     return WorldTransforms(

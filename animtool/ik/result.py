@@ -17,11 +17,11 @@ from animtool.ik.goals import PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
 from animtool.maths import so3
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 
 # A coordinate within this distance of its limit is on it [rad] or [m]; must exceed the
@@ -95,7 +95,7 @@ class IkResult:
             return self._placed
         rig = self.problem.rig
         rotations = local_from_coordinates(rig, self.coordinates).rotations
-        return forward(rig, self.local_translations(), rotations)
+        return forward_kinematics(rig, self.local_translations(), rotations)
 
     def with_world(self, world: WorldTransforms) -> IkResult:
         """Cache the world transforms of the joints; return the result itself."""
@@ -174,7 +174,7 @@ class IkResult:
             Channel.from_dense(self.local_translations()),
             Channel.from_dense(so3.align_signs(rotations)),
         )
-        return driven_take(Take(rig, clock, motion))
+        return drive_take(Take(rig, clock, motion))
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints on a limit in one of the poses."""

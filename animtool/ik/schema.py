@@ -17,7 +17,7 @@ from animtool.documents.fields import (
     IgnoreModel,
     Integer,
     Name,
-    Pair,
+    NumberPair,
     Quaternion,
     Real,
     Vector,
@@ -157,13 +157,13 @@ class GoalModel(_RequestedModel):
         0.1,
         default=None,
     )
-    hold: list[Pair] = key(
+    hold: list[NumberPair] = key(
         "First and last frame of spans in which it keeps its world position of the "
         "first frame.",
         [[12.0, 30.0], [48.0, 60.0]],
         default=[],
     )
-    during: list[Pair] = key(
+    during: list[NumberPair] = key(
         "First and last frame of spans in which the goal is active; outside them and "
         "their `ease` it is as free as without the goal. Default: all frames.",
         [[20.0, 80.0]],
@@ -192,7 +192,7 @@ class TargetsModel(FileModel):
         "24000/1001",
         default=None,
     )
-    range: Pair | None = key(
+    range: NumberPair | None = key(
         "First and last frame; arrays have a row for each. Default: those of the "
         "start clip, or of the keys, spans and arrays, which begin at 1.",
         [1.0, 48.0],

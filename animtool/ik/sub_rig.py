@@ -33,7 +33,7 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
         moving |= new
     followers = {name for name in moving if name in remaining}
     if rig.is_driven:
-        followers.update(plan_of(rig).followers(moving))
+        followers.update(plan_of(rig).dependent_joints(moving))
     return [name for name in rig.names if name in followers]
 
 
@@ -121,7 +121,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
 def _driver_links(rig: Rig) -> dict[int, list[int]]:
     """Return for each joint the joints that its driver reads or that it drives."""
     linked_joints: dict[int, list[int]] = {}
-    for name, sources in plan_of(rig).reads.items():
+    for name, sources in plan_of(rig).joints_read.items():
         for source_name in sources:
             pair = rig.index(name), rig.index(source_name)
             for joint, linked_joint in (pair, pair[::-1]):

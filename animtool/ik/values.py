@@ -20,11 +20,15 @@ from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
-from animtool.documents.references import missing_hint, referred, split_reference
+from animtool.documents.references import (
+    missing_hint,
+    resolve_reference,
+    split_reference,
+)
 from animtool.ik.schema import ValueModel
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.rig.suspicions import warn_of_length
+from animtool.rig.suspicions import warn_of_quaternion_length
 
 Span = tuple[float, float]
 # Returns positions [m] ``(F, 3)`` and rotations ``(F, 4)`` of a prim, in the rig's
@@ -285,7 +289,7 @@ class ValueReader:
             message = f"quaternion {numbers} has zero length"
             self.document.add("TGT007", at, message)
             return None
-        warn_of_length(self.document, at, numbers)
+        warn_of_quaternion_length(self.document, at, numbers)
         return Constant(tuple(rotations[0].tolist()))
 
     def _keyed_or_prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
@@ -347,7 +351,7 @@ class ValueReader:
             self.document.add("TGT009", at, message, "add file: shot.usda")
             return None
         location = (*at, "file")
-        path = referred(self.document, location, model.file, self.roots)
+        path = resolve_reference(self.document, location, model.file, self.roots)
         reason = None if path is None else not_a_file_reason(path)
         if reason is not None:
             hint = missing_hint(self.document, model.file)
@@ -357,7 +361,7 @@ class ValueReader:
 
     def _rows(self, at: Location, text: str, key: str) -> ArrayRows | None:
         name, array = split_reference(text, key)
-        path = referred(self.document, at, name, self.roots)
+        path = resolve_reference(self.document, at, name, self.roots)
         if path is None:
             return None
         try:
@@ -400,5 +404,5 @@ class ValueReader:
             self.document.add("TGT007", at, message)
             return None
         k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
-        warn_of_length(self.document, at, values[k].tolist())
+        warn_of_quaternion_length(self.document, at, values[k].tolist())
         return ArrayRows(text, rotations, first, location)

@@ -27,9 +27,9 @@ RAISED_HEEL_HEIGHT = 0.05
 # Quantile of heights that is the ground; lower frames are outliers.
 GROUND_QUANTILE = 0.02
 # Fewer frames have no contacts.
-MIN_FRAMES = 3
+MIN_CONTACT_FRAMES = 3
 # Shorter contacts and gaps are ignored [s].
-MIN_DURATION = 0.06
+MIN_CONTACT_DURATION = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class FootContacts:
         return self.ankle | self.toe
 
 
-def gaussian_smoothed(values: FloatArray, width: float) -> FloatArray:
+def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
     """Return rows ``(F, …)`` smoothed by a Gaussian of a width [frames]."""
     reach = math.ceil(4 * width)
     if not reach or len(values) < 2:
@@ -86,7 +86,7 @@ def find_contacts(
     """
     max_speed = MAX_STANDING_SPEED * leg
     points = [ankle] if toe is None else [ankle, toe]
-    if len(ankle) < MIN_FRAMES or leg <= 0:
+    if len(ankle) < MIN_CONTACT_FRAMES or leg <= 0:
         no_contacts = np.zeros(len(ankle), np.bool_)
         return FootContacts(
             no_contacts, no_contacts, float(ankle[:, up].min(initial=np.inf))
@@ -99,18 +99,20 @@ def find_contacts(
         width *= max(1.0, (NOISE_MARGIN * noise_left / max_speed) ** (2 / 3))
     part_motions = []
     for point in points:
-        smoothed_point = gaussian_smoothed(point, width)
+        smoothed_point = gaussian_smooth(point, width)
         speed = np.linalg.norm(np.gradient(smoothed_point, axis=0), axis=1) * fps
         part_motions.append((speed < max_speed, smoothed_point[:, up]))
     masks = []
     for k, (slow_frames, height) in enumerate(part_motions):
         slow_heights = height[slow_frames] if slow_frames.any() else height
-        base = float(np.quantile(slow_heights, GROUND_QUANTILE))
+        ground_height = float(np.quantile(slow_heights, GROUND_QUANTILE))
         max_height = (
             RAISED_HEEL_HEIGHT if k == 0 and toe is not None else MAX_STANDING_HEIGHT
         )
         masks.append(
-            without_short_runs(slow_frames & (height < base + max_height * leg), fps)
+            without_short_runs(
+                slow_frames & (height < ground_height + max_height * leg), fps
+            )
         )
     both_stand = masks[0] & masks[-1]
     height = part_motions[0][1]
@@ -136,7 +138,7 @@ def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
 
 def without_short_runs(mask: BoolArray, fps: float) -> BoolArray:
     """Return a mask without short gaps and short spans."""
-    min_frames = MIN_DURATION * fps
+    min_frames = MIN_CONTACT_DURATION * fps
     result = mask.copy()
     for start, end in runs(~result):
         if start > 0 and end < len(result) and end - start < min_frames:

@@ -25,7 +25,7 @@ from animtool.rig.shapes import combined_weights, uncombined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Smaller differences are float32 rounding [rad], [m]; of weights and controls [1].
-ROUNDING, WEIGHT_ROUNDING = 1e-5, 1e-6
+COORDINATE_ROUNDING, WEIGHT_ROUNDING = 1e-5, 1e-6
 # Twists that step by more between frames wrapped at 180 degrees [rad].
 HALF_REVOLUTION = np.pi
 
@@ -62,7 +62,7 @@ class DriverRun:
     # Angle of each unlimited pin at the end of the last block [rad].
     _angles: dict[int, float] = field(default_factory=dict, init=False)
     _twists: dict[str, float] = field(default_factory=dict, init=False)
-    _excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
+    _limit_excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _replaced: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _wrapped: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _kept_targets: set[str] = field(default_factory=set, init=False)
@@ -95,7 +95,7 @@ class DriverRun:
                 slice(1)
             )
         rig = self.rig
-        controls = self._controls(motion)
+        controls = self._updated_controls(motion)
         read_coordinate = _CoordinateReader(self, motion, times, coordinates or {})
         kept_targets = (
             self._targets_to_keep(motion) if motion.controls is None else set()
@@ -104,7 +104,9 @@ class DriverRun:
         _refuse_undefined(rig, values, times)
         for j, excess in values.excess.items():
             name = rig.names[j]
-            self._excess.setdefault(name, LargestAmount()).update(np.abs(excess), times)
+            self._limit_excess.setdefault(name, LargestAmount()).update(
+                np.abs(excess), times
+            )
         return replace(
             self._joints(motion, values, times),
             weights=self._weights(motion, values, times),
@@ -118,16 +120,16 @@ class DriverRun:
     def located_notices(self) -> list[tuple[Fault, str, float]]:
         """Return the warnings with their targets and worst frames."""
         notices = []
-        for name, largest in self._excess.items():
+        for name, largest in self._limit_excess.items():
             joint = self.rig.joints[self.rig.index(name)]
-            if largest.amount > ROUNDING:
+            if largest.amount > COORDINATE_ROUNDING:
                 message = (
                     f"the driver of {name!r} exceeds its limits by "
                     f"{_amount_text(joint, largest.amount)} at frame "
                     f"{largest.frame:g}; the joint is clamped"
                 )
                 hint = "widen the limits, or reduce the driver"
-                fault = _warning("RIG103", message, hint)
+                fault = _driver_warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", largest.frame))
         for name, largest in self._wrapped.items():
             message = (
@@ -135,7 +137,7 @@ class DriverRun:
                 "drives jumps there"
             )
             hint = "the limits of the joint's twist place the seam"
-            fault = _warning("RIG105", message, hint)
+            fault = _driver_warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
             notices.append((fault, f"joint/{joint_name}", largest.frame))
         if self._kept_targets and self.report_replaced:
@@ -157,7 +159,7 @@ class DriverRun:
                 f"it; the largest difference is {amount}, at frame {largest.frame:g}"
             )
             hint = "remove its `driven` from the rig to keep the source's motion"
-            fault = _warning("RIG104", message, hint)
+            fault = _driver_warning("RIG104", message, hint)
             notices.append((fault, target, largest.frame))
         return notices
 
@@ -206,11 +208,11 @@ class DriverRun:
             return _is_posed(motion.translations, j, rig.rest_translations[j])
         return _is_posed(motion.rotations, j, rig.rest_rotations[j])
 
-    def _controls(self, motion: Motion) -> dict[str, FloatArray]:
+    def _updated_controls(self, motion: Motion) -> dict[str, FloatArray]:
         if motion.controls is None:
             return {c.name: np.array([c.default]) for c in self.rig.controls}
         return {
-            control.name: _column(motion.controls, i)
+            control.name: _animated_column(motion.controls, i)
             for i, control in enumerate(self.rig.controls)
         }
 
@@ -231,26 +233,26 @@ class DriverRun:
         for j, driven_values in [*rotations.items(), *translations.items()]:
             rotates = j in rotations
             channel = motion.rotations if rotates else motion.translations
-            current_values = _rows(channel, j)
+            current_values = _joint_rows(channel, j)
             rest_values = (
                 self.rig.rest_rotations if rotates else self.rig.rest_translations
             )
-            distance = so3.angle_between if rotates else _distance
+            distance = so3.angle_between if rotates else _rotation_distance
             driven_rotations = (
                 distance(current_values, rest_values[j][None]).max(initial=0.0)
-                > ROUNDING
+                > COORDINATE_ROUNDING
             )
             if driven_rotations and self.rig.joints[j].driven is not None:
-                self._replace(
+                self._record_replaced(
                     f"joint/{self.rig.names[j]}",
                     distance(current_values, driven_values),
                     times,
-                    ROUNDING,
+                    COORDINATE_ROUNDING,
                 )
         return replace(
             motion,
-            rotations=_with_rows(motion.rotations, rotations),
-            translations=_with_rows(motion.translations, translations),
+            rotations=_with_joint_rows(motion.rotations, rotations),
+            translations=_with_joint_rows(motion.translations, translations),
         )
 
     def _weights(
@@ -263,17 +265,21 @@ class DriverRun:
         channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
         if motion.weights is not None:
             channel = motion.weights
-            source_weights = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
+            source_weights = {
+                s.name: _animated_column(channel, i) for i, s in enumerate(shapes)
+            }
         independent = uncombined_weights(shapes, source_weights) | driver_values.shapes
         new_weights = combined_weights(shapes, independent)
         index = {shape.name: i for i, shape in enumerate(shapes)}
-        changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined])
+        changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
         for name in driver_values.shapes:
             if source_weights[name].any():
                 differences = np.abs(new_weights[name] - source_weights[name])
-                self._replace(f"shape/{name}", differences, times, WEIGHT_ROUNDING)
+                self._record_replaced(
+                    f"shape/{name}", differences, times, WEIGHT_ROUNDING
+                )
         rows = {index[name]: new_weights[name][:, None] for name in changed_shapes}
-        return _with_rows(channel, rows)
+        return _with_joint_rows(channel, rows)
 
     def _new_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
@@ -287,14 +293,14 @@ class DriverRun:
             if control.name in driver_values.controls
         }
         for i, value in rows.items():
-            source_values = _column(channel, i)
+            source_values = _animated_column(channel, i)
             if (source_values != controls[i].default).any():
                 differences = np.abs(value[:, 0] - source_values)
                 target = f"control/{controls[i].name}"
-                self._replace(target, differences, times, WEIGHT_ROUNDING)
-        return _with_rows(channel, rows)
+                self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
+        return _with_joint_rows(channel, rows)
 
-    def _replace(
+    def _record_replaced(
         self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
     ) -> None:
         """Record the difference of a target's source motion from its driven motion."""
@@ -320,19 +326,19 @@ class _CoordinateReader:
         if name in self.overrides:
             return self.overrides[name]
         if name not in self.cache:
-            self.cache[name] = self._value(name)
+            self.cache[name] = self._read_coordinate(name)
         return self.cache[name]
 
-    def _value(self, name: str) -> FloatArray:
+    def _read_coordinate(self, name: str) -> FloatArray:
         rig = self.run.rig
         joint_name, part = split_coordinate(name)
         j = rig.index(joint_name)
         joint = rig.joints[j]
         inverse_rest = so3.conjugate(rig.rest_rotations[j])
         if joint.type is JointType.PRISMATIC:
-            offset = _rows(self.motion.translations, j) - rig.rest_translations[j]
+            offset = _joint_rows(self.motion.translations, j) - rig.rest_translations[j]
             return np.asarray(so3.rotate(inverse_rest, offset) @ np.array(joint.axis))
-        rotation = so3.multiply(inverse_rest, _rows(self.motion.rotations, j))
+        rotation = so3.multiply(inverse_rest, _joint_rows(self.motion.rotations, j))
         if joint.type is JointType.BALL:
             values = ball_part(joint, part, rotation)
             if part == TWIST:
@@ -371,7 +377,7 @@ def _refuse_undefined(rig: Rig, driver_values: DriverValues, times: FloatArray) 
         raise FormatError(faults)
 
 
-def _rows(channel: Channel, i: int) -> FloatArray:
+def _joint_rows(channel: Channel, i: int) -> FloatArray:
     """Return one joint's values ``(F, K)`` of a channel, or ``(1, K)`` if static."""
     column = int(np.searchsorted(channel.animated, i))
     if column < len(channel.animated) and channel.animated[column] == i:
@@ -384,14 +390,14 @@ def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
     difference = min(
         np.abs(channel.rest[i] + sign * rest_value).max() for sign in (-1, 1)
     )
-    return i in channel.animated or bool(difference > ROUNDING)
+    return i in channel.animated or bool(difference > COORDINATE_ROUNDING)
 
 
-def _column(channel: Channel, i: int) -> FloatArray:
-    return _rows(channel, i)[:, 0]
+def _animated_column(channel: Channel, i: int) -> FloatArray:
+    return _joint_rows(channel, i)[:, 0]
 
 
-def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
+def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
     """Return a channel with joints' values ``(F, K)`` replaced; ``(1, K)``: static."""
     if not rows:
         return channel
@@ -414,7 +420,7 @@ def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
     return result.put(np.array(moving_rows, np.int64), values)
 
 
-def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
+def _rotation_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(a - b, axis=-1))
 
 
@@ -424,5 +430,5 @@ def _amount_text(joint: Joint, amount: float) -> str:
     return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"
 
 
-def _warning(code: str, message: str, hint: str) -> Fault:
+def _driver_warning(code: str, message: str, hint: str) -> Fault:
     return Fault(code, message, None, (), hint, Severity.WARNING)

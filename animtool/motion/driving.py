@@ -23,7 +23,7 @@ from animtool.rig.skeleton import Rig
 REPEATED_CODES = frozenset({"RIG103", "RIG105"})
 
 
-def driven_take(take: Take) -> Take:
+def drive_take(take: Take) -> Take:
     """Return a take with driven joints, shapes and controls evaluated.
 
     Adds a notice for each joint whose driver exceeds its limits.
@@ -37,11 +37,11 @@ def driven_take(take: Take) -> Take:
 
     run = DriverRun(take.rig)
     motion = run.drive(take.motion, np.asarray(take.clock.times, np.float64))
-    new = without_repeated(run.notices(), take.notices)
+    new = drop_repeated_notices(run.notices(), take.notices)
     return replace(take, motion=motion, notices=(*take.notices, *new))
 
 
-def driven_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeStream:
+def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeStream:
     """Return a stream with driven joints, shapes and controls evaluated.
 
     Warnings of drivers are added to its notices once the blocks are read.
@@ -66,7 +66,7 @@ def driven_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeS
             times = start + float(stream.step) * indices
             frames_done += block.frames
             yield run.drive(block, times)
-        stream.notices.extend(without_repeated(run.notices(), stream.notices))
+        stream.notices.extend(drop_repeated_notices(run.notices(), stream.notices))
 
     result = replace(stream, blocks=blocks())
     curve = stream.curve
@@ -83,7 +83,7 @@ def _driven_curve(
     return lambda times: DriverRun(rig).drive(curve(times), times)
 
 
-def without_repeated(
+def drop_repeated_notices(
     notices: Iterable[Fault], reported: Iterable[Fault]
 ) -> list[Fault]:
     """Return notices without driver warnings that are already known."""

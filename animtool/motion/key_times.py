@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity
-from animtool.motion.keyed import Weight, key_arrays
+from animtool.motion.keyed import WeightOption, key_arrays
 
 # Samples as dense as this are a time in seconds at 10 frames a second and more [frame].
 DENSE, MIN_SAMPLES = 0.1, 3
@@ -43,7 +43,9 @@ def in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     return bool(0 <= together.min() < 1 and step < CLOSE and is_short and not is_even)
 
 
-def weight_warnings(weight: Weight, clock: Clock, *, in_shot: bool) -> list[Fault]:
+def weight_warnings(
+    weight: WeightOption, clock: Clock, *, in_shot: bool
+) -> list[Fault]:
     """Return a warning about a weight curve in seconds, or beside the take (SCN116).
 
     in_shot: Whether the take is cut to a shot, beside which keys may be.

@@ -38,8 +38,8 @@ def parse_choice(choices: type[Choice], word: str, option: str) -> Choice:
         raise OptionError(Fault("SCN025", message, hint=hint)) from error
 
 
-Keys: TypeAlias = Sequence[Sequence[float]]
-Weight: TypeAlias = float | Keys
+KeyPairs: TypeAlias = Sequence[Sequence[float]]
+WeightOption: TypeAlias = float | KeyPairs
 
 
 class KeyInterpolation(StrEnum):
@@ -53,7 +53,7 @@ class KeyInterpolation(StrEnum):
     SMOOTH = "smooth"
 
 
-def key_arrays(keys: Keys, name: str) -> tuple[FloatArray, FloatArray]:
+def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
     """Return times and values of pairs ``[time, value]``, each ``(K,)``, or SCN015."""
     rows = list(keys)
     try:
@@ -73,7 +73,7 @@ def key_arrays(keys: Keys, name: str) -> tuple[FloatArray, FloatArray]:
     return table[:, 0], table[:, 1]
 
 
-def evaluate_keyed(
+def interpolate_keys(
     times: FloatArray,
     values: FloatArray,
     at: FloatArray,
@@ -84,7 +84,7 @@ def evaluate_keyed(
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
     >>> ramp = np.array([0.0, 2.0]), np.array([0.0, 1.0])
-    >>> evaluate_keyed(*ramp, np.array([-1.0, 1.0])).tolist()
+    >>> interpolate_keys(*ramp, np.array([-1.0, 1.0])).tolist()
     [0.0, 0.5]
     """
     mode = parse_choice(KeyInterpolation, interpolation, "interpolation")
@@ -100,7 +100,7 @@ def evaluate_keyed(
 
 
 def weights_at(
-    weight: Weight,
+    weight: WeightOption,
     at: FloatArray,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     *,
@@ -122,7 +122,7 @@ def weights_at(
     times, values = key_arrays(weight, "weight")
     for value in values.tolist():
         _check_weight(value, bounded)
-    return evaluate_keyed(times, values, at, interpolation)
+    return interpolate_keys(times, values, at, interpolation)
 
 
 def _check_weight(weight: float, bounded: bool) -> None:

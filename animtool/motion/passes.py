@@ -28,14 +28,14 @@ from animtool.core.plugins import (
 )
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
-from animtool.motion.driving import driven_stream, driven_take
+from animtool.motion.driving import drive_stream, drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
 from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 
-MAX_LISTED = 6
+MAX_LISTED_TAKES = 6
 
 
 class PassthroughTracks:
@@ -63,9 +63,9 @@ class PassthroughTracks:
 
     def _with_tracks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
-            yield replace(block, track_times=self._next_times(block.frames))
+            yield replace(block, track_times=self._take_track_times(block.frames))
 
-    def _next_times(self, frames: int) -> Channel:
+    def _take_track_times(self, frames: int) -> Channel:
         """Return the track times of the next frames."""
         parts: list[Channel] = []
         while frames:
@@ -78,13 +78,13 @@ class PassthroughTracks:
         return Channel.concatenate(parts)
 
 
-def checked_tracks(
+def check_tracks(
     stream: TakeStream, source_tracks: Sequence[Track], name: str
 ) -> TakeStream:
     """Return the result of a pass, which raises when read if the pass lost tracks."""
     if not source_tracks:
         return stream
-    paths = listed([track.path for track in source_tracks], MAX_LISTED)
+    paths = listed([track.path for track in source_tracks], MAX_LISTED_TAKES)
     message = f"the pass {name} changes the clock and loses {paths}"
     hint = "it must treat track_times as the other channels of a motion"
     error = OptionError(Fault("SCN045", message, hint=hint))
@@ -236,7 +236,7 @@ ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
 StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
 
-def _no_checks(_: object) -> OptionChecks:
+def _check_nothing(_: object) -> OptionChecks:
     return {}
 
 
@@ -267,7 +267,7 @@ class Pass:
     # context, and returns the same kind.
     run: ClipRun | StreamRun
     # Returns checks of the options that need no take.
-    checks: Callable[[Any], OptionChecks] = _no_checks
+    checks: Callable[[Any], OptionChecks] = _check_nothing
     # Parts of the take that the result depends on.
     reads: frozenset[TakePart] = EVERY_PART
     # Parts that it may change. If the clock is among them, the parts not listed keep
@@ -315,10 +315,10 @@ def listed_passes() -> list[ListedEntry]:
     )
 
 
-def sees_tracks(pass_: Pass) -> bool:
+def handles_tracks(pass_: Pass) -> bool:
     """Return whether a pass receives the tracks of a take.
 
-    >>> sees_tracks(find_pass("mirror")), sees_tracks(find_pass("trim"))
+    >>> handles_tracks(find_pass("mirror")), handles_tracks(find_pass("trim"))
     (False, True)
     """
     return bool(pass_.changes & {TakePart.CLOCK, TakePart.TRACKS})
@@ -334,27 +334,27 @@ def apply_pass(
     no first frame, neither has the result, unless the pass moves the start.
     """
     _check_points(stream, pass_)
-    if stream.tracks and not sees_tracks(pass_):
+    if stream.tracks and not handles_tracks(pass_):
         passthrough = PassthroughTracks(stream)
         result = apply_pass(passthrough.stream, pass_, options, context)
         return passthrough.restore(result)
     if pass_.scope is not Scope.CLIP:
-        result = driven_stream(cast(StreamRun, pass_.run)(stream, options, context))
+        result = drive_stream(cast(StreamRun, pass_.run)(stream, options, context))
         keeps_curves = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
         curves = stream.control_curves if keeps_curves else {}
         curve = stream.curve if _same_channels(stream.rig, result.rig) else None
         result = replace(
-            result, control_curves=curves, curve=curve, altered=True, count=0
+            result, control_curves=curves, curve=curve, is_altered=True, count=0
         )
-        return checked_tracks(result, stream.tracks, pass_.name)
+        return check_tracks(result, stream.tracks, pass_.name)
     before = stream.collect()
     changed_take = cast(ClipRun, pass_.run)(before, options, context)
-    take = driven_take(changed_take)
+    take = drive_take(changed_take)
     context.notices.extend(take.notices[len(changed_take.notices) :])
-    kept_curves = _kept_curves(stream, before, take, pass_.even(options, before.clock))
+    kept_curves = _valid_curves(stream, before, take, pass_.even(options, before.clock))
     if not _same_channels(before.rig, take.rig):
         take = replace(take, curve=None)
-    result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
+    result = check_tracks(TakeStream.of(take), before.tracks, pass_.name)
     no_start = stream.start is None and take.clock.start == Fraction(1)
     return replace(
         result,
@@ -367,7 +367,7 @@ def apply_pass(
     )
 
 
-def _kept_curves(
+def _valid_curves(
     stream: TakeStream, before: Take, after: Take, linear_time: LinearTime | None
 ) -> dict[str, Curves]:
     """Return the curves of controls that remain valid, at the times of the result."""

@@ -14,8 +14,8 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.motion.transforms import placed_track, rotated_track
-from animtool.rig.placed import at_origin, placed_rig
+from animtool.motion.transforms import place_track, rotate_track
+from animtool.rig.placed import at_origin, place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -30,12 +30,12 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if rotation is None:
         return stream
     quaternion = np.array(rotation)
-    result = _placed_stream(stream, Placement.from_rotation(quaternion), up)
-    result.tracks = tuple(rotated_track(track, quaternion) for track in stream.tracks)
+    result = _place_stream(stream, Placement.from_rotation(quaternion), up)
+    result.tracks = tuple(rotate_track(track, quaternion) for track in stream.tracks)
     return result
 
 
-def at_stage_origin(stream: TakeStream) -> TakeStream:
+def unplace_take(stream: TakeStream) -> TakeStream:
     """Return a take without its placement on the stage.
 
     Its size and its up axis are kept. Tracks that follow the placement move with it.
@@ -44,42 +44,40 @@ def at_stage_origin(stream: TakeStream) -> TakeStream:
     if stands is None:
         return stream
     inverse = stands.inverse()
-    result = _placed_stream(stream, inverse, stream.rig.up)
+    result = _place_stream(stream, inverse, stream.rig.up)
     result.rig = at_origin(stream.rig)
     result.tracks = tuple(
-        placed_track(track, lambda _: inverse) if track.follows_placement else track
+        place_track(track, lambda _: inverse) if track.follows_placement else track
         for track in stream.tracks
     )
     return result
 
 
-def _placed_stream(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
+def _place_stream(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
     roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
     placed_stream = replace(
         stream,
-        rig=placed_rig(stream.rig, placement, up),
-        blocks=_placed_blocks(stream.blocks, roots, placement),
+        rig=place_rig(stream.rig, placement, up),
+        blocks=_place_blocks(stream.blocks, roots, placement),
     )
     if curve is not None:
-        placed_stream.curve = lambda times: placed_motion(
-            curve(times), roots, placement
-        )
+        placed_stream.curve = lambda times: place_motion(curve(times), roots, placement)
     return placed_stream
 
 
-def _placed_blocks(
+def _place_blocks(
     blocks: Iterator[Motion], roots: IntArray, placement: Placement
 ) -> Iterator[Motion]:
     for block in blocks:
-        yield placed_motion(block, roots, placement)
+        yield place_motion(block, roots, placement)
 
 
-def rotated_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
+def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
     """Return a rig whose rest roots are rotated by a quaternion ``(4,)``."""
-    return placed_rig(rig, Placement.from_rotation(rotation), up)
+    return place_rig(rig, Placement.from_rotation(rotation), up)
 
 
-def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
+def place_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
     """Return a motion moved to a placement of as many frames or of one.
 
     ``roots``: joints without a parent ``(R,)``.
@@ -96,7 +94,7 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
         rotations=rotations,
         scales=_scale_roots(motion, roots, placement),
         points={
-            name: _placed_points(channel, placement)
+            name: _place_points(channel, placement)
             for name, channel in motion.points.items()
         },
     )
@@ -106,7 +104,7 @@ def _position_roots(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""
-    operation = placement.rotated if rotates else placement.points
+    operation = placement.transform_rotations if rotates else placement.points
     rest_values, values = channel.rest.copy(), channel.values.copy()
     is_root = np.isin(channel.animated, roots)
     if placement.size != 1.0 and not rotates:
@@ -137,7 +135,7 @@ def _scale_roots(
     return scales.put(roots, scales.gather(roots) * extra_scale[:, None, None])
 
 
-def _placed_points(channel: Channel, placement: Placement) -> Channel:
+def _place_points(channel: Channel, placement: Placement) -> Channel:
     if placement.moves:
         all_points = np.arange(len(channel.rest))
         return channel.put(all_points, placement.points(channel.gather(all_points)))
@@ -167,7 +165,7 @@ def placement_notice(
     rides = "moves with a prim above its SkelRoot" if rig.rides else ""
     message = f"the take {' and '.join(filter(None, (placement_text, rides)))}, "
     message += "which is kept" if kept else "which is dropped"
-    if over is not None and not over.is_none:
+    if over is not None and not over.is_identity:
         message += f"; the rig has its placement {over.described()}"
     if stays:
         message += "; the motion from above is in its joints, and is kept"

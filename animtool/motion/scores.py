@@ -13,7 +13,7 @@ from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.record import dataclass
 
 # Fraction of a good result's value below which a score is shown as 0.
-NEGLIGIBLE = 1e-4
+NEGLIGIBLE_FRACTION = 1e-4
 
 
 class ScoreUnit(StrEnum):
@@ -65,7 +65,7 @@ class Score:
         """
         if math.isnan(self.value):
             return "none"
-        is_negligible = not self.ideal and self.excess < NEGLIGIBLE
+        is_negligible = not self.ideal and self.excess < NEGLIGIBLE_FRACTION
         value = 0.0 if is_negligible else self.value
         if self.unit is ScoreUnit.LENGTH:
             return length_text(value)

@@ -27,7 +27,7 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
 # Half precision, the coarsest type of USD rotations, has errors up to 5e-4.
-UNIT_TOLERANCE = 1e-3
+UNIT_LENGTH_TOLERANCE = 1e-3
 
 
 def shape_faults(
@@ -96,7 +96,7 @@ def value_faults(
                 at_frame = (
                     "" if static else f" at frame {float(clock.times[index[0]]):g}"
                 )
-                owner = f"{_owner(rig, tracks, name, owner_index)}{at_frame}"
+                owner = f"{_row_owner(rig, tracks, name, owner_index)}{at_frame}"
                 message = f"{name}: {owner} is {values[index].tolist()}, {problem}"
                 faults.append(Fault(code, message))
     return faults
@@ -113,11 +113,11 @@ def _first_non_finite(values: FloatArray) -> tuple[int, ...] | None:
 def _first_non_unit(values: FloatArray) -> tuple[int, ...] | None:
     squares = np.einsum("...k,...k->...", values, values)
     # Twice the tolerance, as the length is squared.
-    is_non_unit = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    is_non_unit = np.abs(squares - 1.0) > 2 * UNIT_LENGTH_TOLERANCE
     return tuple(np.argwhere(is_non_unit)[0].tolist()) if is_non_unit.any() else None
 
 
-def _owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
+def _row_owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
     """Return the name of the owner of a channel's row."""
     if name == "track_times":
         return f"track {tracks[index].path!r}"
@@ -137,7 +137,7 @@ class Take:
         tracks: Props and cameras; most takes have none.
         curve: Source of the samples as a function of time codes ``(F,)``; None if there
             are samples only. It is valid for samples that passes have not changed, see
-            `animtool.edit.between.Between`.
+            `animtool.edit.between.TakeSampler`.
 
     Raises:
         OptionError: The motion's arrays do not match the rig, the tracks or the clock
@@ -216,7 +216,7 @@ class TakeStream:
         details: Further information about the source, for reports.
         curve: The source's motion as a function of its time codes ``(F,)``; None if it
             has samples only.
-        altered: Whether passes may have changed the blocks relative to ``curve``.
+        is_altered: Whether passes may have changed the blocks relative to ``curve``.
         count: Number of frames, if ``curve`` is set and not altered.
         control_curves: Valid key curves of controls by name, over time codes of the
             source.
@@ -237,7 +237,7 @@ class TakeStream:
     notices: list[Fault] = field(default_factory=list)
     details: dict[str, object] = field(default_factory=dict)
     curve: MotionCurve | None = None
-    altered: bool = False
+    is_altered: bool = False
     count: int = 0
     control_curves: dict[str, Curves] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()
@@ -272,7 +272,7 @@ class TakeStream:
             iter([take.motion]),
             list(take.notices),
             curve=take.curve,
-            altered=True,
+            is_altered=True,
             tracks=take.tracks,
             points=frozenset(take.motion.points),
         )

@@ -118,39 +118,39 @@ class Track:
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
-def placed(transforms: Transforms, placement: Placement) -> Transforms:
+def place_transforms(transforms: Transforms, placement: Placement) -> Transforms:
     """Return transforms moved to a placement of as many frames or of one."""
     if transforms.matrices is not None:
         matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
         matrices[:, :3, :3] = so3.to_matrix(placement.rotations)
         matrices[:, :3, :3] *= placement.sizes[:, None, None]
         matrices[:, :3, 3] = placement.translations
-        return below_matrices(transforms, matrices)
+        return transform_by_matrices(transforms, matrices)
     points = placement.points(transforms.translations[:, None])[:, 0]
-    rotations = placement.rotated(transforms.rotations[:, None])[:, 0]
+    rotations = placement.transform_rotations(transforms.rotations[:, None])[:, 0]
     scales = transforms.scales
     if (placement.sizes != 1.0).any():
         scales = placement.sizes[:, None] * scales
     return replace(transforms, translations=points, rotations=rotations, scales=scales)
 
 
-def below_matrices(transforms: Transforms, matrices: FloatArray) -> Transforms:
+def transform_by_matrices(transforms: Transforms, matrices: FloatArray) -> Transforms:
     """Return transforms multiplied from the left by matrices [m] ``(F, 4, 4)``."""
     return replace(transforms, matrices=matrices @ transforms.matrix())
 
 
-def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
+def place_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
     """Return a track moved to a placement that depends on its local times ``(F,)``."""
     if not track.placed:
         return track
 
     def sample(times: FloatArray) -> Transforms:
-        return placed(track.sample(times), placement(times))
+        return place_transforms(track.sample(times), placement(times))
 
     return replace(track, sample=sample)
 
 
-def rotated_track(track: Track, rotation: FloatArray) -> Track:
+def rotate_track(track: Track, rotation: FloatArray) -> Track:
     """Return a track rotated by a quaternion ``(4,)``."""
     placement = Placement.from_rotation(rotation)
-    return placed_track(track, lambda _: placement)
+    return place_track(track, lambda _: placement)

@@ -23,22 +23,22 @@ from animtool.preview.channels import add_channels
 from animtool.preview.draft import PageDraft
 from animtool.preview.findings import (
     MAX_FINDINGS,
+    errors_first,
     find_faults,
     finding_entry,
-    ordered,
 )
 from animtool.preview.meshes import add_character
 from animtool.preview.open_file import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
 from animtool.preview.pictures.kinds import PAGE_SUFFIXES
-from animtool.preview.streams import quantized_range
+from animtool.preview.streams import quantize_range
 from animtool.preview.takes import PageTake, add_take
 from animtool.preview.timing import (
     FEWER_FRAMES_HINT,
     TimelineTake,
-    align,
-    timed_take,
+    align_takes,
+    fit_to_page,
     timeline_of,
 )
 from animtool.preview.visibility import add_visibility
@@ -167,7 +167,7 @@ def make_page(
     if options.findings:
         _add_findings(draft, files)
     names = [path.name for path in files]
-    return _page(draft, names, open_files, notices)
+    return _build_page(draft, names, open_files, notices)
 
 
 def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
@@ -176,10 +176,10 @@ def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
 
     file = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
     draft, notices = _draft_page([file], PreviewOptions())
-    return _page(draft, [name], [file], notices)
+    return _build_page(draft, [name], [file], notices)
 
 
-def _page(
+def _build_page(
     draft: PageDraft, names: list[str], files: list[OpenFile], notices: list[Fault]
 ) -> PreviewPage:
     title = ", ".join(names)
@@ -210,11 +210,11 @@ def _draft_page(
     notices = [file.located(notice) for file in files for notice in file.notices]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
     timed_takes = [
-        timed_take(number, file, take, fps, options, notices)
+        fit_to_page(number, file, take, fps, options, notices)
         for number, file in enumerate(files)
         for take in file.takes
     ]
-    notices += align(timed_takes)
+    notices += align_takes(timed_takes)
     timeline = timeline_of(files, timed_takes, fps, options)
     draft = PageDraft(timeline)
     page_takes = [(timed, _add_timed_take(draft, timed)) for timed in timed_takes]
@@ -261,7 +261,7 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     up_rotation = up_from_up(UpAxis.Y, markers.up)
     if up_rotation is not None:
         positions = so3.rotate(np.array(up_rotation), positions)
-    quantized = quantized_range(positions.reshape(len(frames), -1), period=3)
+    quantized = quantize_range(positions.reshape(len(frames), -1), period=3)
     draft.record_error(position=quantized.error)
     draft.points.append(
         {
@@ -277,7 +277,7 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
 
 
 def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
-    faults = ordered(find_faults(files))
+    faults = errors_first(find_faults(files))
     takes: dict[str, tuple[int, Sequence[str]]] = {}
     for number, entry in enumerate(draft.takes):
         path = str(files[entry["file"]])

@@ -11,14 +11,14 @@ from animtool.clip.channels import evaluate_channels
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.preview.draft import PageDraft, number
+from animtool.preview.draft import PageDraft, json_number
 from animtool.preview.streams import Quantized, json_numbers
 from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import rest_size
 
 # Maximum number of keys on a page; with more, only the curves are drawn.
 MAX_KEYS = 50_000
-_AXES = "xyzw"
+_AXIS_NAMES = "xyzw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ def add_channels(
     """
     curves = [
         *_clip_curves(draft, page_take, clip, float(origin)),
-        *_controls(page_take, clip),
+        *_control_curves(page_take, clip),
     ]
     if not curves or not page_take.frames:
         return
@@ -66,13 +66,13 @@ def add_channels(
                 "column": column,
                 "keys": None if keys is None else json_numbers(keys),
                 "interp": curve.interp,
-                "moves": number(round(_amplitude(curve, size), 4)),
+                "moves": json_number(round(_curve_range(curve, size), 4)),
                 "take": page_take.index,
             }
         )
 
 
-def _amplitude(curve: ChannelCurve, size: float) -> float:
+def _curve_range(curve: ChannelCurve, size: float) -> float:
     """Return the range of a curve [1].
 
     Angles are in radians, lengths relative to the size of the rig.
@@ -101,9 +101,9 @@ def _clip_curves(
     for channel in clip.channels:
         width = channel.values.shape[1]
         rows = np.broadcast_to(values[channel.target], (page_take.frames, width))
-        unit, factor = _unit(channel.target, width)
+        unit, factor = _display_unit(channel.target, width)
         times_of_keys = origin + (channel.times - first_frame) / frame_ratio
-        axes = channel.euler.lower() or _AXES
+        axes = channel.euler.lower() or _AXIS_NAMES
         curves += [
             ChannelCurve(
                 channel.target + (f".{axes[i]}" if width > 1 else ""),
@@ -117,7 +117,7 @@ def _clip_curves(
     return curves
 
 
-def _unit(target: str, width: int) -> tuple[str, float]:
+def _display_unit(target: str, width: int) -> tuple[str, float]:
     """Return the display unit of a channel, and the factor to it."""
     if target.startswith(("control/", "shape/")) or width == 4:
         return "", 1.0
@@ -126,7 +126,7 @@ def _unit(target: str, width: int) -> tuple[str, float]:
     return ("", 1.0) if target.endswith("scale") else ("deg", float(np.degrees(1.0)))
 
 
-def _controls(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve]:
+def _control_curves(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve]:
     """Return curves of controls and shape weights that the clip does not key."""
     keyed_targets = (
         set() if clip is None else {channel.target for channel in clip.channels}

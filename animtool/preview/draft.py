@@ -15,9 +15,9 @@ from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.preview.streams import Packer
+from animtool.preview.streams import StreamPacker
 
-FORMAT = 1
+FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,18 +41,18 @@ class Timeline:
     def entry(self) -> dict[str, Any]:
         """Return the manifest entry."""
         return {
-            "first": number(self.first),
-            "step": number(self.step),
+            "first": json_number(self.first),
+            "step": json_number(self.step),
             "count": self.count,
             "rate": [self.fps.numerator, self.fps.denominator],
             "label": rate_label(self.fps),
         }
 
 
-def number(value: Fraction | float) -> int | float:
+def json_number(value: Fraction | float) -> int | float:
     """Return a number for JSON, as an integer if possible.
 
-    >>> number(Fraction(1001)), number(Fraction(1, 4))
+    >>> json_number(Fraction(1001)), json_number(Fraction(1, 4))
     (1001, 0.25)
     """
     return int(value) if value == int(value) else float(value)
@@ -71,7 +71,7 @@ class PageDraft:
     """
 
     timeline: Timeline
-    packer: Packer = field(default_factory=Packer)
+    packer: StreamPacker = field(default_factory=StreamPacker)
     takes: list[dict[str, Any]] = field(default_factory=list)
     meshes: list[dict[str, Any]] = field(default_factory=list)
     curves: list[dict[str, Any]] = field(default_factory=list)
@@ -102,13 +102,13 @@ class PageDraft:
         """Return the manifest and the blocks; closes the streams."""
         streams, blocks = self.packer.finish()
         return {
-            "format": FORMAT,
+            "format": FORMAT_VERSION,
             "title": title,
             "source": source,
             "time": self.timeline.entry(),
             "errors": {
-                "rotation_deg": rounded_up(float(np.degrees(self.rotation_error))),
-                "position_mm": rounded_up(self.position_error * 1000),
+                "rotation_deg": round_up_error(float(np.degrees(self.rotation_error))),
+                "position_mm": round_up_error(self.position_error * 1000),
             },
             "notices": self.notices,
             "streams": streams,
@@ -137,10 +137,10 @@ def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
         draft.note(f"{name} is skipped: {fault.code} {fault.message}{more_faults}")
 
 
-def rounded_up(error: float) -> float:
+def round_up_error(error: float) -> float:
     """Return an error rounded up to two digits.
 
-    >>> rounded_up(0.0123), rounded_up(0.0)
+    >>> round_up_error(0.0123), round_up_error(0.0)
     (0.013, 0.0)
     """
     if error <= 0:

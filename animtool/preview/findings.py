@@ -53,7 +53,7 @@ def finding_entry(
     }
 
 
-def ordered(faults: Sequence[Fault]) -> list[Fault]:
+def errors_first(faults: Sequence[Fault]) -> list[Fault]:
     """Return findings, errors first."""
     rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
     return sorted(dict.fromkeys(faults), key=lambda fault: rank[fault.severity])

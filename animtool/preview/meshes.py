@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import ShownTake
-from animtool.preview.streams import Quantized, json_numbers, quantized_range
+from animtool.preview.streams import Quantized, json_numbers, quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import CharacterMesh, character_meshes
@@ -20,7 +20,7 @@ from animtool.skin.shapes import PreparedShapes, column_weights
 from animtool.skin.skinning import PreparedSkin, SkinMethod
 
 # Maximum number of influences per vertex in the viewer.
-INFLUENCES = 4
+MAX_INFLUENCES = 4
 # A mesh is drawn as a point cache if the four strongest influences of a vertex leave
 # out more weight than this.
 MAX_LOST_WEIGHT = 0.02
@@ -41,27 +41,29 @@ def add_character(draft: PageDraft, character: ShownTake, page_take: PageTake) -
     labels: list[str] = []
     for surface, mesh in zip(character.surfaces, meshes, strict=True):
         colors = character.colors.get(surface.name)
-        entry = _mesh(draft, page_take, surface, colors)
+        entry = _mesh_entry(draft, page_take, surface, colors)
         draft.meshes.append(entry)
         if needs_points(mesh.mesh.skin):
             draft.note(
                 f"mesh {surface.name!r} is drawn from its points: the viewer skins "
                 "linearly with four joints per vertex"
             )
-            entry["cache"] = _points(draft, page_take, mesh)
+            entry["cache"] = _point_stream(draft, page_take, mesh)
             continue
         if mesh.mesh.skin is not None:
-            entry["skin"] = _skin(draft, mesh.mesh.skin)
+            entry["skin"] = _skin_entry(draft, mesh.mesh.skin)
         weights = mesh.weights(page_take.weights)
         if mesh.mesh.shapes is not None and weights is not None:
             by_shape = column_weights(mesh.mesh.shapes, weights)
             visible = np.flatnonzero(by_shape.any(axis=0))
-            entry["shapes"] = _shapes(draft, mesh.mesh.shapes, visible, len(labels))
+            entry["shapes"] = _shape_entries(
+                draft, mesh.mesh.shapes, visible, len(labels)
+            )
             labels += [entry["shapes"][i]["name"] for i in range(len(visible))]
             columns.append(by_shape[:, visible])
     if labels:
         all_weights = np.concatenate(columns, axis=1)
-        quantized = quantized_range(all_weights, WEIGHT_ERROR)
+        quantized = quantize_range(all_weights, WEIGHT_ERROR)
         page_take.entry["shapes"] = {
             "names": labels,
             "weights": draft.packer.add(quantized),
@@ -91,19 +93,19 @@ def needs_points(skin: PreparedSkin | None) -> bool:
         return False
     if skin.method is SkinMethod.DUAL_QUATERNION:
         return True
-    _, weights = strongest(skin)
+    _, weights = largest_influences(skin)
     return bool((1 - weights.sum(axis=1)).max(initial=0.0) > MAX_LOST_WEIGHT)
 
 
-def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
+def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     """Return the four largest weights of each vertex and their joints ``(V, 4)``."""
     influences = skin.influences
     counts = np.diff(influences.first)
     rows = np.repeat(np.arange(skin.vertices), counts)
     ranks = np.arange(len(influences.joints)) - np.repeat(influences.first[:-1], counts)
-    in_first_four = ranks < INFLUENCES
-    joints = np.zeros((skin.vertices, INFLUENCES), np.int64)
-    weights = np.zeros((skin.vertices, INFLUENCES))
+    in_first_four = ranks < MAX_INFLUENCES
+    joints = np.zeros((skin.vertices, MAX_INFLUENCES), np.int64)
+    weights = np.zeros((skin.vertices, MAX_INFLUENCES))
     joints[rows[in_first_four], ranks[in_first_four]] = influences.joints[in_first_four]
     weights[rows[in_first_four], ranks[in_first_four]] = influences.weights[
         in_first_four
@@ -148,7 +150,7 @@ def mesh_entry(
     }
 
 
-def _mesh(
+def _mesh_entry(
     draft: PageDraft, page_take: PageTake, surface: Surface, colors: FloatArray | None
 ) -> dict[str, Any]:
     points = surface.points
@@ -167,8 +169,8 @@ def _mesh(
     )
 
 
-def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
-    joints, weights = strongest(skin)
+def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
+    joints, weights = largest_influences(skin)
     weight_sums = weights.sum(axis=1, keepdims=True)
     weights = np.divide(
         weights, weight_sums, out=np.zeros_like(weights), where=weight_sums > 0
@@ -186,7 +188,7 @@ def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     }
 
 
-def _shapes(
+def _shape_entries(
     draft: PageDraft, shapes: PreparedShapes, visible: IntArray, first: int
 ) -> list[dict[str, Any]]:
     """Return the nonzero shape offsets, sparse."""
@@ -220,7 +222,7 @@ def _shapes(
     return entries
 
 
-def _points(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) -> int:
+def _point_stream(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) -> int:
     """Return the stream of a mesh's points in every frame."""
     blocks = []
     weights = mesh.weights(page_take.weights)
@@ -228,19 +230,19 @@ def _points(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) -> int:
         frames = slice(begin, min(begin + BLOCK_FRAMES, page_take.frames))
         block_weights = None if weights is None else weights[frames]
         deformed = deform(
-            _with_shapes(mesh.mesh, block_weights),
+            _drop_unused_shapes(mesh.mesh, block_weights),
             block_weights,
             page_take.world(frames),
         )
         blocks.append(deformed.points.astype(np.float32))
-    quantized = quantized_range(
+    quantized = quantize_range(
         np.concatenate(blocks).reshape(page_take.frames, -1), period=3
     )
     draft.record_error(position=quantized.error)
     return draft.packer.add(quantized)
 
 
-def _with_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:
+def _drop_unused_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:
     if weights is not None or mesh.shapes is None:
         return mesh
     return DeformedMesh(mesh.points, None, mesh.skin)

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 # Kinds of files that cannot be shown by themselves, with a hint on what to open
 # instead.
-_NOT_SHOWN = {
+_NOT_SHOWN_HINTS = {
     "batch": "preview its output",
     "cameras": "preview a file that uses it",
     "landmarks": "preview a file that uses it",
@@ -141,7 +141,7 @@ def open_file(
         FormatError: It cannot be read, or is malformed.
         OptionError: A file of its kind cannot be shown by itself (PRV001).
     """
-    for kind, hint in _NOT_SHOWN.items():
+    for kind, hint in _NOT_SHOWN_HINTS.items():
         if has_kind_suffix(path, kind):
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
@@ -164,7 +164,7 @@ def open_file(
             folder = Path(
                 context.enter_context(tempfile.TemporaryDirectory("animtool"))
             )
-            readable_path = _view(folder, path, options)
+            readable_path = _combined_stage(folder, path, options)
         file = _open_stage(readable_path, path.name, source)
         file.path = path
         return file
@@ -320,7 +320,7 @@ def shown_scene(scene: Scene) -> Scene:
     return replace(scene, outputs=(replace(output, path=None, bake=bake),))
 
 
-def _view(
+def _combined_stage(
     folder: Path, layer_path: Path, options: PreviewOptions, weaker: Sequence[Path] = ()
 ) -> Path:
     """Return a stage that combines a layer with the given stages."""
@@ -354,7 +354,7 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
     stage_path = layer
     if bake.rig_layer is not None or options.over:
         rig_layers = [] if bake.rig_layer is None else [bake.rig_layer]
-        stage_path = _view(folder, layer, options, rig_layers)
+        stage_path = _combined_stage(folder, layer, options, rig_layers)
     file = _open_stage(stage_path, path.name, SourceOptions())
     file.path, file.folder = path, folder
     if len(outputs) > 1:

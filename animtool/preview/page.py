@@ -10,10 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from animtool.preview.streams import deflated
+from animtool.preview.streams import deflate_base64
 
-VIEWER = Path(__file__).parent / "viewer"
-ENTRY = "main.js"
+VIEWER_FOLDER = Path(__file__).parent / "viewer"
+ENTRY_MODULE = "main.js"
 _IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
 _STRIP_PATTERNS = tuple(
     re.compile(pattern, re.M | re.S)
@@ -27,7 +27,7 @@ _STRIP_PATTERNS = tuple(
 # Characters that would end a script element or a line of it, escaped in JSON.
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
-_POLICY = (
+_SECURITY_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
 )
@@ -88,12 +88,12 @@ def page_parts(
     """
     insertions = {
         "title": html.escape(str(manifest["title"])),
-        "csp": _POLICY.format(connect="'self'" if watched else "'none'"),
+        "csp": _SECURITY_POLICY.format(connect="'self'" if watched else "'none'"),
         "style": viewer_text("viewer.css"),
         "manifest": f'<script type="application/json" id="manifest">'
         f"{json_text(manifest)}</script>",
         "modules": f'<script type="text/plain" id="modules">'
-        f"{deflated([json.dumps(viewer_modules()).encode()])}</script>",
+        f"{deflate_base64([json.dumps(viewer_modules()).encode()])}</script>",
         "bootstrap": _BOOTSTRAP,
     }
     template = viewer_text("page.html")
@@ -115,8 +115,8 @@ def page_parts(
 @cache
 def viewer_modules() -> dict[str, str]:
     """Return the viewer's modules by name, in import order."""
-    paths = sorted(VIEWER.glob("*.js"))
-    texts = {path.name: compact(path.read_text("utf-8")) for path in paths}
+    paths = sorted(VIEWER_FOLDER.glob("*.js"))
+    texts = {path.name: compact_code(path.read_text("utf-8")) for path in paths}
     modules: dict[str, str] = {}
 
     def add(name: str, importers: tuple[str, ...] = ()) -> None:
@@ -126,14 +126,14 @@ def viewer_modules() -> dict[str, str]:
             add(match[3], (*importers, name))
         modules[name] = texts[name]
 
-    add(ENTRY)
+    add(ENTRY_MODULE)
     return modules
 
 
-def compact(text: str) -> str:
+def compact_code(text: str) -> str:
     r"""Return code without comment lines and indentation.
 
-    >>> compact("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
+    >>> compact_code("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
     """
     for pattern in _STRIP_PATTERNS:
@@ -143,5 +143,5 @@ def compact(text: str) -> str:
 
 def viewer_text(name: str) -> str:
     """Return the text of a viewer file."""
-    path = VIEWER / name
+    path = VIEWER_FOLDER / name
     return path.read_text("utf-8")

@@ -68,14 +68,14 @@ def _read_step(file: OpenFile) -> PlanStep:
         str(file.path),
         "",
         (str(file.path),),
-        tuple(_contents(file)),
+        tuple(_content_texts(file)),
         notices,
     )
 
 
-def _contents(file: OpenFile) -> Iterator[str]:
+def _content_texts(file: OpenFile) -> Iterator[str]:
     """Yield the contents of a file."""
-    for text, count in Counter(map(_take_text, file.takes)).items():
+    for text, count in Counter(map(_describe_take, file.takes)).items():
         yield text if count == 1 else f"{count} times {text}"
     contents = file.contents
     if contents is not None:
@@ -93,7 +93,7 @@ def _contents(file: OpenFile) -> Iterator[str]:
         yield f"{counted(len(file.targets.goals), 'target')}, {frames}"
 
 
-def _take_text(take: ShownTake) -> str:
+def _describe_take(take: ShownTake) -> str:
     stream = take.stream
     frames = counted(sum(block.frames for block in stream.blocks), "frame")
     meshes = counted(len(take.surfaces), "mesh", "meshes")

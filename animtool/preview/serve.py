@@ -54,17 +54,17 @@ class WatchedPage:
             try:
                 page = self.make()
             except AnimtoolError as error:
-                self._note(inputs, keep=True)
+                self._record_states(inputs, keep=True)
                 self.error = str(error)
                 raise
-        self._note(inputs, keep=False)
+        self._record_states(inputs, keep=False)
         with self._lock:
             self.version += 1
             self.page, self.error = page, None
             watch = {"url": f"/{self.secret}/state", "version": self.version}
             self._body = b"".join(page.parts(watch))
 
-    def _note(self, inputs: Inputs, *, keep: bool) -> None:
+    def _record_states(self, inputs: Inputs, *, keep: bool) -> None:
         """Record the state of files as of when they were read."""
         if not keep:
             self._states.clear()
@@ -81,12 +81,12 @@ class WatchedPage:
         """Return whether an input file changed."""
         return any(FileState.of(path) != was for path, was in self._states.items())
 
-    def body(self) -> bytes:
+    def response_body(self) -> bytes:
         """Return the response body of the page."""
         with self._lock:
             return self._body
 
-    def state(self) -> bytes:
+    def polled_state(self) -> bytes:
         """Return the polled state: page version and current error."""
         with self._lock:
             values = {"version": self.version, "error": self.error}
@@ -106,9 +106,9 @@ class _Handler(BaseHTTPRequestHandler):
         if not self._is_authorized():
             self._send(403, b"forbidden\n", "text/plain")
         elif path == f"/{watched.secret}/":
-            self._send(200, watched.body(), "text/html; charset=utf-8")
+            self._send(200, watched.response_body(), "text/html; charset=utf-8")
         elif path == f"/{watched.secret}/state":
-            self._send(200, watched.state(), "application/json")
+            self._send(200, watched.polled_state(), "application/json")
         else:
             self._send(403, b"forbidden\n", "text/plain")
 

@@ -15,7 +15,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.preview.build import PreviewPage, make_page, make_take_page
 from animtool.preview.options import PictureOptions, PreviewOptions
 
-HEIGHT = 560
+DEFAULT_HEIGHT = 560
 
 
 def has_browser(
@@ -60,7 +60,7 @@ class Preview:
         self,
         shown: Take | TakeStream | Sequence[Path],
         options: PreviewOptions | None = None,
-        height: int = HEIGHT,
+        height: int = DEFAULT_HEIGHT,
     ) -> None:
         self._shown, self._options, self.height = shown, options, height
 
@@ -123,7 +123,7 @@ def show(
     shown: Take | TakeStream | Path | str | Sequence[Path | str],
     options: PreviewOptions | None = None,
     *,
-    height: int = HEIGHT,
+    height: int = DEFAULT_HEIGHT,
 ) -> Preview:
     """Return an object that notebooks show as an interactive page.
 

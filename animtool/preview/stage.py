@@ -16,12 +16,12 @@ from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.meshes import mesh_entry
 from animtool.preview.streams import (
     Quantized,
-    quantized_range,
-    quantized_units,
+    quantize_range,
+    quantize_units,
 )
 from animtool.preview.visibility import visibility_stream
 from animtool.usd.caches.reader import PointSample
-from animtool.usd.caches.shown import ShownFaces, ShownPrim, StageContents
+from animtool.usd.caches.shown import ShownMesh, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
@@ -38,12 +38,12 @@ def add_stage(draft: PageDraft, contents: StageContents) -> None:
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
         for prim in contents.prims:
-            _ADDERS[prim.kind](draft, prim, codes)
+            _ADDERS_BY_KIND[prim.kind](draft, prim, codes)
     _add_cameras(draft, contents, codes)
 
 
 def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    if prim.deforms and prim.changes_faces:
+    if prim.is_deforming and prim.changes_faces:
         draft.note(f"mesh {prim.name!r} changes its faces: only its points are drawn")
         _add_points(draft, prim, codes)
         return
@@ -51,16 +51,16 @@ def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     if faces is None:
         draft.note(f"mesh {prim.name!r} has no valid faces: it is not drawn")
         return
-    if not prim.deforms:
+    if not prim.is_deforming:
         _add_rigid(draft, prim, faces, codes)
         return
-    entry = _entry(draft, prim.name, faces)
+    entry = _stage_mesh_entry(draft, prim.name, faces)
     entry["cache"] = _point_stream(draft, prim, codes, len(faces.points))
-    entry["visible"] = _visible(draft, prim, codes)
+    entry["visible"] = _prim_visibility(draft, prim, codes)
     draft.meshes.append(entry)
 
 
-def _entry(draft: PageDraft, name: str, faces: ShownFaces) -> dict[str, Any]:
+def _stage_mesh_entry(draft: PageDraft, name: str, faces: ShownMesh) -> dict[str, Any]:
     return mesh_entry(
         draft,
         name,
@@ -74,22 +74,24 @@ def _entry(draft: PageDraft, name: str, faces: ShownFaces) -> dict[str, Any]:
 
 
 def _add_rigid(
-    draft: PageDraft, prim: ShownPrim, faces: ShownFaces, codes: FloatArray
+    draft: PageDraft, prim: ShownPrim, faces: ShownMesh, codes: FloatArray
 ) -> None:
     """Add a mesh that only moves rigidly as one instance."""
-    times = codes if prim.travels else codes[:1]
+    times = codes if prim.is_moving else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
         draft.note(f"{prim.name!r} has a transform that is not finite: it is not drawn")
         return
-    visibility = _visible(draft, prim, codes)
-    if not prim.travels and visibility is None:
+    visibility = _prim_visibility(draft, prim, codes)
+    if not prim.is_moving and visibility is None:
         placed_points = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
         rigid = replace(faces, points=placed_points)
-        draft.meshes.append(_entry(draft, prim.name, rigid))
+        draft.meshes.append(_stage_mesh_entry(draft, prim.name, rigid))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
-    draft.meshes.append(_entry(draft, prim.name, faces) | {"prototype": True})
+    draft.meshes.append(
+        _stage_mesh_entry(draft, prim.name, faces) | {"prototype": True}
+    )
     draft.instances.append(
         {
             "name": prim.name,
@@ -108,8 +110,8 @@ def _instance_streams(
 ) -> dict[str, Any]:
     """Return instance streams ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
     frames = len(positions)
-    positions_stored = quantized_range(positions.reshape(frames, -1), period=3)
-    rotations_stored = quantized_units(so3.align_signs(rotations).reshape(frames, -1))
+    positions_stored = quantize_range(positions.reshape(frames, -1), period=3)
+    rotations_stored = quantize_units(so3.align_signs(rotations).reshape(frames, -1))
     draft.record_error(
         position=positions_stored.error, rotation=2 * rotations_stored.error
     )
@@ -119,7 +121,7 @@ def _instance_streams(
         "r": draft.packer.add(rotations_stored),
         "s": None
         if np.allclose(sizes, 1.0, atol=1e-6)
-        else draft.packer.add(quantized_range(sizes, SCALE_ERROR, period=3)),
+        else draft.packer.add(quantize_range(sizes, SCALE_ERROR, period=3)),
     }
 
 
@@ -135,12 +137,14 @@ def _point_stream(
         else:
             rows[i] = rows[i - 1] if i else 0.0
             draft.note(f"{prim.name!r} has a different number of points in some frames")
-    quantized = quantized_range(rows, period=3)
+    quantized = quantize_range(rows, period=3)
     draft.record_error(position=quantized.error)
     return draft.packer.add(quantized)
 
 
-def _visible(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> int | None:
+def _prim_visibility(
+    draft: PageDraft, prim: ShownPrim, codes: FloatArray
+) -> int | None:
     return visibility_stream(draft, prim.visible(codes))
 
 
@@ -150,7 +154,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
         _add_points(draft, prim, codes)
         return
     counts = prim.counts()
-    moves = prim.deforms or prim.travels
+    moves = prim.is_deforming or prim.is_moving
     times = codes if moves else codes[:1]
     count = len(prim.points(float(codes[0])))
     if not count or counts.sum() != count:
@@ -164,29 +168,29 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
             "bind": None,
             "counts": draft.packer.static(counts, "u32"),
             "points": _point_stream(draft, prim, times, count),
-            "width": _mean(widths),
+            "width": _finite_mean(widths),
             "color": None if prim.color is None else list(prim.color),
         }
     )
 
 
 def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    moves = prim.deforms or prim.travels
+    moves = prim.is_deforming or prim.is_moving
     times = (codes if moves else codes[:1]).tolist()
-    slots = Slots()
+    slots = PointSlots()
     rows = [(slots.take(prim.ids(t), p := prim.points(t)), p) for t in times]
     if not slots.count:
         return
-    positions = _in_slots(rows, slots.count)
+    positions = _spread_to_slots(rows, slots.count)
     widths = _slot_values(rows, [prim.widths(t) for t in times], slots.count)
     colors = _slot_values(rows, [prim.colors(t) for t in times], slots.count)
-    quantized = quantized_range(positions, period=3)
+    quantized = quantize_range(positions, period=3)
     draft.record_error(position=quantized.error)
     draft.points.append(
         {
             "name": prim.name,
             "positions": draft.packer.add(quantized),
-            "radius": 0.0 if widths is None else _mean(widths) / 2,
+            "radius": 0.0 if widths is None else _finite_mean(widths) / 2,
             "radii": None
             if widths is None or np.ptp(widths) == 0
             else draft.packer.static(widths / 2, "f32"),
@@ -199,13 +203,13 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     )
 
 
-def _mean(values: FloatArray) -> float:
+def _finite_mean(values: FloatArray) -> float:
     """Return the mean of the finite values; 0 without any."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else 0.0
 
 
-class Slots:
+class PointSlots:
     """Columns for points that appear and disappear, reused over time."""
 
     def __init__(self) -> None:
@@ -228,7 +232,7 @@ class Slots:
         return columns
 
 
-def _in_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray:
+def _spread_to_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray:
     slot_positions = np.full((len(rows), count, 3), np.nan)
     for frame, (slots, values) in zip(slot_positions, rows, strict=True):
         frame[slots] = values
@@ -251,9 +255,9 @@ def _slot_values(
 
 def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     prototypes = prim.prototypes()
-    times = (codes if prim.deforms or prim.travels else codes[:1]).tolist()
+    times = (codes if prim.is_deforming or prim.is_moving else codes[:1]).tolist()
     samples = [prim.copies(code) for code in times]
-    slots = Slots()
+    slots = PointSlots()
     rows = [slots.take(sample.ids, sample.points) for sample in samples]
     copies = _SlotInstances.of(samples, rows, slots.count)
     for k, meshes in enumerate(prototypes):
@@ -268,7 +272,9 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
             default_color = DARK_COLOR if len(columns) > MANY_INSTANCES else None
             color = faces.color or prim.color or default_color
             prototype = replace(faces, points=placed_points, color=color)
-            draft.meshes.append(_entry(draft, name, prototype) | {"prototype": True})
+            draft.meshes.append(
+                _stage_mesh_entry(draft, name, prototype) | {"prototype": True}
+            )
             visible = uses_prototype[:, columns]
             draft.instances.append(
                 {
@@ -332,8 +338,8 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
         if name in names
     }
     focal = lens.get("focalLength", np.full((1, 1), 50.0))
-    rotations_stored = quantized_units(sampled.rotations)
-    positions_stored = quantized_range(sampled.translations)
+    rotations_stored = quantize_units(sampled.rotations)
+    positions_stored = quantize_range(sampled.translations)
     draft.record_error(
         position=positions_stored.error, rotation=2 * rotations_stored.error
     )
@@ -361,7 +367,7 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     )
 
 
-_ADDERS: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
+_ADDERS_BY_KIND: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
     "mesh": _add_mesh,
     "curves": _add_curves,
     "points": _add_points,

@@ -25,7 +25,7 @@ DEFLATE_LEVEL = 6
 # Range of quantized values on either side of the offset.
 MAX_QUANTIZED = 32767
 # Stands for NaN in streams with gaps.
-NAN_STORED = -32768
+STORED_NAN = -32768
 # Coarser than this, positions are stored as float32 [m].
 POSITION_ERROR = 1e-4
 
@@ -65,14 +65,14 @@ def json_numbers(values: FloatArray, digits: int = 6) -> list[Any]:
     return list(rounded.tolist())
 
 
-def quantized_units(values: FloatArray) -> Quantized:
+def quantize_units(values: FloatArray) -> Quantized:
     """Quantize numbers from -1 to 1, such as unit quaternions."""
     integers = np.rint(np.clip(values, -1.0, 1.0) * MAX_QUANTIZED).astype("<i2")
     error = np.abs(integers / MAX_QUANTIZED - values).max(initial=0.0)
     return Quantized(integers, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
 
 
-def quantized_range(
+def quantize_range(
     values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
 ) -> Quantized:
     """Quantize columns over their range; float32 if that is too coarse.
@@ -97,12 +97,12 @@ def quantized_range(
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
         integers = np.asarray(values, np.float32)
-        return Quantized(integers, "f32", error=_largest(integers - values))
+        return Quantized(integers, "f32", error=_largest_difference(integers - values))
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
     numbers = np.rint((rows - offset) / divisor)
-    integers = np.where(np.isnan(numbers), NAN_STORED, numbers).astype("<i2")
-    error = _largest(offset + scale * numbers - values.reshape(rows.shape))
+    integers = np.where(np.isnan(numbers), STORED_NAN, numbers).astype("<i2")
+    error = _largest_difference(offset + scale * numbers - values.reshape(rows.shape))
     per_column = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
         per_column = scale[:1].tolist(), offset[:1].tolist()
@@ -116,7 +116,7 @@ def _single_or_list(values: list[float]) -> float | list[float]:
     return values[0] if len(values) == 1 else values
 
 
-def _largest(differences: Array) -> float:
+def _largest_difference(differences: Array) -> float:
     return float(np.nanmax(np.abs(differences), initial=0.0))
 
 
@@ -149,7 +149,7 @@ class _Stream:
         return entry | ({"gaps": True} if data.gaps else {})
 
 
-class Packer:
+class StreamPacker:
     """Collects the streams of a page, and packs them into blocks."""
 
     def __init__(self) -> None:
@@ -175,7 +175,7 @@ class Packer:
 
     def static_range(self, values: FloatArray, period: int = 3) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""
-        data = quantized_range(np.reshape(values, (-1, period)), period=period)
+        data = quantize_range(np.reshape(values, (-1, period)), period=period)
         flat = data.stored.reshape(1, -1)
         return self.add(
             Quantized(flat, data.kind, data.scale, data.offset, data.gaps, data.error)
@@ -198,7 +198,7 @@ class Packer:
                 ]
                 for stream in group:
                     stream.blocks.append([len(blocks), first, frames.stop - first])
-                blocks.append(deflated(encoded))
+                blocks.append(deflate_base64(encoded))
         return [stream.entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:
@@ -253,7 +253,7 @@ def _encoded_samples(stored: Array, kind: str) -> bytes:
     return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
 
 
-def deflated(parts: Sequence[bytes]) -> str:
+def deflate_base64(parts: Sequence[bytes]) -> str:
     """Return bytes as raw deflate in base64."""
     deflate = zlib.compressobj(DEFLATE_LEVEL, zlib.DEFLATED, -15)
     packed = b"".join([*map(deflate.compress, parts), deflate.flush()])

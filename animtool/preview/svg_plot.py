@@ -14,9 +14,9 @@ WIDTH, HEIGHT = 720, 400
 LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
 # Distinguishable with color vision deficiency (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
-DASHES = ("", "6 3", "2 3")
+DASH_PATTERNS = ("", "6 3", "2 3")
 # Axes of fewer decades also have lines at 2 and 5.
-FEW_DECADES = 3
+MAX_FEW_DECADES = 3
 
 
 def plot_svg(panel: Panel) -> str:
@@ -39,9 +39,9 @@ def plot_svg(panel: Panel) -> str:
         return "".join(elements)
     all_points = [point for _, points in curves for point in points]
     floor = [panel.floor] if panel.floor > 0 else []
-    x = _Axis.spanning([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
-    y = _Axis.spanning([p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP)
-    elements += _grid(x, y, panel)
+    x = _LogAxis.spanning([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
+    y = _LogAxis.spanning([p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP)
+    elements += _grid_lines(x, y, panel)
     if floor:
         elements.append(
             f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
@@ -51,7 +51,7 @@ def plot_svg(panel: Panel) -> str:
         path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in front)
         elements.append(f'<path class="front" d="M{path}"/>')
     for i, (name, points) in enumerate(curves):
-        elements += _curve(i, name, points, x, y)
+        elements += _curve_elements(i, name, points, x, y)
     return "".join([*elements, "</svg>"])
 
 
@@ -61,7 +61,7 @@ def _positive_points(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Axis:
+class _LogAxis:
     """A logarithmic axis."""
 
     low: float  # decimal exponent at the start
@@ -70,10 +70,10 @@ class _Axis:
     end: float
 
     @staticmethod
-    def spanning(values: Sequence[float], begin: float, end: float) -> _Axis:
+    def spanning(values: Sequence[float], begin: float, end: float) -> _LogAxis:
         low, high = math.log10(min(values)), math.log10(max(values))
         margin = max(0.05 * (high - low), 0.1)
-        return _Axis(low - margin, high + margin, begin, end)
+        return _LogAxis(low - margin, high + margin, begin, end)
 
     def __call__(self, value: float) -> float:
         """Return the position of a value [px]."""
@@ -83,7 +83,7 @@ class _Axis:
     def ticks(self) -> list[float]:
         """Return tick values, 20 at most."""
         first, last = math.floor(self.low), math.ceil(self.high)
-        digits: tuple[int, ...] = (1, 2, 5) if last - first <= FEW_DECADES else (1,)
+        digits: tuple[int, ...] = (1, 2, 5) if last - first <= MAX_FEW_DECADES else (1,)
         if self.high - self.low < 1:
             digits = tuple(range(1, 10))
         step = max(1, math.ceil((last - first) / 12))
@@ -95,7 +95,7 @@ class _Axis:
         return [v for v in values if self.low <= math.log10(v) <= self.high]
 
 
-def _grid(x: _Axis, y: _Axis, panel: Panel) -> Iterator[str]:
+def _grid_lines(x: _LogAxis, y: _LogAxis, panel: Panel) -> Iterator[str]:
     bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT
     for value in x.ticks():
         at = x(value)
@@ -113,11 +113,11 @@ def _grid(x: _Axis, y: _Axis, panel: Panel) -> Iterator[str]:
     yield f"{html.escape(panel.error)}</text>"
 
 
-def _curve(
-    i: int, name: str, points: Sequence[PrecisionPoint], x: _Axis, y: _Axis
+def _curve_elements(
+    i: int, name: str, points: Sequence[PrecisionPoint], x: _LogAxis, y: _LogAxis
 ) -> Iterator[str]:
     colour = COLOURS[i % len(COLOURS)]
-    dash = DASHES[i // len(COLOURS) % len(DASHES)]
+    dash = DASH_PATTERNS[i // len(COLOURS) % len(DASH_PATTERNS)]
     style = f'stroke="{colour}"' + (f' stroke-dasharray="{dash}"' if dash else "")
     path = "L".join(f"{x(p.cost):.1f} {y(p.error):.1f}" for p in points)
     yield f'<path class="curve" {style} d="M{path}"/>'

@@ -14,16 +14,16 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.preview.draft import PageDraft, number
+from animtool.preview.draft import PageDraft, json_number
 from animtool.preview.streams import (
     Quantized,
     json_numbers,
-    quantized_range,
-    quantized_units,
+    quantize_range,
+    quantize_units,
 )
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # Frames whose joints are in memory at once.
@@ -145,16 +145,16 @@ def add_take(
     """
     rig = stream.rig
     translations, rotations = (
-        motion.track(name) or _constant(rest)
+        motion.track(name) or _constant_channel(rest)
         for name, rest in (
             ("translations", rig.rest_translations),
             ("rotations", rig.rest_rotations),
         )
     )
-    rotations = _positive_w(rotations)
+    rotations = _with_positive_w(rotations)
     scales = motion.track("scales")
     kinds = {"t": translations, "r": rotations, "s": scales}
-    quantized = {kind: _stored(kind, track) for kind, track in kinds.items()}
+    quantized = {kind: _store_track(kind, track) for kind, track in kinds.items()}
     decoded_tracks = {
         kind: None if track is None else _decoded_track(track, quantized[kind])
         for kind, track in kinds.items()
@@ -168,13 +168,13 @@ def add_take(
         )
         assert t is not None
         assert r is not None
-        return forward(rig, t, so3.normalize(r), s)
+        return forward_kinematics(rig, t, so3.normalize(r), s)
 
-    contacts = _measure(draft, rig, motion.frames, world, kinds, stream)
+    contacts = _measure_error(draft, rig, motion.frames, world, kinds, stream)
     entry = {
         "name": name,
-        "skeleton": _skeleton(rig),
-        "still": {kind: _static(track) for kind, track in kinds.items()},
+        "skeleton": _skeleton_entry(rig),
+        "still": {kind: _static_track(track) for kind, track in kinds.items()},
         "moving": {
             kind: [] if track is None else track.animated.tolist()
             for kind, track in kinds.items()
@@ -184,7 +184,7 @@ def add_take(
             for kind, data in quantized.items()
         },
         "shapes": None,
-        "contacts": _named_spans(draft, contacts, first),
+        "contacts": _contact_spans(draft, contacts, first),
         "offset": [0.0, 0.0, 0.0],
         "visible": None,
         "span": [first, first + motion.frames - 1],
@@ -202,12 +202,12 @@ def add_take(
     )
 
 
-def _constant(rest: FloatArray) -> QuantizedTrack:
+def _constant_channel(rest: FloatArray) -> QuantizedTrack:
     empty = np.zeros((0, 0, rest.shape[1]), np.float32)
     return QuantizedTrack(rest, np.zeros(0, np.int64), empty)
 
 
-def _positive_w(track: QuantizedTrack) -> QuantizedTrack:
+def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
     """Return rotations whose first scalar part is positive."""
     static = np.where(track.static[:, 3:] < 0, -track.static, track.static)
     values = track.values
@@ -217,13 +217,13 @@ def _positive_w(track: QuantizedTrack) -> QuantizedTrack:
     return QuantizedTrack(static, track.animated, values)
 
 
-def _stored(kind: str, track: QuantizedTrack | None) -> Quantized | None:
+def _store_track(kind: str, track: QuantizedTrack | None) -> Quantized | None:
     if track is None or not track.values.size:
         return None
     values = track.values.reshape(len(track.values), -1).astype(np.float64)
     if kind == "r":
-        return quantized_units(values)
-    return quantized_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
+        return quantize_units(values)
+    return quantize_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
 
 
 def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
@@ -235,17 +235,19 @@ def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTr
     )
 
 
-def _static(track: QuantizedTrack | None) -> list[Any] | None:
+def _static_track(track: QuantizedTrack | None) -> list[Any] | None:
     return None if track is None else json_numbers(track.static)
 
 
-def _skeleton(rig: Rig) -> dict[str, Any]:
+def _skeleton_entry(rig: Rig) -> dict[str, Any]:
     return {
         "names": rig.names,
         "parents": rig.parents.tolist(),
         "rest": {
             "t": json_numbers(rig.rest_translations),
-            "r": json_numbers(_positive_w(_constant(rig.rest_rotations)).static),
+            "r": json_numbers(
+                _with_positive_w(_constant_channel(rig.rest_rotations)).static
+            ),
             "s": None,
         },
         "tips": [
@@ -256,7 +258,7 @@ def _skeleton(rig: Rig) -> dict[str, Any]:
     }
 
 
-def _measure(
+def _measure_error(
     draft: PageDraft,
     rig: Rig,
     frames: int,
@@ -267,7 +269,7 @@ def _measure(
     """Measure the quantization error of a take; return foot contacts."""
     if not rig.joints or not frames:
         return []
-    person, legs = _legs(draft, rig)
+    person, legs = _roled_legs(draft, rig)
     joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     positions = []
     for begin in range(0, frames, BLOCK_FRAMES):
@@ -281,7 +283,7 @@ def _measure(
     rotations = exact["r"]
     assert rotations is not None
     if rotations.values.size:
-        quantized = quantized_units(rotations.values.astype(np.float64))
+        quantized = quantize_units(rotations.values.astype(np.float64))
         stored_rotations = so3.normalize(quantized.stored / 32767.0)
         chords = np.linalg.norm(
             stored_rotations - so3.normalize(rotations.values), axis=-1
@@ -291,31 +293,31 @@ def _measure(
         return []
     feet = dict(zip(joints, np.concatenate(positions).swapaxes(0, 1), strict=True))
     rate = float(stream.fps / stream.step)
-    return list(_contacts(person, legs, feet, rate))
+    return list(_foot_contacts(person, legs, feet, rate))
 
 
-Legs = dict[str, tuple[int, int, int, int]]
+LegJoints = dict[str, tuple[int, int, int, int]]
 
 
-def _legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
+def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
     """Return a rig with roles and its legs; None if it has none."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.cache:
         draft.cache[key] = _find_legs(rig)
-    legs: tuple[RoledSkeleton | None, Legs] = draft.cache[key]
+    legs: tuple[RoledSkeleton | None, LegJoints] = draft.cache[key]
     return legs
 
 
-def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
-    person = RoledSkeleton.of(rig, anatomy(rig).roles)
+def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
+    person = RoledSkeleton.of(rig, find_anatomy(rig).roles)
     legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
     return (person if legs else None), legs
 
 
-def _contacts(
+def _foot_contacts(
     person: RoledSkeleton,
-    legs: Legs,
+    legs: LegJoints,
     feet: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
@@ -330,13 +332,13 @@ def _contacts(
             yield from ((ankle, contacts.ankle), (toe, contacts.toe))
 
 
-def _named_spans(
+def _contact_spans(
     draft: PageDraft, contacts: list[tuple[int, Any]], first: int
 ) -> list[dict[str, Any]]:
     timeline = draft.timeline
 
     def code(frame: int) -> int | float:
-        return number(timeline.first + (first + frame) * timeline.step)
+        return json_number(timeline.first + (first + frame) * timeline.step)
 
     return [
         {

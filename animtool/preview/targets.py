@@ -15,7 +15,7 @@ from animtool.ik.goals import Targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
 from animtool.preview.draft import PageDraft, skip_unreadable
-from animtool.preview.streams import quantized_range
+from animtool.preview.streams import quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Joint, Rig
@@ -40,7 +40,7 @@ def add_targets(
         up: Up axis of that take's file.
     """
     with skip_unreadable(draft, f"targets {tracks.path.name!r}"):
-        frames = _frames(draft, tracks)
+        frames = _covered_samples(draft, tracks)
         if not len(frames):
             draft.note(f"targets {tracks.path.name!r} have other frames")
             return
@@ -49,24 +49,24 @@ def add_targets(
         rig = replace(rig, up=UpAxis(up))
         if page_take is not None:
             tracks = load_targets(tracks.path, rig)
-        clock = _clock(draft, tracks, frames)
+        clock = _targets_clock(draft, tracks, frames)
         targets = tracks.placed(clock).sample(rig, clock, world)
         _add_markers(draft, tracks, targets, frames, up_rotation)
 
 
-def _frames(draft: PageDraft, tracks: TargetTracks) -> IntArray:
+def _covered_samples(draft: PageDraft, tracks: TargetTracks) -> IntArray:
     """Return the page samples that the targets file covers ``(A,)``."""
-    codes = draft.timeline.codes * _ratio(draft, tracks)
+    codes = draft.timeline.codes * _rate_ratio(draft, tracks)
     first = -np.inf if tracks.first is None else float(tracks.first)
     last = np.inf if tracks.last is None else float(tracks.last)
     return np.flatnonzero((codes >= first - 1e-6) & (codes <= last + 1e-6))
 
 
-def _ratio(draft: PageDraft, tracks: TargetTracks) -> float:
+def _rate_ratio(draft: PageDraft, tracks: TargetTracks) -> float:
     return 1.0 if tracks.fps is None else float(tracks.fps / draft.timeline.fps)
 
 
-def _clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
+def _targets_clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
     timeline = draft.timeline
     fps = tracks.fps or timeline.fps
     ratio = fps / timeline.fps
@@ -121,7 +121,7 @@ def _add_markers(
         if not np.isfinite(rows).any():
             continue
         label = "" if kind == "position" else f" {kind}"
-        quantized = quantized_range(rows, period=3)
+        quantized = quantize_range(rows, period=3)
         draft.record_error(position=quantized.error)
         draft.points.append(
             {

@@ -53,7 +53,7 @@ class TimelineTake:
         return self.first + max(0, self.motion.frames - 1) * self.stream.step
 
 
-def timed_take(
+def fit_to_page(
     number: int,
     file: OpenFile,
     take: ShownTake,
@@ -112,7 +112,7 @@ def timed_take(
     return TimelineTake(number, take, stream, motion, start, origin)
 
 
-def align(timed_takes: list[TimelineTake]) -> list[Fault]:
+def align_takes(timed_takes: list[TimelineTake]) -> list[Fault]:
     """Shift takes that do not overlap the first to its start; return notices."""
     notices = []
     for timed in timed_takes[1:]:
@@ -206,5 +206,5 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
-    is_moving = any(prim.deforms or prim.travels for prim in contents.prims)
+    is_moving = any(prim.is_deforming or prim.is_moving for prim in contents.prims)
     return contents.span if is_moving or contents.cameras() else None

@@ -17,8 +17,8 @@ from animtool.report.tradeoffs import LEGEND, table_parts
 from animtool.scene.tables.tradeoffs import Pair, Tradeoffs
 
 # Gap between two figures, relative to their size.
-GAP = 0.6
-_POLICY = (
+VIEWER_GAP = 0.6
+_SECURITY_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
     "img-src data: blob:; frame-src 'self' about:; base-uri 'none'; form-action 'none'"
 )
@@ -57,7 +57,7 @@ def page_parts(report: Tradeoffs, calling: ArgumentNamer = in_python) -> Iterato
     yield (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_SECURITY_POLICY}">\n'
         f"<title>{title}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f"<h1>{title}</h1>\n"
     )
@@ -79,13 +79,13 @@ def page_parts(report: Tradeoffs, calling: ArgumentNamer = in_python) -> Iterato
         if table.lines:
             lines = worded("\n".join(table.lines), calling)
             yield f"<pre>{html.escape(lines)}</pre>\n"
-        yield from _table(table_.rows, table_.left, table_.classes)
+        yield from _table_html(table_.rows, table_.left, table_.classes)
         if i in pairs:
-            yield from _viewer(pairs[i])
+            yield from _viewer_html(pairs[i])
     yield "</body>\n</html>\n"
 
 
-def _table(
+def _table_html(
     rows: Sequence[Sequence[str]], left: set[int], classes: Sequence[str]
 ) -> Iterator[str]:
     yield '<div class="wide"><table>\n'
@@ -100,12 +100,12 @@ def _table(
     yield "</table></div>\n"
 
 
-def _viewer(pair: Pair) -> Iterator[str]:
+def _viewer_html(pair: Pair) -> Iterator[str]:
     """Yield the viewer of two settings, in an iframe."""
     current, alternative = (html.escape(str(setting)) for setting in pair.settings)
     yield f"<p>Side by side: {current} (current) and {alternative}.</p>\n"
     page = make_page([*pair.files], PreviewOptions(findings=False))
     for i, take in enumerate(page.manifest["takes"]):
-        take["offset"] = [i * GAP * pair.size, 0.0, 0.0]
+        take["offset"] = [i * VIEWER_GAP * pair.size, 0.0, 0.0]
     document = html.escape(page.html(), quote=True)
     yield f'<iframe title="{current}, {alternative}" srcdoc="{document}"></iframe>\n'

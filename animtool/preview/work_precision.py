@@ -23,7 +23,7 @@ SUFFIXES = (".png", ".svg", ".pdf")
 WIDTH, HEIGHT, DPI = 7.0, 4.6, 130
 MARKERS = "osD^vP<>Xphd*H8"
 # Axis label and row field of each cost measure; others are counted in the table's unit.
-COSTS = {
+COST_LABELS = {
     CostMeasure.SECONDS: ("seconds", "seconds"),
     CostMeasure.BYTES: ("bytes", "bytes"),
     CostMeasure.STEPS: ("steps", ""),
@@ -76,19 +76,19 @@ def check_drawable(path: Path) -> None:
         message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
         raise OptionError(Fault("SCN072", message, str(path), (), hint))
-    _figures()
+    _import_matplotlib()
 
 
 def draw_panels(panels: Sequence[Panel], path: Path) -> None:
     """Draw panels below each other, on logarithmic axes."""
     check_drawable(path)
-    matplotlib, figures, ticker = _figures()
+    matplotlib, figures, ticker = _import_matplotlib()
     figure = figures.Figure(
         figsize=(WIDTH, HEIGHT * len(panels)), dpi=DPI, layout="constrained"
     )
     frames = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for frame, panel in zip(frames, panels, strict=True):
-        _draw(frame, panel, ticker)
+        _draw_panel(frame, panel, ticker)
     kind = path.suffix.lower().removeprefix(".")
     # No metadata that changes between runs: equal plots are equal bytes.
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
@@ -105,7 +105,7 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         raise output_error(path, error) from error
 
 
-def _figures() -> tuple[Any, Any, Any]:
+def _import_matplotlib() -> tuple[Any, Any, Any]:
     """Return matplotlib with its figure and ticker modules."""
     try:
         import matplotlib as mpl
@@ -117,10 +117,10 @@ def _figures() -> tuple[Any, Any, Any]:
     return mpl, figure, ticker
 
 
-def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
+def _draw_panel(frame: Any, panel: Panel, ticker: Any) -> None:
     for i, curve in enumerate(panel.curves):
         _draw_curve(frame, curve, i)
-    _ring(frame, [p for curve in panel.curves for p in curve.points if p.chosen])
+    _ring_chosen(frame, [p for curve in panel.curves for p in curve.points if p.chosen])
     if panel.floor > 0:
         frame.axhline(panel.floor, color="grey", linestyle=":", label="the reference")
     frame.set_xscale("log")
@@ -146,7 +146,7 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
             text.set_parse_math(False)
 
 
-def _ring(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
+def _ring_chosen(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
     """Draw rings around the current settings."""
     if not chosen:
         return
@@ -185,15 +185,15 @@ def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
 
 def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
     """Return a panel per table, with a curve per method."""
-    return [_panel(table) for table in tables]
+    return [_panel_of(table) for table in tables]
 
 
-def _panel(table: TrialTable) -> Panel:
+def _panel_of(table: TrialTable) -> Panel:
     by_method: dict[str, list[PrecisionPoint]] = {}
     for row in table.rows:
         error = table.error_of(row)
         if error is not None:
-            cost = getattr(row, COSTS[table.cost][0])
+            cost = getattr(row, COST_LABELS[table.cost][0])
             point = PrecisionPoint(cost, error, row.chosen, row.best, row.recommended)
             by_method.setdefault(row.setting.method, []).append(point)
     curves = tuple(
@@ -205,6 +205,6 @@ def _panel(table: TrialTable) -> Panel:
         floor = table.error_of(reference) or 0.0
         if reference.sensitive:
             remark = "error not small: the motion is sensitive"
-    name = COSTS[table.cost][1] or table.unit
+    name = COST_LABELS[table.cost][1] or table.unit
     title, axis = f"{table.name}, {table.kind}", f"error, {table.error} [m]"
     return Panel(title, axis, curves, floor, remark, name)

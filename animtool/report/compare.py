@@ -24,7 +24,7 @@ from animtool.report.tolerances import (
     hidden_length,
     hidden_weight,
 )
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.open import (
@@ -346,7 +346,10 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         return Difference(float(values[frame, joint]), name, float(codes[frame]))
 
     a, b = (take.motion.select(slice(0, frames)).dense() for take in (first, second))
-    world_a, world_b = forward(first.rig, *a), forward(second.rig, *b)
+    world_a, world_b = (
+        forward_kinematics(first.rig, *a),
+        forward_kinematics(second.rig, *b),
+    )
     difference = (
         world_a.positions[:, first_joints] - world_b.positions[:, second_joints]
     )

@@ -161,14 +161,14 @@ def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
 def _cycle(take: Take) -> Cycle | None:
     """Return the cycle of a take if its ends match well enough."""
     from animtool.edit.cycle import find_cycle
-    from animtool.edit.looping import POOR_SEAM
+    from animtool.edit.looping import MAX_GOOD_SEAM
 
     last_frame = min(take.clock.count, CYCLE_FRAMES) - 1
     try:
         cycle = find_cycle(take, None, float(take.clock.times[last_frame]))
     except OptionError:  # nothing moves, or it is shorter than any cycle
         return None
-    return cycle if cycle.share <= POOR_SEAM else None
+    return cycle if cycle.share <= MAX_GOOD_SEAM else None
 
 
 def _shot(path: Path) -> dict[str, object] | None:
@@ -184,9 +184,9 @@ def _points(path: Path) -> list[PointPrim]:
     """Return the description of a USD file's animated points."""
     if not is_usd(path):
         return []
-    from animtool.usd.caches.info import displaced_points
+    from animtool.usd.caches.info import animated_point_prims
 
-    return displaced_points(path)
+    return animated_point_prims(path)
 
 
 def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | None:

@@ -10,7 +10,7 @@ from animtool.core.errors import AnimtoolError
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.take import Take
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.facts import ground_speeds, hips_and_joints
 from animtool.retarget.roled_skeleton import RoledSkeleton
 
@@ -102,7 +102,7 @@ def _value(extreme: Extreme) -> float:
 
 def _extent(name: str, take: Take) -> _Extent:
     """Return the summary of a character; hip height only for humans."""
-    person = RoledSkeleton.of(take.rig, anatomy(take.rig).roles)
+    person = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
     hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()

@@ -7,7 +7,7 @@ from pathlib import Path
 from animtool.formats.characters.choice import characters
 from animtool.formats.fbx.read import take_names_of
 from animtool.formats.fbx.scene import open_fbx
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.report.describe_gltf import GltfClip, GltfContents
 
 
@@ -20,7 +20,12 @@ def fbx_contents(path: Path | str) -> GltfContents:
     scene = open_fbx(path)
     skeletons = characters(scene) if scene.nodes else ()
     clips = [
-        GltfClip(name, take.begin / TICKS, take.end / TICKS, len(take.curves()))
+        GltfClip(
+            name,
+            take.begin / TICKS_PER_SECOND,
+            take.end / TICKS_PER_SECOND,
+            len(take.curves()),
+        )
         for name, take in zip(take_names_of(scene), scene.takes, strict=True)
     ]
     return GltfContents(

@@ -15,14 +15,14 @@ from animtool.retarget.names import (
     Preset,
     best_preset,
     find_preset,
-    read_names,
+    parse_names,
     role_votes,
 )
 from animtool.retarget.roles import (
-    ARM,
+    ARM_ROLES,
     CONTROL,
     END,
-    LEG,
+    LEG_ROLES,
     SIDES,
     TWIST,
     Anatomy,
@@ -32,23 +32,23 @@ from animtool.retarget.roles import (
 from animtool.retarget.structure import (
     LimbShape,
     SkeletonTree,
-    left_of,
+    left_direction,
     limb_pairs,
     split_limb,
-    upright,
+    up_direction,
 )
 from animtool.rig.skeleton import Rig
 
-_LIMBS = {"arm": ARM, "leg": LEG}
-_SHAPES = {
+_LIMB_ROLES = {"arm": ARM_ROLES, "leg": LEG_ROLES}
+_LIMB_SHAPES = {
     f"{name}_{side}": LimbShape(
         (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
         *lengths,
     )
     for side in SIDES
     for name, roles, lengths in (
-        ("arm", ARM, (1.1, 0.5, 0.5, True)),
-        ("leg", LEG, (1.02, 0.25, 0.45, False)),
+        ("arm", ARM_ROLES, (1.1, 0.5, 0.5, True)),
+        ("leg", LEG_ROLES, (1.02, 0.25, 0.45, False)),
     )
 }
 # Confidence in a role by its evidence.
@@ -58,7 +58,7 @@ _CONFIDENCE = {
     RoleSource.STRUCTURE: 0.7,
     RoleSource.NONE: 0.0,
 }
-MAX_LISTED = 4
+MAX_LISTED_JOINTS = 4
 # A part of the foot that extends less far forward than this fraction of the longest toe
 # is a heel, not a toe.
 _MIN_TOE_FRACTION = 0.4
@@ -67,7 +67,7 @@ MIN_BODY_JOINTS = 8
 
 
 @dataclass(slots=True)
-class _Search:
+class _RoleSearch:
     """State of the search for the roles of a skeleton's joints."""
 
     body: SkeletonTree
@@ -82,7 +82,7 @@ class _Search:
             self.roles[joint] = role
 
 
-def anatomy(
+def find_anatomy(
     rig: Rig,
     *,
     preset: str | None = None,
@@ -107,7 +107,7 @@ def anatomy(
         # Roles stated by the file precede guesses from names.
         named_joints = zip(rig.joints, names, strict=True)
         names = [joint.humanoid or name for joint, name in named_joints]
-    read_names_ = read_names(names, rig.parents)
+    read_names_ = parse_names(names, rig.parents)
     chosen_preset: Preset | None = None
     if preset is not None:
         chosen_preset = find_preset(preset)
@@ -116,20 +116,22 @@ def anatomy(
     votes = role_votes(read_names_, chosen_preset) if by_names else [{} for _ in names]
     kinds = [name.kind if by_names else "" for name in read_names_]
     body = SkeletonTree.of(rig, votes, kinds)
-    search = _Search(body, [""] * len(names))
+    search = _RoleSearch(body, [""] * len(names))
     notices = _largest_tree(search)
     _find_limbs(search)
-    up = upright(body, search.tips)
+    up = up_direction(body, search.tips)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
-        up = upright(search.body, search.tips)
+        up = up_direction(search.body, search.tips)
     at_rest = search.body is body
-    _sides_by_position(search, left_of(search.body, search.tips, up, at_rest=at_rest))
-    _trunk(search)
+    _sides_by_position(
+        search, left_direction(search.body, search.tips, up, at_rest=at_rest)
+    )
+    _assign_trunk(search)
     for limb in search.tips:
-        _limb(search, limb)
+        _assign_limb(search, limb)
     _assign_remaining(search)
-    notices += _doubts(search)
+    notices += _anatomy_warnings(search)
     evidence = [_role_source(role, votes[j]) for j, role in enumerate(search.roles)]
     confidence = tuple(_CONFIDENCE[source] for source in evidence)
     name = chosen_preset.name if chosen_preset else ""
@@ -147,7 +149,7 @@ def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
     return RoleSource.PRESET if weight == 1.0 else RoleSource.NAME
 
 
-def _largest_tree(search: _Search) -> list[Fault]:
+def _largest_tree(search: _RoleSearch) -> list[Fault]:
     """Ignore all trees but the largest; warn if others look like bodies too."""
     body = search.body
     tops = body.rig.roots
@@ -172,21 +174,21 @@ def _largest_tree(search: _Search) -> list[Fault]:
     if not other_tops:
         return []
     names = body.rig.names
+    others = listed([repr(names[j]) for j in other_tops], MAX_LISTED_JOINTS)
     message = (
         f"{len(other_tops) + 1} skeletons in one file: that of {names[main_hips]!r} is "
-        f"mapped, {listed([repr(names[j]) for j in other_tops], MAX_LISTED)} are "
-        "skipped"
+        f"mapped, {others} are skipped"
     )
     hint = "export the others to separate files"
     return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _find_limbs(search: _Search) -> None:
+def _find_limbs(search: _RoleSearch) -> None:
     """Find the end joint of each limb and of the head, by names or by the tree."""
     body = search.body
-    for limb, roles in _LIMBS.items():
+    for limb, roles in _LIMB_ROLES.items():
         for side in SIDES:
-            tip = _named_tip(search, {f"{role}_{side}" for role in roles})
+            tip = _tip_by_names(search, {f"{role}_{side}" for role in roles})
             if tip >= 0:
                 search.tips[f"{limb}_{side}"] = tip
     for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
@@ -198,10 +200,10 @@ def _find_limbs(search: _Search) -> None:
         if pair and not has_name and assigned_joints.isdisjoint(pair):
             search.unsided.append(limb)
             for side, top in zip(SIDES, pair, strict=True):
-                search.tips[f"{limb}_{side}"] = body.heaviest(top)[-1]
+                search.tips[f"{limb}_{side}"] = body.longest_path(top)[-1]
 
 
-def _named_tip(search: _Search, roles: set[str]) -> int:
+def _tip_by_names(search: _RoleSearch, roles: set[str]) -> int:
     """Return the joint with the most limb names above it; -1 if no joint has one."""
     body = search.body
     best_joint, best_score = -1, 0.0
@@ -217,7 +219,7 @@ def _named_tip(search: _Search, roles: set[str]) -> int:
     return best_joint
 
 
-def _sides_by_position(search: _Search, across: FloatArray) -> None:
+def _sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
     """Tell left from right by limb positions; by file order where they coincide."""
     body, tips = search.body, search.tips
     for limb in search.unsided:
@@ -241,19 +243,19 @@ def _sides_by_position(search: _Search, across: FloatArray) -> None:
             )
 
 
-def _trunk(search: _Search) -> None:
+def _assign_trunk(search: _RoleSearch) -> None:
     """Assign the roles of hips, spine, neck, head and the joints above the hips."""
     body, tips = search.body, search.tips
     legs = [tips[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tips]
     arms = [tips[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tips]
-    head = _best_named(search, "head")
+    head = _best_by_name(search, "head")
     chest = body.common(arms) if len(arms) == 2 else -1
     if head < 0 and chest >= 0:
-        head = _head_below(search, chest)
+        head = _find_head(search, chest)
     upper = [j for j in (chest, head) if j >= 0]
     fork = body.common([*legs, *upper]) if legs and upper else -1
     seat = body.common(legs) if len(legs) == 2 else fork
-    hips = _hips(search, fork, seat)
+    hips = _find_hips(search, fork, seat)
     search.set_role(hips, "hips")
     spine_start = max(fork, hips) if fork < 0 else fork
     if spine_start < 0 and upper:
@@ -267,10 +269,10 @@ def _trunk(search: _Search) -> None:
         spine_start = (
             spine_start if spine_start in body.rig.upwards(upper[-1]) else max(hips, 0)
         )
-        _spine(search, spine_start, chest, head)
+        _assign_spine(search, spine_start, chest, head)
 
 
-def _spine(search: _Search, start: int, chest: int, head: int) -> None:
+def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> None:
     """Assign roles to the joints from the hips' fork to chest and head."""
     body = search.body
     if chest not in body.rig.upwards(head):
@@ -286,7 +288,7 @@ def _spine(search: _Search, start: int, chest: int, head: int) -> None:
         search.set_role(j, "spine" if i < after_chest else "neck")
 
 
-def _best_named(search: _Search, role: str) -> int:
+def _best_by_name(search: _RoleSearch, role: str) -> int:
     """Return the topmost joint whose name votes most for a role; -1 for none."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
@@ -296,10 +298,10 @@ def _best_named(search: _Search, role: str) -> int:
     return best_index if best_index >= 0 and weights[best_index] > 0 else -1
 
 
-def _hips(search: _Search, fork: int, seat: int) -> int:
+def _find_hips(search: _RoleSearch, fork: int, seat: int) -> int:
     """Return the named hips if near the leg-trunk fork, else the fork."""
     body = search.body
-    named_hips = _best_named(search, "hips")
+    named_hips = _best_by_name(search, "hips")
     if fork < 0:
         return named_hips if named_hips >= 0 else seat
     nearby = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
@@ -309,7 +311,7 @@ def _hips(search: _Search, fork: int, seat: int) -> int:
     return max(top_voted, key=lambda j: (j == fork, j), default=fork)
 
 
-def _head_below(search: _Search, chest: int) -> int:
+def _find_head(search: _RoleSearch, chest: int) -> int:
     """Return the head by structure: the chain's first fork, or its end."""
     body = search.body
     arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
@@ -319,12 +321,12 @@ def _head_below(search: _Search, chest: int) -> int:
     branch_sizes = [
         body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in branches
     ]
-    path = body.heaviest(branches[int(np.argmax(branch_sizes))])
+    path = body.longest_path(branches[int(np.argmax(branch_sizes))])
     forks = [j for j in path if len(body.limb_children(j)) > 1]
     return forks[0] if forks else path[-1]
 
 
-def _limb(search: _Search, limb: str) -> None:
+def _assign_limb(search: _RoleSearch, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
     tip = search.tips[limb]
@@ -337,13 +339,15 @@ def _limb(search: _Search, limb: str) -> None:
     path = [
         j for j in body.rig.upwards(tip) if j not in other_tips and not search.roles[j]
     ]
-    path = [*path[::-1], *body.heaviest(tip)[1:]]
+    path = [*path[::-1], *body.longest_path(tip)[1:]]
     if not path:
         return
     path, branch = (
-        _to_hand(search, path, side) if kind == "arm" else (_to_toe(search, path), -1)
+        _split_hand(search, path, side)
+        if kind == "arm"
+        else (_split_toes(search, path), -1)
     )
-    labels = split_limb(body, path, _SHAPES[limb], branch)
+    labels = split_limb(body, path, _LIMB_SHAPES[limb], branch)
     for j, label in zip(path, labels, strict=True):
         search.set_role(j, "" if body.kinds[j] == CONTROL else label)
     hand_joints = [
@@ -353,10 +357,12 @@ def _limb(search: _Search, limb: str) -> None:
         for j, role in finger_roles(body, hand_joints, side).items():
             search.set_role(j, "" if body.kinds[j] == CONTROL else role)
     if kind == "leg":
-        _toes(search, side)
+        _assign_toes(search, side)
 
 
-def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], int]:
+def _split_hand(
+    search: _RoleSearch, path: list[int], side: str
+) -> tuple[list[int], int]:
     """Return an arm's chain without fingers, and the joint the fingers branch from."""
     votes = search.body.votes
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
@@ -368,7 +374,7 @@ def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], in
     return path[: path.index(branch) + 1], branch
 
 
-def _to_toe(search: _Search, path: list[int]) -> list[int]:
+def _split_toes(search: _RoleSearch, path: list[int]) -> list[int]:
     """Return a leg's chain without the toes if the foot has several."""
     body = search.body
     tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path]
@@ -379,7 +385,7 @@ def _to_toe(search: _Search, path: list[int]) -> list[int]:
     return path[: candidates[0] + 1] if candidates else path
 
 
-def _toes(search: _Search, side: str) -> None:
+def _assign_toes(search: _RoleSearch, side: str) -> None:
     """Assign the toe role to every toe chain of a foot that has several."""
     body, role = search.body, f"toe_{side}"
     feet = [
@@ -414,11 +420,11 @@ def _toes(search: _Search, side: str) -> None:
 
 def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
     """Return the end position of the chain that starts at a joint ``(3,)`` [m]."""
-    last_joint = body.heaviest(joint)[-1]
+    last_joint = body.longest_path(joint)[-1]
     return np.asarray(body.positions[last_joint] + body.last_bones[last_joint])
 
 
-def _assign_remaining(search: _Search) -> None:
+def _assign_remaining(search: _RoleSearch) -> None:
     """Assign face roles, and mark why the remaining joints have no role."""
     body = search.body
     for j, votes in enumerate(body.votes):
@@ -431,7 +437,7 @@ def _assign_remaining(search: _Search) -> None:
             search.roles[j] = kind or END
 
 
-ONE_LEG = ("whole left leg", "whole right leg")
+COMPLETE_LEG_TEXTS = ("whole left leg", "whole right leg")
 
 
 def _missing_legs(roles: Sequence[str]) -> str:
@@ -441,11 +447,11 @@ def _missing_legs(roles: Sequence[str]) -> str:
         for side in "lr"
     ]
     if any(complete_sides):
-        return "" if all(complete_sides) else ONE_LEG[complete_sides[0]]
+        return "" if all(complete_sides) else COMPLETE_LEG_TEXTS[complete_sides[0]]
     return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
 
 
-def _doubts(search: _Search) -> list[Fault]:
+def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
     """Return warnings about a skeleton's anatomy, with the fallback that was used."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
@@ -457,14 +463,14 @@ def _doubts(search: _Search) -> list[Fault]:
     missing = _missing_legs(roles) if search.tips else ""
     if missing:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
-        if missing in ONE_LEG:
+        if missing in COMPLETE_LEG_TEXTS:
             hint = "only the other foot is held"
         texts.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
     if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
         texts.append(("MAP102", message, "joints are mapped by name only"))
     if fingerless:
-        names = listed(fingerless, MAX_LISTED)
+        names = listed(fingerless, MAX_LISTED_JOINTS)
         message = f"the rest pose of {rig.name!r} does not show where {names} end"
         texts.append(("MAP104", message, "the hand is assumed to continue the forearm"))
     if search.guessed:

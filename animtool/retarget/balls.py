@@ -13,9 +13,9 @@ from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import END
 
 # Feet shorter than this fraction of the leg are ignored [1].
-MIN_FOOT = 0.04
+MIN_FOOT_LENGTH = 0.04
 # Cosine to the shin above which the end of a foot is its heel or the ground [1].
-ALONG_SHIN = 0.97
+MIN_SHIN_COSINE = 0.97
 # A toe chain that begins within this fraction of its length of the ankle has a
 # metatarsal [1].
 METATARSAL_START = 0.15
@@ -34,13 +34,13 @@ def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
         leg, other_leg = skeleton.leg(side), other.leg(side)
         if leg is None:
             continue
-        foot, toes = leg[2], _toes(skeleton, side)
+        foot, toes = leg[2], _first_toe_joints(skeleton, side)
         if toes:
-            vector = _roll(skeleton, foot, toes)
+            vector = _ankle_to_ball(skeleton, foot, toes)
         else:
-            other_shape = None if other_leg is None else _shape(other, side)
+            other_shape = None if other_leg is None else _foot_shape(other, side)
             leg_ratio = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
-            end = _toeless(skeleton, side, other_shape, leg_ratio)
+            end = _toeless_ball(skeleton, side, other_shape, leg_ratio)
             if end is None:
                 continue
             vector = end
@@ -58,14 +58,14 @@ def ball_positions(
     return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
 
 
-def _toes(skeleton: RoledSkeleton, side: str) -> list[int]:
+def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
     """Return the first joint of each toe of a foot."""
     joints = {j for j, role in enumerate(skeleton.roles) if role == f"toe_{side}"}
     parents = skeleton.rig.parents
     starts = []
     for first_joint in sorted(j for j in joints if int(parents[j]) not in joints):
         chain_ends = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
-        foot = skeleton.positions[_foot(skeleton, side)]
+        foot = skeleton.positions[_foot_joints(skeleton, side)]
         length = float(np.linalg.norm(skeleton.positions[max(chain_ends)] - foot))
         distance = float(np.linalg.norm(skeleton.positions[first_joint] - foot))
         next_joints = [j for j in chain_ends if int(parents[j]) == first_joint]
@@ -77,7 +77,9 @@ def _toes(skeleton: RoledSkeleton, side: str) -> list[int]:
     return starts
 
 
-def _roll(skeleton: RoledSkeleton, foot: int, toes: Sequence[int]) -> FloatArray:
+def _ankle_to_ball(
+    skeleton: RoledSkeleton, foot: int, toes: Sequence[int]
+) -> FloatArray:
     """Return the vector from the ankle to the ball, from toe joints ``(3,)`` [m]."""
     offsets = skeleton.positions[list(toes)] - skeleton.positions[foot]
     facing = skeleton.facing
@@ -88,32 +90,36 @@ def _roll(skeleton: RoledSkeleton, foot: int, toes: Sequence[int]) -> FloatArray
     return np.asarray(foremost + sideways * facing[0])
 
 
-def _foot(skeleton: RoledSkeleton, side: str) -> int:
+def _foot_joints(skeleton: RoledSkeleton, side: str) -> int:
     return skeleton.first(f"foot_{side}")
 
 
 @dataclass(frozen=True, slots=True)
-class _Shape:
+class _FootShape:
     """A foot at rest: left, up and forward components from the ankle [m]."""
 
     ball: FloatArray | None  # where toes begin (3,); None without toes
     tip: FloatArray | None  # the farthest end of the foot (3,)
 
 
-def _shape(skeleton: RoledSkeleton, side: str) -> _Shape | None:
+def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
     """Return the known shape of a foot; None if the skeleton's facing is unknown."""
-    facing, foot, toes = skeleton.facing, _foot(skeleton, side), _toes(skeleton, side)
+    facing, foot, toes = (
+        skeleton.facing,
+        _foot_joints(skeleton, side),
+        _first_toe_joints(skeleton, side),
+    )
     if facing is None:
         return None
     start = skeleton.positions[foot]
-    tip = _tip(skeleton, toes or [foot], start)
-    ball = _roll(skeleton, foot, toes) if toes else None
-    return _Shape(
+    tip = _vector_to_tip(skeleton, toes or [foot], start)
+    ball = _ankle_to_ball(skeleton, foot, toes) if toes else None
+    return _FootShape(
         *(None if offset is None else facing @ offset for offset in (ball, tip))
     )
 
 
-def _tip(
+def _vector_to_tip(
     skeleton: RoledSkeleton, joints: Sequence[int], start: FloatArray
 ) -> FloatArray | None:
     """Return the vector to the farthest end of a joint chain ``(3,)``."""
@@ -131,8 +137,8 @@ def _tip(
     return max(offsets, key=lambda offset: float(offset @ offset), default=None)
 
 
-def _toeless(
-    skeleton: RoledSkeleton, side: str, other: _Shape | None, leg_ratio: float
+def _toeless_ball(
+    skeleton: RoledSkeleton, side: str, other: _FootShape | None, leg_ratio: float
 ) -> FloatArray | None:
     """Return the vector from the ankle to the ball of a foot without toes ``(3,)``."""
     leg = skeleton.leg(side)
@@ -155,7 +161,7 @@ def _toeless(
     # It ends where the other foot's toes end.
     tip_in_axes = facing @ tip
     fractions = [
-        a / b if abs(b) > MIN_FOOT * lengths[1] else 1.0
+        a / b if abs(b) > MIN_FOOT_LENGTH * lengths[1] else 1.0
         for a, b in zip(other.ball, other.tip, strict=True)
     ]
     return np.asarray((tip_in_axes * np.clip(fractions, 0.0, 1.0)) @ facing)
@@ -176,7 +182,7 @@ def _foot_end(
     farthest = max(offsets, key=lambda offset: float(offset @ offset), default=None)
     bone = ankle - skeleton.positions[shin]
     length = 0.0 if farthest is None else float(np.linalg.norm(farthest))
-    if farthest is None or length < MIN_FOOT * float(np.linalg.norm(bone)):
+    if farthest is None or length < MIN_FOOT_LENGTH * float(np.linalg.norm(bone)):
         return None
     cosine = float(farthest @ bone) / (length * float(np.linalg.norm(bone)))
-    return None if cosine > ALONG_SHIN else np.asarray(farthest)
+    return None if cosine > MIN_SHIN_COSINE else np.asarray(farthest)

@@ -38,7 +38,7 @@ WINDOW_SECONDS = 10.0
 # Fraction of a contact at either end during which the foot lands or lifts.
 LANDING_FRACTION = 0.2
 # A speed estimate needs at least this many frames.
-MIN_FRAMES = 4
+MIN_STANCE_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
         context.notices.append(no_body_warning(error))
         return take
     skeleton = RoledSkeleton.of(take.rig, joint_map.source.roles)
-    stance = _stance(take, skeleton, heading=options.heading)
+    stance = _stance_tracks(take, skeleton, heading=options.heading)
     if stance is None:
         message = "no foot is planted long enough to measure drift: nothing is changed"
         context.notices.append(Fault("CAP103", message, severity=Severity.WARNING))
@@ -98,7 +98,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
         channel.gather(root_index)[:, 0]
         for channel in (source_motion.translations, source_motion.rotations)
     )
-    up, (a, b) = _axes(take)
+    up, (a, b) = _ground_axes(take)
     root = root_positions[:, a] + 1j * root_positions[:, b]
     angle, shift = _root_correction(take, options, stance, root, rotations)
     positions = root_positions.copy()
@@ -123,7 +123,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
     return replace(take, motion=motion)
 
 
-def _axes(take: Take) -> tuple[int, tuple[int, int]]:
+def _ground_axes(take: Take) -> tuple[int, tuple[int, int]]:
     """Return the vertical axis and the two ground axes, right-handed about it."""
     return (1, (2, 0)) if take.rig.up is UpAxis.Y else (2, (0, 1))
 
@@ -140,18 +140,18 @@ def _root_correction(
     With it, planted feet stay in place: the rate of ``e^(i angle) position + shift`` is
     0.
     """
-    rate, up = float(take.clock.rate), _axes(take)[0]
+    rate, up = float(take.clock.rate), _ground_axes(take)[0]
     spin = -stance.spin
     speed = stance.speed if options.place else np.zeros(len(root))
-    angle = _integral(spin, rate)
+    angle = _integrate(spin, rate)
     if options.closed:
         heading_change = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
-        heading_error = _angle(heading_change[None], up)[0] + angle[-1]
+        heading_error = _angle_about_up(heading_change[None], up)[0] + angle[-1]
         spin = spin - (heading_error / max(len(root) - 1, 1)) * rate
-        angle = _integral(spin, rate)
+        angle = _integrate(spin, rate)
     position_error = 1j * (stance.spin + spin) * stance.position
     displacement = -np.exp(1j * angle) * (speed + position_error)
-    shift = _integral(displacement, rate)
+    shift = _integrate(displacement, rate)
     if options.closed:
         end_positions = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
         shift = shift - (end_positions[1] - end_positions[0]) * np.linspace(
@@ -160,24 +160,28 @@ def _root_correction(
     return angle, shift
 
 
-def _integral(values: Numbers, rate: float) -> Numbers:
+def _integrate(values: Numbers, rate: float) -> Numbers:
     """Return the integral of values over time, by the trapezoidal rule, from 0."""
     integral = np.zeros_like(values)
     integral[1:] = np.cumsum((values[1:] + values[:-1]) / 2) / rate
     return integral
 
 
-def _angle(rotations: FloatArray, up: int) -> FloatArray:
+def _angle_about_up(rotations: FloatArray, up: int) -> FloatArray:
     """Return the angle of rotations ``(N, 4)`` about the vertical ``(N,)`` [rad]."""
     angles = 2 * np.arctan2(rotations[:, up], rotations[:, 3])
     return np.asarray(np.angle(np.exp(1j * angles)))
 
 
-def _stance(
+def _stance_tracks(
     take: Take, skeleton: RoledSkeleton, *, heading: bool
 ) -> _StanceTracks | None:
     """Return the motion of planted feet; None if none is planted for long."""
-    (up, (a, b)), rate, count = _axes(take), float(take.clock.rate), take.clock.count
+    (up, (a, b)), rate, count = (
+        _ground_axes(take),
+        float(take.clock.rate),
+        take.clock.count,
+    )
     world = take.world()
     position_sums, contact_counts = np.zeros((count, 3)), np.zeros(count)
     # Per contact: its middle, duration, spin, speed and position.
@@ -193,19 +197,24 @@ def _stance(
         for start, end in runs(is_planted):
             edge = round(LANDING_FRACTION * (end - start))
             part = slice(start + edge, end - edge)
-            if part.stop - part.start < MIN_FRAMES:
+            if part.stop - part.start < MIN_STANCE_FRAMES:
                 continue
             # A foot that rolls over its toe moves its ankle.
             pivot = min(
-                (ankle, toe), key=lambda p: np.linalg.norm(_slope(p[part], rate))
+                (ankle, toe),
+                key=lambda p: np.linalg.norm(_least_squares_rate(p[part], rate)),
             )
             base = float(np.median(pivot[is_planted, up]))
             inverse_start = so3.conjugate(rotations[part.start])
             headings = np.unwrap(
-                _angle(so3.multiply(rotations[part], inverse_start), up)
+                _angle_about_up(so3.multiply(rotations[part], inverse_start), up)
             )
-            speed = _slope(pivot[part], rate)
-            spin = float(_slope(headings[:, None], rate)[0]) if heading else 0.0
+            speed = _least_squares_rate(pivot[part], rate)
+            spin = (
+                float(_least_squares_rate(headings[:, None], rate)[0])
+                if heading
+                else 0.0
+            )
             length = part.stop - part.start
             middle_frame = (part.start + part.stop - 1) / 2
             mean_position = pivot[part].mean(axis=0)
@@ -214,15 +223,18 @@ def _stance(
             )
             position_sums[part] += pivot[part][:, [a, b, up]] - [0.0, 0.0, base]
             contact_counts[part] += 1
-    if (contact_counts > 0).sum() <= MIN_FRAMES:
+    if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:
         return None
     contacts = np.array(sorted(contact_rows))
     width, frames = WINDOW_SECONDS * rate, np.arange(count)
-    smooth_spin = _medians(contacts, 2, width)
+    smooth_spin = _windowed_medians(contacts, 2, width)
     # Remove the motion caused by the spin about the origin.
     contacts[:, 3] += smooth_spin * contacts[:, 6]
     contacts[:, 4] -= smooth_spin * contacts[:, 5]
-    smooth_speed = [smooth_spin, *(_medians(contacts, k, width) for k in (3, 4))]
+    smooth_speed = [
+        smooth_spin,
+        *(_windowed_medians(contacts, k, width) for k in (3, 4)),
+    ]
     smooth_height = [
         np.interp(frames, contacts[:, 0], column) for column in smooth_speed
     ]
@@ -242,7 +254,7 @@ def _stance(
     )
 
 
-def _medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
+def _windowed_medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
     """Return a windowed median of a contact column at each contact ``(N,)``.
 
     Contacts are weighted by duration, so that a foot that slides intentionally is
@@ -258,7 +270,7 @@ def _medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
     return medians
 
 
-def _slope(values: FloatArray, rate: float) -> FloatArray:
+def _least_squares_rate(values: FloatArray, rate: float) -> FloatArray:
     """Return the least-squares rate of rows ``(N, K)`` per second ``(K,)`` [1/s]."""
     times = (np.arange(len(values)) - (len(values) - 1) / 2) / rate
     return np.asarray(times @ values / (times @ times))

@@ -11,14 +11,14 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.filters import rotation_noise
 from animtool.maths.runs import runs
-from animtool.motion.contacts import find_contacts, gaussian_smoothed
+from animtool.motion.contacts import find_contacts, gaussian_smooth
 from animtool.motion.take import Take
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import middle_of_hips
 
 # Smoothing time of hip speeds [s]: the hips sway with each step.
-SPEED_TIME = 0.25
+SPEED_INTERVAL = 0.25
 # Frames whose joints are held in memory at once.
 BLOCK_FRAMES = 1024
 
@@ -53,7 +53,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
     rig = take.rig
     if not rig.joints:
         return None
-    skeleton = RoledSkeleton.of(rig, anatomy(rig).roles)
+    skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
     legs = {side: skeleton.leg(side) for side in "lr"}
     if not any(legs.values()) or take.clock.count < 2:
         return None
@@ -73,7 +73,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
         name = "left" if side == "l" else "right"
         feet[name] = FootFacts(float(is_planted.mean()), steps)
     speeds = ground_speeds(take, hips)
-    noise, noisiest = _noise(take)
+    noise, noisiest = _noisiest_joint(take)
     return CaptureFacts(
         feet, float(speeds.mean()), float(speeds.max()), noise, noisiest
     )
@@ -99,13 +99,13 @@ def hips_and_joints(
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
     """Return the ground speed of hips ``(F, 3)`` in each step ``(F - 1,)`` [m/s]."""
     up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
-    ground_positions = gaussian_smoothed(
-        np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps
+    ground_positions = gaussian_smooth(
+        np.delete(hips, up, axis=1), SPEED_INTERVAL / 2 * fps
     )
     return np.asarray(np.linalg.norm(np.diff(ground_positions, axis=0), axis=1) * fps)
 
 
-def _noise(take: Take) -> tuple[float, str]:
+def _noisiest_joint(take: Take) -> tuple[float, str]:
     """Return the noise of the noisiest joint's rotation [rad], and the joint's name."""
     channel = take.motion.rotations
     levels = [

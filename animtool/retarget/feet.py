@@ -13,7 +13,7 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     RAISED_HEEL_HEIGHT,
     FootContacts,
-    gaussian_smoothed,
+    gaussian_smooth,
     without_short_runs,
 )
 from animtool.retarget.bending import MAX_EXTENSION
@@ -68,7 +68,7 @@ class Foot:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedFeet:
     """Solved positions of hips and feet."""
 
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
@@ -82,7 +82,9 @@ class Placed:
     lowered: float  # largest distance that the hips sank so that legs reach [m]
 
 
-def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> Placed:
+def plant_feet(
+    hips: FloatArray, feet: Sequence[Foot], fps: float, up: int
+) -> PlacedFeet:
     """Return hips and feet such that planted feet stay in place.
 
     The hips follow the scaled path of the source, so that an excerpt of a take moves as
@@ -99,7 +101,8 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     """
     rotations = [_planted_rotations(foot, fps, up) for foot in feet]
     bones = [
-        _bone(foot, rotation) for foot, rotation in zip(feet, rotations, strict=True)
+        _ankle_to_toe(foot, rotation)
+        for foot, rotation in zip(feet, rotations, strict=True)
     ]
     # A foot that rolls over its toe pins the toe, else the ankle.
     pinned_points = [
@@ -110,7 +113,7 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     heel_heights = [
         _ankle_rise(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)
     ]
-    hips[:, up] += _lift(hips, feet, pinned_points, heel_heights, fps, up)
+    hips[:, up] += _hip_lift(hips, feet, pinned_points, heel_heights, fps, up)
     is_planted = [foot.contacts.any for foot in feet]
     ankles = [
         _locked_path(hips + ankle, bone, foot, fps, up)
@@ -119,8 +122,8 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     hip_drop, rise = _hip_shifts(hips, feet, ankles, fps, up)
     hips[:, up] += rise - hip_drop
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
-    rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
-    return Placed(
+    rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
+    return PlacedFeet(
         hips,
         ankles,
         rotations,
@@ -145,14 +148,14 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
             target = mean if so3.angle_between(level, mean) > MAX_LEAN else level
         inverse_rotations = so3.conjugate(foot.rotation[start:end])
         correction[start:end] = so3.log(so3.multiply(target, inverse_rotations))
-    between(correction, is_flat, fps)
+    fill_between(correction, is_flat, fps)
     return so3.align_signs(so3.multiply(so3.exp(correction), foot.rotation))
 
 
-def _rolls(toe: BoolArray, fps: float) -> FloatArray:
+def _toe_roll(toe: BoolArray, fps: float) -> FloatArray:
     """Return 1 where only the toe is planted, fading to 0 around it ``(F,)``."""
     rolls = toe[:, None].astype(np.float64)
-    between(rolls, toe, fps)
+    fill_between(rolls, toe, fps)
     return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
 
 
@@ -164,7 +167,7 @@ def _heading_rotation(rotation: FloatArray, up: int) -> FloatArray:
     return heading / norm if norm > 0 else so3.IDENTITY.copy()
 
 
-def _bone(foot: Foot, rotation: FloatArray) -> FloatArray:
+def _ankle_to_toe(foot: Foot, rotation: FloatArray) -> FloatArray:
     """Return the vector from ankle to toe for the foot's rotation ``(F, 3)``."""
     if foot.toe is None:
         return np.zeros_like(foot.ankle)
@@ -178,7 +181,7 @@ def _ankle_rise(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
     return np.where(toe_only, _level_bone(foot, up) - bone[:, up], 0.0)
 
 
-def _lift(
+def _hip_lift(
     hips: FloatArray,
     feet: Sequence[Foot],
     relative: Sequence[FloatArray],
@@ -187,16 +190,16 @@ def _lift(
     up: int,
 ) -> FloatArray:
     """Return how far planted feet lift the hips, smoothed ``(F,)`` [m]."""
-    weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
+    weights = np.array([_foot_load(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
     for weight, foot, ankle, raised_ankle in zip(
         weights, feet, relative, ankle_rises, strict=True
     ):
         lift[:, 0] += weight * (foot.height + raised_ankle - ankle[:, up] - hips[:, up])
-    return _smoothest(weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4)[:, 0]
+    return _smoothest_path(weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4)[:, 0]
 
 
-def _smoothest(
+def _smoothest_path(
     weights: FloatArray, weighted_targets: FloatArray, stiffness: float
 ) -> FloatArray:
     """Return the path ``(F, K)`` that best balances position targets against curvature.
@@ -222,7 +225,7 @@ def _smoothest(
     return np.asarray(solveh_banded(band, weighted_targets))
 
 
-def _weight(stands: BoolArray, fps: float) -> FloatArray:
+def _foot_load(stands: BoolArray, fps: float) -> FloatArray:
     """Return how much weight a foot carries ``(F,)``; it fades within its contact."""
     weight = np.zeros(len(stands))
     for start, end in runs(stands):
@@ -297,12 +300,14 @@ def _locked_path(
                 else 0.0
             )
         correction[start:end] = goal - toe_offset - path
-    between(correction, is_planted, fps)
-    _above_ground(correction[:, up], (ankle + bone)[:, up], level, is_planted, fps)
+    fill_between(correction, is_planted, fps)
+    _raise_above_ground(
+        correction[:, up], (ankle + bone)[:, up], level, is_planted, fps
+    )
     return ankle + correction
 
 
-def _above_ground(
+def _raise_above_ground(
     correction: FloatArray,
     toe: FloatArray,
     level: float,
@@ -328,11 +333,11 @@ def _above_ground(
         correction[is_below] = (level - toe)[is_below]
         is_fixed |= is_below
         correction_rows = correction[:, None].copy()
-        between(correction_rows, is_fixed, fps)
+        fill_between(correction_rows, is_fixed, fps)
         correction[:] = correction_rows[:, 0]
 
 
-def between(
+def fill_between(
     values: FloatArray, is_fixed: BoolArray, fps: float, fade: float = FADE_SECONDS
 ) -> None:
     """Fill unknown rows ``(F, K)``: they fade to 0 within a time [s]."""
@@ -340,7 +345,7 @@ def between(
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
     weighted_values = values * np.where(is_fixed, FIXED_WEIGHT, 0.0)[:, None]
-    filled = _smoothest(weights, weighted_values, (fade * fps) ** 4)
+    filled = _smoothest_path(weights, weighted_values, (fade * fps) ** 4)
     values[~is_fixed] = filled[~is_fixed]
 
 
@@ -355,7 +360,7 @@ def _hip_shifts(
     hip_drop, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
-        largest_reach = upper(
+        largest_reach = upper_envelope(
             foot.straightness, STRAIGHT_WINDOW * fps, STRAIGHT_SMOOTH * fps
         )
         # A similar leg may be as straight as the source's.
@@ -374,12 +379,12 @@ def _hip_shifts(
         # A body hanging by its feet is not flipped.
         upright = (offset[:, up] > 0) & (lowest > 0)
         rise = np.maximum(rise, np.where(upright, lowest - offset[:, up], 0.0))
-    return covering(hip_drop, LOWERING_SECONDS * fps), covering(
+    return smoothest_cover(hip_drop, LOWERING_SECONDS * fps), smoothest_cover(
         rise, LOWERING_SECONDS * fps
     )
 
 
-def covering(values: FloatArray, width: float) -> FloatArray:
+def smoothest_cover(values: FloatArray, width: float) -> FloatArray:
     """Return the smoothest curve above the values, near 0 elsewhere ``(F,)``.
 
     It is 0 where no value is above 0, and returns to 0 within a width [frames].
@@ -392,7 +397,7 @@ def covering(values: FloatArray, width: float) -> FloatArray:
         is_fixed |= is_low & _peaks(values - cover[:, 0])
         weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
         weighted_values = np.where(is_fixed, FIXED_WEIGHT * values, 0.0)[:, None]
-        cover = _smoothest(weights, weighted_values, max(width, 1.0) ** 4)
+        cover = _smoothest_path(weights, weighted_values, max(width, 1.0) ** 4)
     return np.asarray(cover[:, 0])
 
 
@@ -403,7 +408,9 @@ def _peaks(values: FloatArray) -> BoolArray:
     return np.asarray(is_peak & (values > 0))
 
 
-def upper(values: FloatArray, width: float, smooth: float | None = None) -> FloatArray:
+def upper_envelope(
+    values: FloatArray, width: float, smooth: float | None = None
+) -> FloatArray:
     """Return a smooth upper envelope of values ``(F,)`` with a width [frames].
 
     It is smoothed by a Gaussian of ``smooth`` frames; None is a quarter of the width.
@@ -411,6 +418,4 @@ def upper(values: FloatArray, width: float, smooth: float | None = None) -> Floa
     half_width = int(np.ceil(width))
     padded = np.pad(values, half_width, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half_width + 1)
-    return gaussian_smoothed(
-        windows.max(axis=1), width / 4 if smooth is None else smooth
-    )
+    return gaussian_smooth(windows.max(axis=1), width / 4 if smooth is None else smooth)

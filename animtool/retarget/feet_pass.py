@@ -24,7 +24,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.retarget.legs import leg_of
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import scores_of
-from animtool.retarget.take_pass import onto_rig
+from animtool.retarget.take_pass import retarget_stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     path = None if options.map is None else context.folder / options.map
     settings = RetargetOptions(map=path)
     try:
-        retargeting, _, notices = onto_rig(
+        retargeting, _, notices = retarget_stream(
             TakeStream.of(take), take.rig, settings, same=True
         )
     except OptionError as error:

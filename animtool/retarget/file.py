@@ -12,7 +12,7 @@ from pydantic import Field
 from animtool.core.names import nearest
 from animtool.core.options import key
 from animtool.core.record import dataclass
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.retarget.map import TwistFraction
@@ -21,17 +21,17 @@ from animtool.retarget.roles import ROLES
 from animtool.rig.skeleton import Rig
 
 UnitReal = Annotated[Real, Field(ge=0, le=1)]
-Joints = Name | Annotated[list[Name], Len(1)]
+JointNames = Name | Annotated[list[Name], Len(1)]
 
 
 class MapEntryModel(FileModel):
     """Joints of the target that follow joints of the source."""
 
-    source: Joints = key(
+    source: JointNames = key(
         "A joint of the take's skeleton, or several joints of a chain, root first.",
         "mixamorig:Spine",
     )
-    target: Joints = key(
+    target: JointNames = key(
         "The joint of the rig that follows it, or several. Chains of different "
         "numbers of joints are matched by normalised length.",
         ["spine_01", "spine_02"],
@@ -119,21 +119,21 @@ class FileMap:
 
 
 def load_map(path: Path | str) -> MapFile:
-    """Return a map file; names of joints are checked by `resolved_map`.
+    """Return a map file; names of joints are checked by `resolve_map`.
 
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
     """
-    return map_of_document(read_document(Path(path)))
+    return parse_map(read_document(Path(path)))
 
 
-def map_of_document(document: Document) -> MapFile:
+def parse_map(document: Document) -> MapFile:
     """Return a document as a map file."""
     check_version(document, "map")
-    model = validated(document, MapModel)
+    model = validate_document(document, MapModel)
     entry_of_joint: dict[str, int] = {}
     for i, entry in enumerate(model.joints):
-        for name in _names(entry.target):
+        for name in _name_list(entry.target):
             if name in entry_of_joint:
                 message = f"{name!r} appears in two entries as a target"
                 hint = f"remove it here or from joints[{entry_of_joint[name]}]"
@@ -147,7 +147,7 @@ def map_of_document(document: Document) -> MapFile:
     return MapFile(document, model)
 
 
-def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
+def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     """Return a map file's joints as indices of two skeletons.
 
     A joint is matched by its name, by its name in the source file, and by either
@@ -158,7 +158,7 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     """
     document, model = file.document, file.model
     rigs = {"source": source, "target": target}
-    indices = {side: _index(rig) for side, rig in rigs.items()}
+    indices = {side: _joints_by_name(rig) for side, rig in rigs.items()}
 
     def joint_indices(
         side: str, names: Sequence[str], *where: str | int
@@ -172,8 +172,8 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
 
     entries = [
         FileEntry(
-            joint_indices("source", _names(entry.source), "joints", i, "source"),
-            joint_indices("target", _names(entry.target), "joints", i, "target"),
+            joint_indices("source", _name_list(entry.source), "joints", i, "source"),
+            joint_indices("target", _name_list(entry.target), "joints", i, "target"),
             entry.role or "",
         )
         for i, entry in enumerate(model.joints)
@@ -205,11 +205,11 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     )
 
 
-def _names(value: str | list[str]) -> list[str]:
+def _name_list(value: str | list[str]) -> list[str]:
     return [value] if isinstance(value, str) else value
 
 
-def _index(rig: Rig) -> Mapping[str, int]:
+def _joints_by_name(rig: Rig) -> Mapping[str, int]:
     """Return the joints by every name that matches them."""
     index: dict[str, int] = {}
     names_in_file = [joint.source_name or joint.name for joint in rig.joints]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animtool.retarget.roles import DIGITS, END, MITTEN
+from animtool.retarget.roles import DIGITS, END, MITTEN_ROLE
 from animtool.retarget.structure import SkeletonTree
 
 
@@ -16,7 +16,7 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
     paths = _finger_paths(body, hands)
     if not paths:
         return {}
-    digits = _digits(body, paths, hands[-1])
+    digits = _assign_digits(body, paths, hands[-1])
     # Shared joints belong to the shorter finger, and to a finger before a thumb.
     order = sorted(
         range(len(paths)), key=lambda i: (len(paths[i]), digits[i] == "thumb", i)
@@ -30,7 +30,7 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
     roles: dict[int, str] = {}
     for i in order:
         if digits[i]:
-            roles |= _phalanges(body, joints_of_digit[i], digits[i], side, thumb)
+            roles |= _phalanx_roles(body, joints_of_digit[i], digits[i], side, thumb)
     return roles
 
 
@@ -48,7 +48,9 @@ def _finger_paths(body: SkeletonTree, hands: Sequence[int]) -> list[list[int]]:
     return paths
 
 
-def _digits(body: SkeletonTree, paths: Sequence[list[int]], hand: int) -> list[str]:
+def _assign_digits(
+    body: SkeletonTree, paths: Sequence[list[int]], hand: int
+) -> list[str]:
     """Return the finger of each path, by names if they tell, else by position."""
     digits = []
     for path in paths:
@@ -56,7 +58,7 @@ def _digits(body: SkeletonTree, paths: Sequence[list[int]], hand: int) -> list[s
             role.split("_")[0]
             for j in path
             for role in body.votes[j]
-            if role.split("_")[0] in {*DIGITS, MITTEN}
+            if role.split("_")[0] in {*DIGITS, MITTEN_ROLE}
         )
         digits.append(named.most_common(1)[0][0] if named else "")
     if any(digits):
@@ -72,7 +74,9 @@ def _digits_by_position(
     if count <= 2 and max(map(len, paths)) < 3:
         # A mitten next to a thumb, which is shorter or begins first.
         thumb = min(range(count), key=lambda i: (len(paths[i]), -i))
-        return ["thumb" if i == thumb and count > 1 else MITTEN for i in range(count)]
+        return [
+            "thumb" if i == thumb and count > 1 else MITTEN_ROLE for i in range(count)
+        ]
     if count == 1:
         return ["index"]
     wrist = body.positions[hand]
@@ -103,12 +107,12 @@ def _digits_by_position(
     return digits
 
 
-def _phalanges(
+def _phalanx_roles(
     body: SkeletonTree, path: Sequence[int], digit: str, side: str, thumb: int
 ) -> dict[int, str]:
     """Return the role of each joint of a finger."""
-    if digit == MITTEN:
-        return {j: f"{MITTEN}_{side}" for j in path}
+    if digit == MITTEN_ROLE:
+        return {j: f"{MITTEN_ROLE}_{side}" for j in path}
     anchors = [
         int(role.split("_")[1]) - i
         for i, j in enumerate(path)

@@ -12,10 +12,10 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     find_contacts,
-    gaussian_smoothed,
+    gaussian_smooth,
     without_short_runs,
 )
-from animtool.retarget.feet import between
+from animtool.retarget.feet import fill_between
 from animtool.retarget.legs import limb_rotations, up_index
 from animtool.retarget.props import PropMotion
 from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -89,14 +89,14 @@ class HandContact:
 
 
 @dataclass(frozen=True, slots=True)
-class Floor:
+class AnkleHeights:
     """Heights of planted ankles above the origin [m]."""
 
     source: float
     target: float
 
     @staticmethod
-    def lift(floor: Floor | None, scale: float, up: int) -> FloatArray:
+    def lift(floor: AnkleHeights | None, scale: float, up: int) -> FloatArray:
         """Return the offset of the scaled source onto the ground ``(3,)`` [m]."""
         lift = np.zeros(3)
         if floor is not None:
@@ -117,7 +117,7 @@ def hand_contacts(
     sides: str,
     tracks: Sequence[ArmTracks],
     hips: FloatArray,
-    floor: Floor | None,
+    floor: AnkleHeights | None,
     fps: float,
     props: Sequence[PropMotion] = (),
 ) -> list[HandContact]:
@@ -137,11 +137,11 @@ def hand_contacts(
         props: Props they may grip.
     """
     up = up_index(transfer.target.rig)
-    lift = Floor.lift(floor, transfer.scale, up)
+    lift = AnkleHeights.lift(floor, transfer.scale, up)
     wrists = [hips + arm.joints[:, 2] for arm in tracks]
-    lengths = [_length(transfer.source, side) for side in sides]
+    lengths = [_arm_length(transfer.source, side) for side in sides]
     scales = [
-        _length(transfer.target, side) / length if length > 0 else 1.0
+        _arm_length(transfer.target, side) / length if length > 0 else 1.0
         for side, length in zip(sides, lengths, strict=True)
     ]
     count = len(hips)
@@ -150,13 +150,15 @@ def hand_contacts(
     active = [np.zeros(count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
         separation = tracks[0].source - tracks[1].source
-        is_joined = _together(separation, min(lengths), fps)
+        is_joined = _hands_joined(separation, min(lengths), fps)
         middle = (wrists[0] + wrists[1]) / 2
         pair_goals = [
             middle + sign * float(np.mean(scales)) * separation for sign in (0.5, -0.5)
         ]
-        reaches = [REACH_FRACTION * _length(transfer.target, side) for side in sides]
-        for k, goal in enumerate(_within_reach(pair_goals, starts, reaches)):
+        reaches = [
+            REACH_FRACTION * _arm_length(transfer.target, side) for side in sides
+        ]
+        for k, goal in enumerate(_shift_into_reach(pair_goals, starts, reaches)):
             goals[k][is_joined] = goal[is_joined]
             active[k] |= is_joined
     contacts = []
@@ -196,7 +198,7 @@ def hand_contacts(
                 level + _soften_heights(height_above_ground, soft_height)
             )[is_low]
             is_contact |= is_low
-        bends = _bends(
+        bends = _arm_rotations(
             transfer.target, side, tracks[k], starts[k], goals[k], is_contact, fps
         )
         contacts.append(
@@ -205,7 +207,7 @@ def hand_contacts(
     return contacts
 
 
-def _bends(
+def _arm_rotations(
     target: RoledSkeleton,
     side: str,
     tracks: ArmTracks,
@@ -234,7 +236,7 @@ def _bends(
             so3.multiply(bent_rotations[k], so3.conjugate(bone_rotations[k]))
         )
     flat_bends = bends.reshape(len(bends), 6)
-    between(flat_bends, is_contact, fps, FADE_SECONDS)
+    fill_between(flat_bends, is_contact, fps, FADE_SECONDS)
     return flat_bends.reshape(bends.shape)
 
 
@@ -249,7 +251,7 @@ def _soften_heights(heights: FloatArray, depth: float) -> FloatArray:
     return np.asarray(np.clip(heights + depth, 0.0, None) ** 2 / (4 * depth))
 
 
-def _within_reach(
+def _shift_into_reach(
     goals: Sequence[FloatArray],
     starts: Sequence[FloatArray],
     reaches: Sequence[float],
@@ -274,17 +276,17 @@ def _within_reach(
     return goals_in_reach
 
 
-def _together(separation: FloatArray, length: float, fps: float) -> BoolArray:
+def _hands_joined(separation: FloatArray, length: float, fps: float) -> BoolArray:
     """Return when hands hold each other ``(F,)``: near, and moving together."""
     if len(separation) < 3 or length <= 0:
         return np.zeros(len(separation), np.bool_)
-    smooth_separation = gaussian_smoothed(separation, SMOOTHING_SECONDS * fps)
+    smooth_separation = gaussian_smooth(separation, SMOOTHING_SECONDS * fps)
     speed = np.linalg.norm(np.gradient(smooth_separation, axis=0), axis=1) * fps
     is_near = np.linalg.norm(separation, axis=1) < JOINED_DISTANCE * length
     return without_short_runs(is_near & (speed < JOINED_SPEED * length), fps)
 
 
-def _length(skeleton: RoledSkeleton, side: str) -> float:
+def _arm_length(skeleton: RoledSkeleton, side: str) -> float:
     """Return the rest length of upper arm plus forearm [m]."""
     arm = arm_of(skeleton, side)
     if arm is None:

@@ -86,14 +86,14 @@ class LegTracks:
             if length > 0
             else np.ones(len(hip_ankle_distance))
         )
-        shortest_reach, longest_reach = _reach(transfer.target, leg)
+        shortest_reach, longest_reach = _leg_reach(transfer.target, leg)
         return Foot(
             contacts,
             self.hip,
             self.ankle,
             self.toe if side in transfer.target.balls else None,
             self.rotations[:, 3],
-            None if transfer.similar_legs else _level(transfer, leg[2]),
+            None if transfer.similar_legs else _flat_rotation(transfer, leg[2]),
             _standing_height(transfer, side, contacts.ground, up),
             longest_reach,
             shortest_reach,
@@ -131,7 +131,7 @@ def ball_of_foot(
     return ball_positions(ball, foot, positions, rotations)
 
 
-def _reach(
+def _leg_reach(
     target: RoledSkeleton, leg: tuple[int, int, int, int]
 ) -> tuple[float, float]:
     """Return the smallest and largest hip-ankle distance [m]; pins may have limits."""
@@ -162,7 +162,7 @@ def _reach(
     return float(distances.min()), float(distances.max())
 
 
-def _level(transfer: Transfer, foot: int) -> FloatArray:
+def _flat_rotation(transfer: Transfer, foot: int) -> FloatArray:
     """Return the rotation of a foot planted flat at rest ``(4,)``.
 
     A source that lies at rest does not define it.
@@ -212,12 +212,12 @@ def ankle_rotations(
     """
     leg = leg_of(target, side)[:3]
     bone_rotations = limb_rotations(
-        target, leg, joints, goal, rotations, _hinge(target, leg[1])
+        target, leg, joints, goal, rotations, _knee_axis(target, leg[1])
     )
     return (
         bone_rotations
         if swivel is None
-        else swivelled(bone_rotations, goal - joints[:, 0], swivel)
+        else swivel_leg(bone_rotations, goal - joints[:, 0], swivel)
     )
 
 
@@ -241,14 +241,14 @@ def limb_rotations(
             ``(3,)``.
     """
     if target.rig.joints[limb[1]].type is JointType.PIN:
-        return _bent_pin(target, limb, joints[:, 0], goal, rotations)
+        return _bend_pin_limb(target, limb, joints[:, 0], goal, rotations)
     joint_positions = joints[:, 1], joints[:, 2]
     return bend_limb(
         joints[:, 0], joint_positions, goal, rotations, so3.rotate(rotations[1], hinge)
     )
 
 
-def swivelled(
+def swivel_leg(
     rotations: tuple[FloatArray, FloatArray], line: FloatArray, angle: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return thigh and shin rotations swivelled about a line ``(F, 3)`` by an angle."""
@@ -257,7 +257,7 @@ def swivelled(
     return so3.multiply(rotation, rotations[0]), so3.multiply(rotation, rotations[1])
 
 
-def _bent_pin(
+def _bend_pin_limb(
     target: RoledSkeleton,
     limb: Sequence[int],
     start: FloatArray,
@@ -286,7 +286,7 @@ def _bent_pin(
     return upper, lower
 
 
-def _hinge(target: RoledSkeleton, shin: int) -> FloatArray:
+def _knee_axis(target: RoledSkeleton, shin: int) -> FloatArray:
     """Return a knee's hinge axis in the knee's frame ``(3,)``."""
     joint = target.rig.joints[shin]
     if joint.type is JointType.PIN:

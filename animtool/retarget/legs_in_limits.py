@@ -12,21 +12,21 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.contacts import gaussian_smoothed
-from animtool.retarget.feet import Placed, upper
+from animtool.motion.contacts import gaussian_smooth
+from animtool.retarget.feet import PlacedFeet, upper_envelope
 from animtool.retarget.legs import (
     LegTracks,
     ankle_rotations,
     leg_of,
-    swivelled,
+    swivel_leg,
     up_index,
 )
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.limits import BallLimit
 
 # Knee swivels: a coarse grid, then a fine one about the best [rad].
-SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
-FINE_SWIVELS = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
+SWIVEL_ANGLES = np.radians(np.arange(-60.0, 60.1, 15.0))
+FINE_SWIVEL_ANGLES = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
 # Cost of swivelling, relative to that of a limit violation.
 SWIVEL_COST = 0.05
 # Smoothing times of knee swivel and hip rise [s].
@@ -69,15 +69,15 @@ class _Leg:
         rotations, axis = self.rotations(hips), self.goal - hips - self.tracks.hip
         all_frames = np.arange(len(hips))
         violating_frames = np.flatnonzero(
-            self._excess(rotations, axis, all_frames, swivel) > 0
+            self._squared_excess(rotations, axis, all_frames, swivel) > 0
         )
         if not len(violating_frames):
             return swivel
         best_swivel = np.zeros(len(violating_frames))
-        for grid in (SWIVELS, FINE_SWIVELS):
+        for grid in (SWIVEL_ANGLES, FINE_SWIVEL_ANGLES):
             candidates = best_swivel + grid[:, None]
             costs = [
-                self._excess(rotations, axis, violating_frames, angles)
+                self._squared_excess(rotations, axis, violating_frames, angles)
                 + (SWIVEL_COST * angles) ** 2
                 for angles in candidates
             ]
@@ -85,9 +85,9 @@ class _Leg:
                 np.argmin(costs, axis=0), np.arange(len(violating_frames))
             ]
         swivel[violating_frames] = best_swivel
-        return gaussian_smoothed(swivel, SWIVEL_TIME * fps)
+        return gaussian_smooth(swivel, SWIVEL_TIME * fps)
 
-    def _excess(
+    def _squared_excess(
         self,
         rotations: tuple[FloatArray, FloatArray],
         axis: FloatArray,
@@ -97,7 +97,7 @@ class _Leg:
         """Return the squared limit violations of hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
         bone_rotations = rotations[0][frames], rotations[1][frames]
-        thigh_rotation, shin_rotation = swivelled(bone_rotations, axis[frames], angles)
+        thigh_rotation, shin_rotation = swivel_leg(bone_rotations, axis[frames], angles)
         inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
         violation = np.zeros(len(frames))
         for joint, local in (
@@ -110,7 +110,7 @@ class _Leg:
                 violation += limit.excess(so3.multiply(inverse_rest, local)) ** 2
         return violation
 
-    def sunk(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
+    def ankle_depth(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
         """Return the depth of a planted ankle below its goal ``(F,)`` [m].
 
         Caused by hip limits; 0 while the foot is in the air.
@@ -120,7 +120,7 @@ class _Leg:
         if not isinstance(limit, BallLimit):
             return np.zeros(len(hips))
         hip_positions = hips + self.tracks.hip
-        thigh_rotation, shin_rotation = swivelled(
+        thigh_rotation, shin_rotation = swivel_leg(
             self.rotations(hips), self.goal - hip_positions, swivel
         )
         parent_rotation, rest_rotation = (
@@ -145,11 +145,11 @@ class _Leg:
         return np.where(self.stands, depth, 0.0)
 
 
-def within_limits(
+def solve_within_limits(
     target: RoledSkeleton,
     sides: str,
     tracks: Sequence[LegTracks],
-    placed: Placed,
+    placed: PlacedFeet,
     fps: float,
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Return hip positions ``(F, 3)`` [m] and knee swivels [rad] within joint limits.
@@ -171,11 +171,11 @@ def within_limits(
     angles = [leg.swivel(hips, fps) for leg in legs]
     for attempt in range(MAX_HIP_ITERATIONS):
         depth = np.max(
-            [leg.sunk(hips, a) for leg, a in zip(legs, angles, strict=True)], 0
+            [leg.ankle_depth(hips, a) for leg, a in zip(legs, angles, strict=True)], 0
         )
         if depth.max() < MAX_FOOT_DEPTH * target.size:
             break
-        hips[:, up_index(target.rig)] += upper(depth, RISE_TIME * fps)
+        hips[:, up_index(target.rig)] += upper_envelope(depth, RISE_TIME * fps)
         if attempt == MAX_HIP_ITERATIONS - 1:
             angles = [leg.swivel(hips, fps) for leg in legs]
     return hips, angles

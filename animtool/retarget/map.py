@@ -72,10 +72,10 @@ def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
 
     Loaded for the same skeletons, it gives the same pairs, chains and twists.
     """
-    return "\n".join(_lines(joint_map, source, target)) + "\n"
+    return "\n".join(_map_lines(joint_map, source, target)) + "\n"
 
 
-def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
+def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     source_names, target_names = source.names, target.names
     yield f"# {yaml_scalar(source.name)} onto {yaml_scalar(target.name)}"
     yield "map: animtool/1"
@@ -87,8 +87,8 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     for pair in joint_map.pairs:
         if pair.target in chains:
             chain = chains[pair.target]
-            source_text = _flow([source_names[j] for j in chain.source])
-            target_text = _flow([target_names[j] for j in chain.target])
+            source_text = _flow_list([source_names[j] for j in chain.source])
+            target_text = _flow_list([target_names[j] for j in chain.target])
         elif pair.target in chain_joints:
             continue
         else:
@@ -134,7 +134,7 @@ def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
     yield line
 
 
-def _flow(names: Sequence[str]) -> str:
+def _flow_list(names: Sequence[str]) -> str:
     if len(names) == 1:
         return yaml_scalar(names[0])
     return f"[{', '.join(map(yaml_scalar, names))}]"

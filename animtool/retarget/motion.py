@@ -17,11 +17,11 @@ from animtool.core.errors import Fault
 from animtool.core.files.spool import Spool
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.retarget.feet import Foot, Placed, plant_feet
-from animtool.retarget.hands import ArmTracks, Floor, arm_of, hand_contacts
+from animtool.retarget.feet import Foot, PlacedFeet, plant_feet
+from animtool.retarget.hands import AnkleHeights, ArmTracks, arm_of, hand_contacts
 from animtool.retarget.legs import (
     LegTracks,
     ankle_rotations,
@@ -29,23 +29,23 @@ from animtool.retarget.legs import (
     leg_of,
     up_index,
 )
-from animtool.retarget.legs_in_limits import within_limits
+from animtool.retarget.legs_in_limits import solve_within_limits
 from animtool.retarget.map import JointMap
 from animtool.retarget.poses import (
     LocalRotations,
-    about_hips,
+    bend_hinges,
     distribute_twist,
-    hinged,
     local_rotations,
+    relative_to_hips,
     root_translations,
     world_rotations,
 )
-from animtool.retarget.props import Props
-from animtool.retarget.report import FitMeter, RetargetReport, Standing
+from animtool.retarget.props import PropTracks
+from animtool.retarget.report import ContactFrames, FitMeter, RetargetReport
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
 from animtool.retarget.verdict import Verdict
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # Frames of a block: its arrays fit into the processor's cache. Blocks begin at the
@@ -56,7 +56,7 @@ BLOCK_FRAMES = 1024
 MAX_ANKLE_ITERATIONS, ANKLE_TOLERANCE = 5, 1e-5
 # Motions below this fraction of the skeleton's size, or rotations about its root below
 # this in radians, count as static [1].
-STATIC_MOTION = 1e-6
+STATIC_TOLERANCE = 1e-6
 # Numbers that differ by less are equal up to rounding [1], [m].
 ROUNDING = 1e-13
 
@@ -97,7 +97,7 @@ class Retargeting:
         lock: bool = True,
         same: bool = False,
         hands: bool = False,
-        props: Props | None = None,
+        props: PropTracks | None = None,
     ) -> None:
         """Read the take once: the first pass.
 
@@ -132,7 +132,7 @@ class Retargeting:
             for side in "lr"
             if hands and arm_of(transfer.target, side) and arm_of(transfer.source, side)
         )
-        tracks, leg_lengths = self._tracks(motions, legs, arms)
+        tracks, leg_lengths = self._read_tracks(motions, legs, arms)
         feet = [
             leg_tracks.foot(transfer, side, fps)
             for leg_tracks, side in zip(tracks, legs, strict=True)
@@ -140,7 +140,7 @@ class Retargeting:
         planted = None
         if legs and lock and (same or not transfer.similar_legs):
             planted = self._plant_feet(legs, tracks, feet, fps)
-        floor = _floor(transfer, feet, placed=planted is not None)
+        floor = _ankle_heights(transfer, feet, placed=planted is not None)
         hand_goals = hand_contacts(
             transfer,
             arms,
@@ -151,14 +151,16 @@ class Retargeting:
             props.motions(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
-        self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))
+        self.lift = AnkleHeights.lift(
+            floor, transfer.scale, up_index(transfer.target.rig)
+        )
         contacts = tuple(foot.contacts for foot in feet)
-        self.standing = Standing(legs, contacts, planted, hand_goals)
+        self.standing = ContactFrames(legs, contacts, planted, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.standing)
         self._clamped_frames: dict[int, int] = {}
         self._frames = 0
 
-    def _tracks(
+    def _read_tracks(
         self, motions: Iterable[Motion], legs: str, arms: str
     ) -> tuple[list[LegTracks], list[ArmTracks]]:
         """Read the take; return the tracks of legs and arms on the given sides."""
@@ -166,10 +168,10 @@ class Retargeting:
         tracks: list[list[LegTracks]] = []
         reaches: list[list[ArmTracks]] = []
         hips = []
-        for motion in in_blocks(motions, BLOCK_FRAMES):
+        for motion in split_blocks(motions, BLOCK_FRAMES):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
-            self._note_moving(motion)
+            self._record_moving_joints(motion)
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
             arm_arguments = block.source, rotations.world, block.about
@@ -200,11 +202,11 @@ class Retargeting:
             self._stopped.append(rotations.clamped)
         self._hips = np.concatenate(hips)
         return (
-            [joined([track[k] for track in tracks]) for k in range(len(legs))],
-            [joined([track[k] for track in reaches]) for k in range(len(arms))],
+            [join_tracks([track[k] for track in tracks]) for k in range(len(legs))],
+            [join_tracks([track[k] for track in reaches]) for k in range(len(arms))],
         )
 
-    def _note_moving(self, motion: Motion) -> None:
+    def _record_moving_joints(self, motion: Motion) -> None:
         """Record the joints that leave their pose of the first frame."""
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
@@ -213,8 +215,8 @@ class Retargeting:
         self.longest = np.maximum(self.longest, longest)
         has_moved = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
         quaternion_dots = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
-        moves = (has_moved > STATIC_MOTION * self.transfer.source.size) | (
-            quaternion_dots < 1 - STATIC_MOTION
+        moves = (has_moved > STATIC_TOLERANCE * self.transfer.source.size) | (
+            quaternion_dots < 1 - STATIC_TOLERANCE
         )
         self.moving.update(np.flatnonzero(moves).tolist())
 
@@ -224,7 +226,7 @@ class Retargeting:
         tracks: Sequence[LegTracks],
         feet: Sequence[Foot],
         fps: float,
-    ) -> Placed:
+    ) -> PlacedFeet:
         """Return planted feet, with hips and legs that reach them."""
         transfer = self.transfer
         up = up_index(transfer.target.rig)
@@ -234,7 +236,7 @@ class Retargeting:
         ]
         self._hips[:, up] += float(np.mean(ground_offsets))
         placed = plant_feet(self._hips, feet, fps, up)
-        self._hips, self._swivels = within_limits(
+        self._hips, self._swivels = solve_within_limits(
             transfer.target, legs, tracks, placed, fps
         )
         return placed
@@ -244,12 +246,12 @@ class Retargeting:
         transfer = self.transfer
         source, target = transfer.source, transfer.target
         local = motion.translations.dense(), motion.rotations.dense()
-        positions = forward(source.rig, *local).positions
+        positions = forward_kinematics(source.rig, *local).positions
         world = world_rotations(source.rig, local[1])
-        rotations = hinged(transfer, transfer.rotations(world))
+        rotations = bend_hinges(transfer, transfer.rotations(world))
         posed = local_rotations(transfer, rotations)
         bones = transfer.bones(world, local[0], posed.world)
-        relative = about_hips(target, posed.world, bones, limbs_of(target))
+        relative = relative_to_hips(target, posed.world, bones, limbs_of(target))
         hips = transfer.hips(positions)
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
@@ -281,8 +283,8 @@ class Retargeting:
             hips = self._hips[begin : begin + count]
             source, local, world, bones, hip_relative, balls = arrays
             rotations = LocalRotations(local, world, clamped)
-            rotations = self._with_legs(rotations, hips, hip_relative, begin)
-            rotations = self._with_arms(rotations, begin)
+            rotations = self._solve_legs(rotations, hips, hip_relative, begin)
+            rotations = self._solve_arms(rotations, begin)
             self._frames += count
             for j, frame_count in rotations.clamped.items():
                 self._clamped_frames[j] = self._clamped_frames.get(j, 0) + int(
@@ -308,19 +310,21 @@ class Retargeting:
             ):
                 static = np.abs(values - first_row) < ROUNDING
                 np.copyto(values, first_row, where=static)
-            self._meter.add(begin, forward(rig, translations, local), source, balls)
+            self._meter.add(
+                begin, forward_kinematics(rig, translations, local), source, balls
+            )
             yield Motion(
-                self._channel(translations, first_rows[0]),
-                self._channel(local, first_rows[1]),
+                self._animated_channel(translations, first_rows[0]),
+                self._animated_channel(local, first_rows[1]),
             )
 
-    def _channel(self, values: FloatArray, first: FloatArray) -> Channel:
+    def _animated_channel(self, values: FloatArray, first: FloatArray) -> Channel:
         """Return a channel with all joints animated if any source joint moves."""
         if not self._moves:
             return Channel.static(first, len(values))
         return Channel(first, np.arange(values.shape[1]), values)
 
-    def _with_legs(
+    def _solve_legs(
         self, rotations: LocalRotations, hips: FloatArray, about: FloatArray, begin: int
     ) -> LocalRotations:
         """Return rotations with legs that bring the feet to their placed positions."""
@@ -330,7 +334,7 @@ class Retargeting:
         legs = [leg_of(target, side) for side in self.standing.sides]
         goals = [ankle[begin : begin + len(hips)].copy() for ankle in placed.ankles]
         rows = np.arange(len(hips))
-        solution = self._solved(rotations, hips, about, goals, rows + begin)
+        solution = self._solve_ankles(rotations, hips, about, goals, rows + begin)
         for _ in range(MAX_ANKLE_ITERATIONS - 1):
             # If a limit stops the foot, the ankle yields so that the toe stays.
             largest_error = np.zeros(len(rows))
@@ -361,13 +365,13 @@ class Retargeting:
             if not len(rows):
                 break
             nearer = [goal[rows] for goal in goals]
-            corrected = self._solved(
+            corrected = self._solve_ankles(
                 rotations.rows(rows), hips[rows], about[rows], nearer, rows + begin
             )
             solution.set_rows(rows, corrected)
         return solution
 
-    def _solved(
+    def _solve_ankles(
         self,
         rotations: LocalRotations,
         hips: FloatArray,
@@ -391,7 +395,7 @@ class Retargeting:
             changed_joints.update(leg[:3])
         return local_rotations(self.transfer, world, rotations, changed_joints)
 
-    def _with_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
+    def _solve_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
         """Return rotations with arms that bring the hands to their contacts."""
         changed_joints: set[int] = set()
         part, world = slice(begin, begin + len(rotations.world)), rotations.world.copy()
@@ -407,26 +411,28 @@ class Retargeting:
         return local_rotations(self.transfer, world, rotations, changed_joints)
 
 
-def _floor(transfer: Transfer, feet: Sequence[Foot], *, placed: bool) -> Floor | None:
+def _ankle_heights(
+    transfer: Transfer, feet: Sequence[Foot], *, placed: bool
+) -> AnkleHeights | None:
     """Return ankle heights on the ground; None without feet."""
     if not feet:
         return None
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
     planted_height = float(np.mean([foot.height for foot in feet]))
-    return Floor(ground, planted_height if placed else transfer.scale * ground)
+    return AnkleHeights(ground, planted_height if placed else transfer.scale * ground)
 
 
 Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 
 
-def joined(parts: list[Tracks]) -> Tracks:
+def join_tracks(parts: list[Tracks]) -> Tracks:
     """Return blocks of consecutive frames as one set of tracks."""
     names = parts[0].__dataclass_fields__
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     return type(parts[0])(*arrays)
 
 
-def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
+def split_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
     """Yield a motion in blocks of a size [frames]; the last has the remainder."""
     buffered_blocks: list[Motion] = []
     count = 0
@@ -450,7 +456,7 @@ class Retargeted:
 
     take: Take
     transfer: Transfer
-    standing: Standing
+    standing: ContactFrames
     report: RetargetReport
 
     @property
@@ -468,7 +474,7 @@ def limbs_of(skeleton: RoledSkeleton) -> set[int]:
     return {joint for joint in joint_map if joint >= 0}
 
 
-def transfer_of(
+def build_transfer(
     source: Rig,
     target: Rig,
     joint_map: JointMap,
@@ -512,11 +518,11 @@ def retarget_take(
         lock: Whether planted feet stay in place.
         hands: Whether hands keep their contacts.
     """
-    transfer = transfer_of(take.rig, rig, joint_map, rest)
+    transfer = build_transfer(take.rig, rig, joint_map, rest)
     fps = float(take.clock.rate)
     retargeting = Retargeting(
         transfer, joint_map, [take.motion], fps, lock=lock, hands=hands
     )
     motion = Motion.concatenate(list(retargeting.blocks())).map(Channel.compact)
-    result = driven_take(replace(take, rig=rig, motion=motion))
+    result = drive_take(replace(take, rig=rig, motion=motion))
     return Retargeted(result, transfer, retargeting.standing, retargeting.report())

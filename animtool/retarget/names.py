@@ -17,11 +17,11 @@ from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.retarget.roles import (
-    ARM,
+    ARM_ROLES,
     CONTROL,
     DIGITS,
     END,
-    LEG,
+    LEG_ROLES,
     ROLES,
     SIDES,
     TWIST,
@@ -37,13 +37,16 @@ _PREFIX = re.compile(
 )
 # Words, in camel case or separated by other characters, and numbers.
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|左|右|[^\W0-9A-Za-z_左右]+")
-_SIDES = {**dict.fromkeys(SIDE_WORDS, "l"), **dict.fromkeys(SIDE_WORDS.values(), "r")}
+_SIDE_WORDS = {
+    **dict.fromkeys(SIDE_WORDS, "l"),
+    **dict.fromkeys(SIDE_WORDS.values(), "r"),
+}
 # Words for joints in general, and the letter for the middle, separated by other
 # characters.
-_FILLER = re.compile(
+_FILLER_WORDS = re.compile(
     r"(?<![^\W_])(joint|jnt|jt|bone|bn|link|def|bind|[jmcx])(?![^\W_])", re.IGNORECASE
 )
-_TWIST = re.compile(r"twist|roll|捩|(shoulder|elbow|hip|knee)part[0-9]")
+_TWIST_WORDS = re.compile(r"twist|roll|捩|(shoulder|elbow|hip|knee)part[0-9]")
 _END_WORDS = {"end", "nub", "tip", "site", "leaf", "effector", "vertex"}
 _CONTROL_WORDS = {
     *("ik", "fk", "pole", "ctrl", "control", "ctl", "target", "helper", "prop"),
@@ -54,13 +57,13 @@ _MIN_PREFIX_FRACTION = 0.6
 # Number of names of a convention that a skeleton needs to match it.
 _MIN_NAMES = 6
 # Entry of the presets with words that many conventions use.
-WORDS = "words"
+COMMON_WORDS = "words"
 # Votes of a word that many conventions use, and of a word of another convention.
 _WORD_WEIGHT, _OTHER_WEIGHT = 0.8, 0.6
 
 
 @dataclass(frozen=True, slots=True)
-class ReadName:
+class ParsedName:
     """A parsed joint name."""
 
     side: str  # ``l``, ``r`` or empty
@@ -85,19 +88,19 @@ class Preset:
         return frozenset(name for names in self.joints.values() for name in names)
 
 
-def _split(name: str) -> list[str]:
+def _split_words(name: str) -> list[str]:
     text = unicodedata.normalize("NFKC", name)
-    return _WORD.findall(_FILLER.sub(" ", text)) or _WORD.findall(text)
+    return _WORD.findall(_FILLER_WORDS.sub(" ", text)) or _WORD.findall(text)
 
 
-def _key(words: Sequence[str]) -> str:
+def _name_key(words: Sequence[str]) -> str:
     return "".join(words).lower()
 
 
-def _side(words: Sequence[str]) -> tuple[str, list[str]]:
+def _side_and_rest(words: Sequence[str]) -> tuple[str, list[str]]:
     """Return the side that a word states, and the remaining words."""
     for i, word in enumerate(words):
-        side = _SIDES.get(word.lower(), "")
+        side = _SIDE_WORDS.get(word.lower(), "")
         # A letter with a number is a vertebra, unless the other side has one too.
         digit = len(word) == 1 and words[i + 1 : i + 2] and words[i + 1].isdigit()
         if side and not digit:
@@ -118,19 +121,19 @@ def bare_names(names: Sequence[str]) -> list[str]:
         start
         for start, count in starts.items()
         if count > max(_MIN_PREFIX_FRACTION * len(without_namespace), 2)
-        and _split(start)
-        and not any(word.lower() in _SIDES for word in _split(start))
+        and _split_words(start)
+        and not any(word.lower() in _SIDE_WORDS for word in _split_words(start))
     ]
     longest = max(common, key=len, default="")
     return [name.removeprefix(longest) or name for name in without_namespace]
 
 
-def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
+def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
     """Return the parsed names of J joints.
 
-    >>> read_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
+    >>> parse_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
     ReadName(side='l', key='upleg', kind='')
-    >>> read_names(["lfemur", "rfemur"], [-1, -1])[1]
+    >>> parse_names(["lfemur", "rfemur"], [-1, -1])[1]
     ReadName(side='r', key='femur', kind='')
     """
     names_without_prefix = bare_names(names)
@@ -139,11 +142,14 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
     left_joints = set(sides.left)
     parsed = []
     for j, name in enumerate(names_without_prefix):
-        side, words = _side(_split(name))
+        side, words = _side_and_rest(_split_words(name))
         without_side_letter = _strip_side_letter(name, names_without_prefix[partner[j]])
         if without_side_letter:
-            side, words = "l" if j in left_joints else "r", _split(without_side_letter)
-        parsed.append(ReadName(side, _key(words), _name_kind(name, words)))
+            side, words = (
+                "l" if j in left_joints else "r",
+                _split_words(without_side_letter),
+            )
+        parsed.append(ParsedName(side, _name_key(words), _name_kind(name, words)))
     return parsed
 
 
@@ -159,32 +165,34 @@ def _name_kind(name: str, words: Sequence[str]) -> str:
     lower = [word.lower() for word in words if not word.isdigit()]
     if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lower):
         return CONTROL
-    if _TWIST.search("".join(map(str.lower, words))):
+    if _TWIST_WORDS.search("".join(map(str.lower, words))):
         return TWIST
     return END if lower and (lower[-1] in _END_WORDS or lower[0] == "leaf") else ""
 
 
 @cache
-def _tables() -> Mapping[str, Preset]:
-    """Return the shipped conventions and the common words (`WORDS`), by name."""
+def _load_tables() -> Mapping[str, Preset]:
+    """Return the shipped conventions and the common words (`COMMON_WORDS`), by name."""
     raw: dict[str, Any] = yaml.load(_PRESETS_FILE.read_text("utf-8"), yaml.CSafeLoader)
-    return {name: _preset(name, entry) for name, entry in raw.items()}
+    return {name: _read_preset(name, entry) for name, entry in raw.items()}
 
 
 @cache
 def presets() -> Mapping[str, Preset]:
     """Return the shipped conventions, by name."""
-    return {name: preset for name, preset in _tables().items() if name != WORDS}
+    return {
+        name: preset for name, preset in _load_tables().items() if name != COMMON_WORDS
+    }
 
 
-def _preset(name: str, entry: dict[str, Any]) -> Preset:
+def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
     keys: dict[str, set[str]] = {}
     joints: dict[str, list[str]] = {}
     for role, template in _templates(_with_fingers(entry)):
         stripped_name = _PREFIX.sub(
             "", _NAMESPACE.sub("", template.replace("{s}", " "))
         )
-        keys.setdefault(_key(_split(stripped_name)), set()).add(role)
+        keys.setdefault(_name_key(_split_words(stripped_name)), set()).add(role)
         sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
         for word, side in sides:
             text = template.replace("{s}", word)
@@ -236,7 +244,7 @@ def find_preset(name: str) -> Preset:
     return table[name]
 
 
-def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None:
+def best_preset(names: Sequence[str], read: Sequence[ParsedName]) -> Preset | None:
     """Return the convention that matches most names; None if too few match any."""
     keys = {name.key for name in read if name.kind != CONTROL}
     scores = {
@@ -253,10 +261,10 @@ def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None
 
 
 def role_votes(
-    read: Sequence[ReadName], preset: Preset | None
+    read: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return the role votes of names: weights 0 to 1 for each of J joints."""
-    tables, words = preset.keys if preset else {}, _tables()[WORDS].keys
+    tables, words = preset.keys if preset else {}, _load_tables()[COMMON_WORDS].keys
     votes = []
     for name in read:
         # The detected convention takes precedence over other meanings of the word.
@@ -287,7 +295,7 @@ def _limb_words() -> Mapping[str, frozenset[str]]:
     roles: dict[str, set[str]] = {}
     for preset in presets().values():
         for key, base_roles in preset.keys.items():
-            roles.setdefault(key, set()).update(base_roles & {*ARM, *LEG})
+            roles.setdefault(key, set()).update(base_roles & {*ARM_ROLES, *LEG_ROLES})
     return {
         key: frozenset(base_roles) for key, base_roles in roles.items() if base_roles
     }

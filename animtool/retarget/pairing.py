@@ -12,14 +12,14 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.record import dataclass
-from animtool.retarget.anatomy import anatomy
-from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
+from animtool.retarget.anatomy import find_anatomy
+from animtool.retarget.file import FileMap, MapFile, load_map, resolve_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
 from animtool.retarget.roles import (
     CONTROL,
     DIGITS,
     END,
-    MITTEN,
+    MITTEN_ROLE,
     ROLES,
     SIDES,
     TWIST,
@@ -28,12 +28,12 @@ from animtool.retarget.roles import (
     RoleSource,
     base_role,
 )
-from animtool.retarget.transfer import namesakes
+from animtool.retarget.transfer import equal_name_pairs
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
 # Roles that the last bone of a chain leads to, in order of preference.
-_NEXT = {
+_NEXT_ROLES = {
     "spine": ("neck", "head"),
     "neck": ("head",),
     "clavicle": ("upper_arm",),
@@ -88,11 +88,13 @@ def map_joints(
     entries: FileMap | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
-        entries = resolved_map(file, source, target)
+        entries = resolve_map(file, source, target)
     by_names = mode != "structure"
     anatomies = (
-        anatomy(source, preset=preset, positions=source_positions, by_names=by_names),
-        anatomy(
+        find_anatomy(
+            source, preset=preset, positions=source_positions, by_names=by_names
+        ),
+        find_anatomy(
             target,
             preset=target_preset,
             positions=target_positions,
@@ -115,7 +117,7 @@ def map_joints(
     if entries is not None and entries.twists is not None:
         twists = entries.twists
     else:
-        twists = _twists(target, anatomies[1], pairing)
+        twists = _twist_fractions(target, anatomies[1], pairing)
     if not pairs:
         message = f"no joint of {source.name!r} maps to one of {target.name!r}"
         hint = "name a preset for each, or write a map file"
@@ -127,8 +129,8 @@ def map_joints(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),
         twists,
-        _left(source, anatomies[0], used_joints),
-        _left(target, anatomies[1], driven_joints),
+        _unmapped_joints(source, anatomies[0], used_joints),
+        _unmapped_joints(target, anatomies[1], driven_joints),
         *anatomies,
         (
             *anatomies[0].notices,
@@ -167,7 +169,7 @@ def _crossed_sides(
     return [Fault("MAP108", message, file_path, (), hint, Severity.WARNING)]
 
 
-def _left(rig: Rig, side: Anatomy, used_joints: set[int]) -> tuple[int, ...]:
+def _unmapped_joints(rig: Rig, side: Anatomy, used_joints: set[int]) -> tuple[int, ...]:
     """Return the unmapped joints, without those that only mark a bone's end."""
     return tuple(
         j
@@ -210,7 +212,7 @@ class _PairCollector:
         for pair in self.pairs.values():
             follows[pair.target] = pair.source
         used = {j for chain in self.chains for j in chain.source} | self.ignored[0]
-        for joint, other in namesakes(source, target, follows):
+        for joint, other in equal_name_pairs(source, target, follows):
             ends = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
             free = other not in used and joint not in self.ignored[1]
             if free and _NO_ROLE.isdisjoint(ends):
@@ -223,7 +225,7 @@ class _PairCollector:
             [
                 j
                 for j in parsed.chain(role)
-                if j not in ignored and (mode != "names" or _by_name(parsed, j))
+                if j not in ignored and (mode != "names" or _joint_by_name(parsed, j))
             ]
             for parsed, ignored in zip(self.anatomies, self.ignored, strict=True)
         )
@@ -243,7 +245,7 @@ class _PairCollector:
     ) -> None:
         """Pair the toes of a foot in order, from the inner side outwards."""
         toe_rows = [
-            _in_order(rig, parsed, role, chain)
+            _toes_inside_out(rig, parsed, role, chain)
             for rig, parsed, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
@@ -256,7 +258,9 @@ class _PairCollector:
     def add_mittens(self) -> None:
         """Pair fingers with a mitten chain, on either side."""
         for side in SIDES:
-            mittens = [parsed.chain(f"{MITTEN}_{side}") for parsed in self.anatomies]
+            mittens = [
+                parsed.chain(f"{MITTEN_ROLE}_{side}") for parsed in self.anatomies
+            ]
             first_joints = [
                 [j for digit in DIGITS[1:] for j in parsed.chain(f"{digit}_1_{side}")]
                 for parsed in self.anatomies
@@ -273,7 +277,7 @@ class _PairCollector:
                 and target_joints[0] not in self.pairs
             ):
                 middle_finger = first_joints[0][min(1, len(first_joints[0]) - 1)]
-                self._add(f"{MITTEN}_{side}", [middle_finger], target_joints[:1])
+                self._add(f"{MITTEN_ROLE}_{side}", [middle_finger], target_joints[:1])
 
     def _add(
         self,
@@ -302,7 +306,7 @@ class _PairCollector:
             k = (
                 source_joints[i]
                 if is_same_length
-                else source_joints[_nearest(positions[0], positions[1][i])]
+                else source_joints[_last_before(positions[0], positions[1][i])]
             )
             joint_anatomies = zip(self.anatomies, (k, j), strict=True)
             confidence, evidence_of_pair = min(
@@ -317,7 +321,7 @@ class _PairCollector:
             self.pairs[j] = JointPair(k, j, role, evidence_of_pair, confidence)
 
 
-def _in_order(
+def _toes_inside_out(
     rig: Rig, parsed: Anatomy, role: str, joints: list[int]
 ) -> list[list[int]]:
     """Return the joints of each toe of a foot, the innermost first."""
@@ -336,7 +340,7 @@ def _in_order(
     return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inwards))
 
 
-def _by_name(known: Anatomy, joint: int) -> bool:
+def _joint_by_name(known: Anatomy, joint: int) -> bool:
     return known.evidence[joint] in {
         RoleSource.NAME,
         RoleSource.PRESET,
@@ -344,37 +348,37 @@ def _by_name(known: Anatomy, joint: int) -> bool:
     }
 
 
-def _nearest(starts: Sequence[float], position: float) -> int:
+def _last_before(starts: Sequence[float], position: float) -> int:
     """Return the last joint that begins at or before a position along its chain."""
     return int(np.argmin(np.abs(np.asarray(starts) - position)))
 
 
 def _chain_fractions(rig: Rig, parsed: Anatomy, chain: Sequence[int]) -> list[float]:
     """Return where the joints of a chain begin, as fractions of its length."""
-    steps = [0.0, *(_distance(rig, a, b) for a, b in pairwise(chain))]
-    chain_length = sum(steps) + _bone(rig, parsed, chain[-1])
+    steps = [0.0, *(_path_length(rig, a, b) for a, b in pairwise(chain))]
+    chain_length = sum(steps) + _bone_length(rig, parsed, chain[-1])
     if chain_length <= 0 or max(steps) <= 0:
         return [i / len(chain) for i in range(len(chain))]
     return [float(distance) / chain_length for distance in np.cumsum(steps)]
 
 
-def _distance(rig: Rig, upper: int, lower: int) -> float:
+def _path_length(rig: Rig, upper: int, lower: int) -> float:
     """Return the length of the path from one joint down to another [m]."""
     path = rig.upwards(lower)
     path = path[: path.index(upper)] if upper in path else [lower]
     return float(np.linalg.norm(rig.rest_translations[path], axis=1).sum())
 
 
-def _bone(rig: Rig, parsed: Anatomy, joint: int) -> float:
+def _bone_length(rig: Rig, parsed: Anatomy, joint: int) -> float:
     """Return the length of a joint's bone: to the next role, else to its end [m]."""
     role = parsed.roles[joint]
     side_suffix = role.removeprefix(base_role(role))
-    for name in _NEXT.get(base_role(role), ()):
+    for name in _NEXT_ROLES.get(base_role(role), ()):
         next_joints = [
             j for j in parsed.chain(name + side_suffix) if joint in rig.upwards(j)[1:]
         ]
         if next_joints:
-            return _distance(rig, joint, next_joints[0])
+            return _path_length(rig, joint, next_joints[0])
     end_offsets = [child.translation for child in rig.joints if child.parent == joint]
     end_offsets += rig.joints[joint].tips
     return max(
@@ -382,7 +386,7 @@ def _bone(rig: Rig, parsed: Anatomy, joint: int) -> float:
     )
 
 
-def _twists(
+def _twist_fractions(
     target: Rig, parsed: Anatomy, pairing: _PairCollector
 ) -> tuple[TwistFraction, ...]:
     """Return the twist fractions of joints that lie along a bone."""
@@ -393,7 +397,7 @@ def _twists(
             continue
         if base_role(parsed.roles[bone]) not in _TWIST_BONES:
             continue
-        length = _bone(target, parsed, bone)
+        length = _bone_length(target, parsed, bone)
         offset = float(np.linalg.norm(target.joints[j].translation))
         fraction = min(offset / length, 1.0) if length > 0 else 0.5
         fractions.append(TwistFraction(j, bone, fraction))

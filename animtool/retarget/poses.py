@@ -17,12 +17,12 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 # Sine of the bend below which a limb is straight, and above which it is bent.
 BEND_SINES = (0.05, 0.2)
 # Cosine above which a pin's axis is along its bone, so that it twists the bone.
-ALONG_BONE = 0.9
+MIN_BONE_COSINE = 0.9
 # Limit violations below this are rounding.
 LIMIT_ROUNDING = 1e-6
 
 
-def about_hips(
+def relative_to_hips(
     target: RoledSkeleton,
     rotations: FloatArray,
     bones: FloatArray,
@@ -45,7 +45,7 @@ def about_hips(
     return np.asarray(positions - middle_of_hips(target, positions)[:, None])
 
 
-def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
+def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
     """Return rotations with limbs bent across their pin's axis ``(F, K, 4)``.
 
     The joint above twists about its bone, so that the bone below the pin keeps its
@@ -64,7 +64,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         if bone is None:
             continue
         upper = so3.rotate(
-            adjusted_rotations[:, parent], _unit(rig.rest_translations[j])
+            adjusted_rotations[:, parent], _normalized(rig.rest_translations[j])
         )
         bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
         direction = so3.rotate(adjusted_rotations[:, j], bone_local)
@@ -76,7 +76,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         # It bends as its limits allow, else towards the axis.
         bend_sign = np.where((normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         if isinstance(joint.limits, RangeLimit):
-            bend_sign = np.full_like(bend_sign, _bends(joint.limits))
+            bend_sign = np.full_like(bend_sign, _bend_direction(joint.limits))
         perpendicular = axis - (axis * upper).sum(axis=1)[:, None] * upper
         angle = np.arctan2(
             (np.cross(perpendicular, normal * bend_sign) * upper).sum(axis=1),
@@ -93,12 +93,12 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
     return adjusted_rotations
 
 
-def _bends(limits: RangeLimit) -> float:
+def _bend_direction(limits: RangeLimit) -> float:
     """Return the bending direction of a pin: 1 for positive angles, -1 for negative."""
     return 1.0 if limits.low + limits.high >= 0 else -1.0
 
 
-def _unit(vector: FloatArray) -> FloatArray:
+def _normalized(vector: FloatArray) -> FloatArray:
     norm = float(np.linalg.norm(vector))
     return vector / norm if norm > 0 else np.array([0.0, 1.0, 0.0])
 
@@ -170,7 +170,7 @@ def local_rotations(
                     inverse_parent,
                     so3.multiply(rotations[:, twisted_joint], twisted_rest),
                 )
-        joint_local, is_clamped = _within_limits(joint, rest_rotation, joint_local)
+        joint_local, is_clamped = _clamp_to_limits(joint, rest_rotation, joint_local)
         clamped.pop(j, None)
         if is_clamped.any():
             clamped[j] = np.broadcast_to(is_clamped, len(local)).copy()
@@ -197,15 +197,15 @@ def _twist_joint(target: RoledSkeleton, j: int) -> int:
         or target.roles[children_with_role[0]] == target.roles[j]
     ):
         return -1
-    bone = _unit(rig.rest_translations[children_with_role[0]])
+    bone = _normalized(rig.rest_translations[children_with_role[0]])
     return (
         children_with_role[0]
-        if abs(float(bone @ np.array(joint.axis))) > ALONG_BONE
+        if abs(float(bone @ np.array(joint.axis))) > MIN_BONE_COSINE
         else -1
     )
 
 
-def _within_limits(
+def _clamp_to_limits(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""
@@ -259,7 +259,7 @@ def distribute_twist(
     rig = transfer.target.rig
     last_angles = np.zeros(len(transfer.twists))
     for k, (joint, _, next_joint, fraction) in enumerate(transfer.twists):
-        axis = _unit(rig.rest_translations[next_joint])
+        axis = _normalized(rig.rest_translations[next_joint])
         relative = so3.multiply(
             so3.conjugate(rig.rest_rotations[next_joint]), local[:, next_joint]
         )

@@ -11,9 +11,9 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
-from animtool.motion.contacts import gaussian_smoothed, without_short_runs
+from animtool.motion.contacts import gaussian_smooth, without_short_runs
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.transforms import Track, Transforms, rotated_track
+from animtool.motion.transforms import Track, Transforms, rotate_track
 from animtool.retarget.transfer import Transfer
 
 # A hand grips a prop if it moves in the prop's frame by less than this fraction of an
@@ -47,7 +47,7 @@ class PropMotion:
             return np.zeros(len(wrist), np.bool_)
         local = self.in_prop_frame(wrist)
         speed = (
-            np.gradient(gaussian_smoothed(local, SMOOTHING_SECONDS * fps), axis=0) * fps
+            np.gradient(gaussian_smooth(local, SMOOTHING_SECONDS * fps), axis=0) * fps
         )
         is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm
         is_near = np.linalg.norm(local, axis=1) < GRIP_DISTANCE * arm
@@ -62,14 +62,14 @@ class PropMotion:
         return so3.rotate(so3.conjugate(self.rotations), points - self.positions)
 
 
-class Props:
+class PropTracks:
     """The prop tracks of a take, and the track times of its frames."""
 
     def __init__(self, tracks: Sequence[Track]) -> None:
         self.tracks = tuple(tracks)
         self._times: list[Channel] = []
 
-    def noting(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def record_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         """Yield blocks, recording their track times."""
         for block in blocks:
             assert block.track_times is not None
@@ -82,7 +82,7 @@ class Props:
         motions = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
-                upright_transforms = rotated_track(track, transfer.upright).at(
+                upright_transforms = rotate_track(track, transfer.upright).at(
                     times[:, i]
                 )
                 motions.append(
@@ -103,7 +103,7 @@ class Props:
             lift: Offset of the target's ground ``(3,)`` [m].
         """
         return tuple(
-            _scale_track(rotated_track(track, transfer.upright), transfer.scale, lift)
+            _scale_track(rotate_track(track, transfer.upright), transfer.scale, lift)
             if i in gripped
             else track
             for i, track in enumerate(self.tracks)

@@ -13,18 +13,18 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 from animtool.motion.contacts import FootContacts
 from animtool.motion.scores import PassScores, Score, ScoreUnit
-from animtool.retarget.feet import Placed
+from animtool.retarget.feet import PlacedFeet
 from animtool.retarget.hands import HandContact
 from animtool.retarget.legs import ball_of_foot, leg_of, up_index
 from animtool.retarget.map import JointMap
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.roles import FINGERS, MITTEN, base_role
+from animtool.retarget.roles import FINGER_ROLES, MITTEN_ROLE, base_role
 from animtool.retarget.transfer import Transfer
-from animtool.retarget.verdict import Verdict, verdict_of
+from animtool.retarget.verdict import Verdict, assess_take
 from animtool.rig.kinematics import WorldTransforms
 
 # Roles whose bones are compared, with the role at the end of each bone.
-BONES = {
+BONE_ENDS = {
     "upper_arm": "forearm",
     "forearm": "hand",
     "thigh": "shin",
@@ -32,17 +32,17 @@ BONES = {
 }
 
 
-ARM = ("upper_arm", "forearm", "hand")
+ARM_ROLES = ("upper_arm", "forearm", "hand")
 
 # Largest values of a good take; above these, viewers notice or the map is wrong.
 MAX_DRIFT = 1e-3  # [m]
 MAX_SOLE_ERROR = 1e-3  # [m]
 MAX_REACH_ERROR = 0.01  # of the arm
-MAX_ANGLE = np.radians(3.0)  # [rad]
+MAX_BONE_ANGLE = np.radians(3.0)  # [rad]
 MAX_ACCELERATION = 1.25  # of the source's
-MAX_CLAMPED = 0.05  # of frames
+MAX_CLAMPED_FRACTION = 0.05  # of frames
 # A heel farther from its goal than this fraction of the size has yielded [1].
-YIELDED_HEEL = 1e-4
+RAISED_HEEL_HEIGHT = 1e-4
 MAX_UNMAPPED = 0.2  # of the source's joints
 
 
@@ -78,12 +78,12 @@ class RetargetReport:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class ContactFrames:
     """Which feet and hands are in contact, and in which frames."""
 
     sides: str  # sides of the legs that both skeletons have, such as "lr"
     contacts: Sequence[FootContacts]  # contacts of each of these feet
-    placed: Placed | None  # None if feet are not planted
+    placed: PlacedFeet | None  # None if feet are not planted
     hands: Sequence[HandContact] = ()  # hands that keep their contacts
 
 
@@ -97,7 +97,7 @@ class FitMeter:
     """
 
     def __init__(
-        self, transfer: Transfer, joint_map: JointMap, standing: Standing
+        self, transfer: Transfer, joint_map: JointMap, standing: ContactFrames
     ) -> None:
         self._transfer, self._joint_map, self._standing = transfer, joint_map, standing
         self._up = up_index(transfer.target.rig)
@@ -156,7 +156,7 @@ class FitMeter:
         self._add_angles(part, target, source)
         reach_errors = _reach_errors(self._both_skeletons(target, source))
         self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach_errors)))
-        self._note("hands", reach_errors)
+        self._add_score("hands", reach_errors)
         for hand in self._standing.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
             hand_errors = np.linalg.norm(wrist - hand.goal[part], axis=1)[
@@ -184,9 +184,9 @@ class FitMeter:
             self._fastest = np.maximum(
                 self._fastest, [previous.max(initial=0.0) for previous in scale_factors]
             )
-            self._note("acceleration", scale_factors[0])
+            self._add_score("acceleration", scale_factors[0])
 
-    def _note(self, score: str, values: FloatArray) -> None:
+    def _add_score(self, score: str, values: FloatArray) -> None:
         self._values.setdefault(score, []).append(values)
 
     def _both_skeletons(
@@ -205,7 +205,7 @@ class FitMeter:
         angle_sum, count, largest_angle = self._angles
         bends, counts = np.zeros((2, len(target)))
         for side in "lr":
-            for role, end_role in BONES.items():
+            for role, end_role in BONE_ENDS.items():
                 directions = []
                 for skeleton, points, _ in self._both_skeletons(target, source):
                     start_joint = skeleton.first(f"{role}_{side}")
@@ -234,7 +234,7 @@ class FitMeter:
                 angle_sum, count = angle_sum + float(angle.sum()), count + len(angle)
                 largest_angle = max(largest_angle, float(angle.max(initial=0.0)))
         self._angles = angle_sum, count, largest_angle
-        self._note("limbs", bends / np.maximum(counts, 1))
+        self._add_score("limbs", bends / np.maximum(counts, 1))
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return where limits lift a heel whose toe is planted ``(F,)``."""
@@ -243,7 +243,8 @@ class FitMeter:
             return np.zeros(len(ankle), np.bool_)
         heel_distance = np.linalg.norm(ankle - planted.ankles[k], axis=1)
         return np.asarray(
-            contacts.toe & (heel_distance > YIELDED_HEEL * self._transfer.target.size)
+            contacts.toe
+            & (heel_distance > RAISED_HEEL_HEIGHT * self._transfer.target.size)
         )
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
@@ -271,7 +272,7 @@ class FitMeter:
             )
             values["acceleration"] = np.pad(accelerations, 1)
         source_values = {"drift": report.source_drift_max}
-        return verdict_of(scores_of(report), values, source_values, forced)
+        return assess_take(scores_of(report), values, source_values, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
         """Return the fit of the frames so far.
@@ -293,10 +294,10 @@ class FitMeter:
             heel = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
             for joint, mask in enumerate((heel, contacts.toe)):
                 if joint == 0 or both_balls:
-                    drifts.append(_drift(feet[:, 0, joint], mask, self._up))
+                    drifts.append(_contact_drift(feet[:, 0, joint], mask, self._up))
                     planted_heights = contacts.toe if joint else contacts.ankle
                     source_drifts.append(
-                        _drift(feet[:, 1, joint], planted_heights, self._up)
+                        _contact_drift(feet[:, 1, joint], planted_heights, self._up)
                     )
                     self._keep_worst("drift", drifts[-1])
             sole_height = feet[:, 0, 1, self._up]
@@ -355,9 +356,9 @@ def scores_of(report: RetargetReport) -> PassScores:
         ("drift", report.drift_max, length, MAX_DRIFT, 0.0),
         ("soles", report.sole_error, length, MAX_SOLE_ERROR, 0.0),
         ("hands", report.reach_error, fraction, MAX_REACH_ERROR, 0.0),
-        ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, MAX_ANGLE, 0.0),
+        ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, MAX_BONE_ANGLE, 0.0),
         ("acceleration", report.acceleration, ScoreUnit.RATIO, MAX_ACCELERATION, 1.0),
-        ("limits", mean_clamped, fraction, MAX_CLAMPED, 0.0),
+        ("limits", mean_clamped, fraction, MAX_CLAMPED_FRACTION, 0.0),
         (
             "not mapped",
             unmapped_count / max(unmapped_count + report.pairs, 1),
@@ -379,12 +380,12 @@ def scores_of(report: RetargetReport) -> PassScores:
 
 def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
     """Return the fraction of frames with clamped joints, averaged without fingers."""
-    fingers = {*FINGERS, MITTEN}
+    fingers = {*FINGER_ROLES, MITTEN_ROLE}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
 
 
-def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
+def _contact_drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
     """Return ground distances from the middle of each contact ``(F,)`` [m].
 
     NaN while nothing is planted.
@@ -408,7 +409,7 @@ def _reach_errors(
     for side in "lr":
         arm_fractions = []
         for skeleton, points, _ in skeletons:
-            arm = [skeleton.first(f"{role}_{side}") for role in ARM]
+            arm = [skeleton.first(f"{role}_{side}") for role in ARM_ROLES]
             if min(arm) < 0:
                 continue
             arms = points[:, arm]

@@ -11,13 +11,13 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.roles import base_role
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have no direction [1].
-MIN_BONE = 1e-4
+MIN_BONE_LENGTH = 1e-4
 # Role at the end of each role's bone.
-_NEXT = {
+_NEXT_ROLES = {
     "upper_arm": "forearm",
     "forearm": "hand",
     "thigh": "shin",
@@ -53,7 +53,9 @@ class RoledSkeleton:
         if pose is None:
             rest_transforms = rest_world(rig)
         else:
-            rest_transforms = forward(rig, rig.rest_translations[None], pose[None])
+            rest_transforms = forward_kinematics(
+                rig, rig.rest_translations[None], pose[None]
+            )
         return RoledSkeleton(
             rig, roles, rest_transforms.positions[0], rest_transforms.rotations[0]
         )
@@ -76,8 +78,8 @@ class RoledSkeleton:
         """
         end_joint, role = -1, self.roles[joint]
         side_suffix, role_name = role[len(base_role(role)) :], base_role(role)
-        if role_name in _NEXT:
-            end_joint = self.first(_NEXT[role_name] + side_suffix)
+        if role_name in _NEXT_ROLES:
+            end_joint = self.first(_NEXT_ROLES[role_name] + side_suffix)
         if end_joint < 0:
             children = [k for k, p in enumerate(self.rig.parents) if p == joint]
             end_joint = children[0] if len(children) == 1 else -1
@@ -98,7 +100,7 @@ class RoledSkeleton:
     def separate(self, joint: int, other: int) -> bool:
         """Return whether two joints are at distinct positions at rest."""
         offset = self.positions[other] - self.positions[joint]
-        return float(np.linalg.norm(offset)) > MIN_BONE * self.size
+        return float(np.linalg.norm(offset)) > MIN_BONE_LENGTH * self.size
 
     @property
     def size(self) -> float:
@@ -134,7 +136,7 @@ class RoledSkeleton:
         up = self.positions[head] - self.positions[hips]
         up = up - (up @ left_side) * left_side
         height = float(np.linalg.norm(up))
-        if not np.linalg.norm(directions[0]) or height <= MIN_BONE * self.size:
+        if not np.linalg.norm(directions[0]) or height <= MIN_BONE_LENGTH * self.size:
             return None
         return np.stack([left_side, up / height, np.cross(left_side, up / height)])
 

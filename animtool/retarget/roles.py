@@ -13,17 +13,22 @@ from typing import Literal, TypeAlias
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
-CENTER = ("root", "hips", "pelvis", "spine", "neck", "head", "jaw")
-ARM = ("clavicle", "upper_arm", "forearm", "hand")
+CENTER_ROLES = ("root", "hips", "pelvis", "spine", "neck", "head", "jaw")
+ARM_ROLES = ("clavicle", "upper_arm", "forearm", "hand")
 # Joints between hips and thigh belong to the pelvis.
-LEG = ("pelvis", "thigh", "shin", "foot", "toe")
+LEG_ROLES = ("pelvis", "thigh", "shin", "foot", "toe")
 DIGITS = ("thumb", "index", "middle", "ring", "pinky")
-FINGERS = tuple(f"{digit}_{i}" for digit in DIGITS for i in range(digit == "thumb", 4))
+FINGER_ROLES = tuple(
+    f"{digit}_{i}" for digit in DIGITS for i in range(digit == "thumb", 4)
+)
 # All fingers but the thumb as one, as in a mitten.
-MITTEN = "fingers"
-SIDED = (*ARM, *LEG, *FINGERS, MITTEN, "eye")
+MITTEN_ROLE = "fingers"
+SIDED_ROLES = (*ARM_ROLES, *LEG_ROLES, *FINGER_ROLES, MITTEN_ROLE, "eye")
 SIDES = ("l", "r")
-ROLES: tuple[str, ...] = (*CENTER, *(f"{r}_{s}" for s in SIDES for r in SIDED))
+ROLES: tuple[str, ...] = (
+    *CENTER_ROLES,
+    *(f"{r}_{s}" for s in SIDES for r in SIDED_ROLES),
+)
 # Kinds of joints that have no role.
 TWIST, END, CONTROL = "twist", "end", "control"
 

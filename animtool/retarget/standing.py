@@ -22,19 +22,19 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
-from animtool.rig.kinematics import forward, rest_size, rest_world
+from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_SIZE, Rig
 
 # Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
-CHOSEN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
+MIN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
 # Sizes of people [m].
-PERSON_METERS = (0.5, 3.0)
+PERSON_HEIGHTS = (0.5, 3.0)
 # Minimum cosine to an axis for a body that stands along it [1].
 MIN_STANDING_COSINE = 0.8
 # Minimum fraction of standing frames of a body that stands throughout [1].
 MIN_STANDING_FRACTION = 0.9
 # Fraction of standing frames below which it stands by chance [1].
-CHANCE_FRACTION = 0.1
+MAX_CHANCE_FRACTION = 0.1
 # Minimum cosine between trunk and feet-to-hips direction of an upright body [1].
 MIN_UPRIGHT_COSINE = 0.5
 # Minimum mean cosine of a trunk to an axis, and of legs across it [1].
@@ -81,19 +81,19 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
         positions: Joint positions ``(F, J, 3)`` [m].
     """
     no_direction = np.zeros((len(positions), 3))
-    trunk = _trunk(roles, positions)
+    trunk = _trunk_vectors(roles, positions)
     if trunk is None:
         return no_direction
-    legs, arms = (_limbs(roles, positions, *limb_roles) for limb_roles in _LIMBS)
+    legs, arms = (_limb_vectors(roles, positions, *limb_roles) for limb_roles in _LIMBS)
     if legs is None:
         return trunk
     up = (trunk * -legs).sum(axis=1)
     axes = np.where(
-        up[:, None] > MIN_UPRIGHT_COSINE, _units(trunk - legs), no_direction
+        up[:, None] > MIN_UPRIGHT_COSINE, _unit_vectors(trunk - legs), no_direction
     )
     if arms is None:
         return axes
-    down_directions = _units(legs + arms)
+    down_directions = _unit_vectors(legs + arms)
     fours = (legs * arms).sum(axis=1) > MIN_FOURS_COSINE
     fours &= np.abs((trunk * down_directions).sum(axis=1)) < MIN_UPRIGHT_COSINE
     return np.where(fours[:, None], -down_directions, axes)
@@ -102,17 +102,17 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
 _LIMBS = (("thigh", "foot"), ("upper_arm", "hand"))
 
 
-def _trunk(roles: Sequence[str], positions: FloatArray) -> FloatArray | None:
+def _trunk_vectors(roles: Sequence[str], positions: FloatArray) -> FloatArray | None:
     """Return the vector from hips to head ``(F, 3)``; None if either is unknown."""
     if "hips" not in roles or "head" not in roles:
         return None
     hips, head = roles.index("hips"), roles.index("head")
     thighs = [roles.index(f"thigh_{s}") for s in "lr" if f"thigh_{s}" in roles]
     hips_middle = positions[:, thighs if len(thighs) == 2 else [hips]].mean(axis=1)
-    return _units(positions[:, head] - hips_middle)
+    return _unit_vectors(positions[:, head] - hips_middle)
 
 
-def _limbs(
+def _limb_vectors(
     roles: Sequence[str], positions: FloatArray, first: str, last: str
 ) -> FloatArray | None:
     """Return the mean vector along a pair of limbs ``(F, 3)``; None if unknown."""
@@ -120,18 +120,18 @@ def _limbs(
     if not all({*role_pair} <= {*roles} for role_pair in role_pairs):
         return None
     vectors = [
-        _units(positions[:, roles.index(b)] - positions[:, roles.index(a)])
+        _unit_vectors(positions[:, roles.index(b)] - positions[:, roles.index(a)])
         for a, b in role_pairs
     ]
-    return _units(vectors[0] + vectors[1])
+    return _unit_vectors(vectors[0] + vectors[1])
 
 
-def _units(vectors: FloatArray) -> FloatArray:
+def _unit_vectors(vectors: FloatArray) -> FloatArray:
     sizes = np.linalg.norm(vectors, axis=1)
     return np.asarray(vectors / np.maximum(sizes, 1e-12)[:, None])
 
 
-def stance(
+def measure_stance(
     roles: Sequence[str], positions: FloatArray, up: UpAxis, rest: FloatArray | None
 ) -> Stance:
     """Return how a body stands in frames of a take.
@@ -160,20 +160,20 @@ def stance(
     rests = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
     if rests @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
         starts = bool(is_along_other[0] or is_along_other[-1]) and fraction >= max(
-            upright_fraction, CHANCE_FRACTION
+            upright_fraction, MAX_CHANCE_FRACTION
         )
         along_other = (
             starts
             or fraction >= MIN_STANDING_FRACTION
-            or _leans(roles, positions, other_axis, up)
+            or _is_trunk_along(roles, positions, other_axis, up)
         )
         return Stance(other_axis, fraction) if along_other else Stance()
     if fraction < MIN_STANDING_FRACTION and not (
-        is_along_other[0] and fraction >= max(upright_fraction, CHANCE_FRACTION)
+        is_along_other[0] and fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
     ):
         return Stance()
     standing = positions[is_along_other]
-    if _moves_over(positions, other_axis, up) or _feet_on_ground(
+    if _travels_across(positions, other_axis, up) or _feet_on_ground(
         standing, other_axis, up
     ):
         return Stance(other_axis, fraction)
@@ -181,15 +181,15 @@ def stance(
     return Stance() if lies else Stance(other_axis, fraction)
 
 
-def _leans(
+def _is_trunk_along(
     roles: Sequence[str], positions: FloatArray, axis: UpAxis, up: UpAxis
 ) -> bool:
     """Return whether the trunk is along an axis on average, with no legs below it.
 
     Covers takes that never stand, such as a leap.
     """
-    trunk = _trunk(roles, positions)
-    legs = _limbs(roles, positions, *_LIMBS[0])
+    trunk = _trunk_vectors(roles, positions)
+    legs = _limb_vectors(roles, positions, *_LIMBS[0])
     if trunk is None:
         return False
     cosines, upright = (trunk.mean(axis=0) @ np.array(a.vector) for a in (axis, up))
@@ -207,8 +207,8 @@ def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
     lowest = (positions @ np.array(up.vector)).min(axis=1)
     return (
         float(
-            np.quantile(lowest, 1 - CHANCE_FRACTION)
-            - np.quantile(lowest, CHANCE_FRACTION)
+            np.quantile(lowest, 1 - MAX_CHANCE_FRACTION)
+            - np.quantile(lowest, MAX_CHANCE_FRACTION)
         )
         < LYING_VARIATION * body_size
     )
@@ -229,7 +229,7 @@ def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     return stands and not lies
 
 
-def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
+def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether a body travels across an axis as a walking one does."""
     middle = positions.mean(axis=1)
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
@@ -243,7 +243,7 @@ def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     )
 
 
-def stands_along(
+def standing_axis(
     rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
 ) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
@@ -261,12 +261,14 @@ def stands_along(
         return None
     frame_step = max(motion.frames // MAX_SAMPLES, 1)
     frames = motion.select(slice(0, motion.frames, frame_step))
-    world = forward(rig, frames.translations.dense(), frames.rotations.dense())
+    world = forward_kinematics(
+        rig, frames.translations.dense(), frames.rotations.dense()
+    )
     positions, rest = world.positions, rest_world(rig).positions[0]
     if downwards:
         mirror = 1.0 - 2.0 * np.array(_other_axis(rig.up).vector)
         positions, rest = positions * mirror, rest * mirror
-    return stance(roles, positions, rig.up, rest).axis
+    return measure_stance(roles, positions, rig.up, rest).axis
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
@@ -280,7 +282,7 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     )
     for frame in sorted(set(sampled_frames.tolist())):
         single_frame = motion.select(slice(frame, frame + 1))
-        pose = forward(
+        pose = forward_kinematics(
             rig, single_frame.translations.dense(), single_frame.rotations.dense()
         )
         spans = np.ptp(pose.positions[0], axis=0)
@@ -302,13 +304,13 @@ def lying_notice(
     """
     if not _other_is_longer(rig, motion):
         return []
-    from animtool.retarget.anatomy import anatomy
+    from animtool.retarget.anatomy import find_anatomy
 
-    roles, sign = anatomy(rig).roles, ""
-    axis = stands_along(rig, motion, roles)
+    roles, sign = find_anatomy(rig).roles, ""
+    axis = standing_axis(rig, motion, roles)
     read_as = axis
     if axis is None and up is not None:
-        axis = stands_along(rig, motion, roles, downwards=True)
+        axis = standing_axis(rig, motion, roles, downwards=True)
         read_as, sign = _other_axis(up), "-"
     if axis is None:
         return []
@@ -370,16 +372,16 @@ def with_source_warnings(
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     """Return a warning that a chosen unit gives an implausible size (RIG217)."""
     size = rest_size(rig)
-    low = CHOSEN_SIZES[len(rig.joints) >= MIN_JOINTS]
+    low = MIN_SIZES[len(rig.joints) >= MIN_JOINTS]
     if not size or low <= size <= MAX_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
     fitting_units = [
         str(unit_option)
         for unit_option in LengthUnit
-        if PERSON_METERS[0]
+        if PERSON_HEIGHTS[0]
         <= size / unit.meters * unit_option.meters
-        <= PERSON_METERS[1]
+        <= PERSON_HEIGHTS[1]
     ]
     hint = f"remove {argument('source.unit')} if the file states its unit"
     if fitting_units:

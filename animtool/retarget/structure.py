@@ -20,7 +20,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have zero length.
@@ -38,7 +38,7 @@ _MIN_TWIST_COSINE = 0.97
 
 
 # Two similar subtrees below one joint.
-Pair = tuple[int, int]
+JointIndices = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class SkeletonTree:
         cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
     ) -> SkeletonTree:
         """Return the tree of a skeleton at rest."""
-        rest_transforms = forward(
+        rest_transforms = forward_kinematics(
             rig, rig.rest_translations[None], rig.rest_rotations[None]
         )
         tips = np.zeros((len(rig.joints), 3))
@@ -160,9 +160,9 @@ class SkeletonTree:
         leaves = [j for j, children in enumerate(self.children) if not children]
         if any(self.tips[j] > _MIN_BONE * self.size for j in leaves):
             return True
-        return sum(self._run(leaf) >= 4 for leaf in leaves) >= 6
+        return sum(self._chain_length(leaf) >= 4 for leaf in leaves) >= 6
 
-    def _run(self, leaf: int) -> int:
+    def _chain_length(self, leaf: int) -> int:
         """Return the number of joints from a leaf up to the start of its chain."""
         ancestors = self.rig.upwards(leaf)
         forks = [i for i, j in enumerate(ancestors) if len(self.children[j]) > 1]
@@ -185,7 +185,7 @@ class SkeletonTree:
         """Return the longest path length from a joint's parent through it [m]."""
         return float(self.lengths[joint] + self.reach[joint])
 
-    def heaviest(self, joint: int) -> list[int]:
+    def longest_path(self, joint: int) -> list[int]:
         """Return the longest path down from a joint, itself first."""
         path = [joint]
         while children := self.limb_children(path[-1]):
@@ -199,10 +199,10 @@ class SkeletonTree:
         return path[counts.index(largest)], largest
 
 
-def limb_pairs(body: SkeletonTree) -> tuple[Pair | None, Pair | None]:
+def limb_pairs(body: SkeletonTree) -> tuple[JointIndices | None, JointIndices | None]:
     """Return the pairs of legs and of arms, as far as the tree shows them."""
-    outer_pairs: list[Pair] = []
-    for pair in sorted(_pairs(body), key=lambda pair: -body.extent(pair[0])):
+    outer_pairs: list[JointIndices] = []
+    for pair in sorted(_similar_subtrees(body), key=lambda pair: -body.extent(pair[0])):
         ancestors = set(body.rig.upwards(pair[0]))
         if not any(ancestors & set(kept_pair) for kept_pair in outer_pairs):
             outer_pairs.append(pair)
@@ -212,12 +212,14 @@ def limb_pairs(body: SkeletonTree) -> tuple[Pair | None, Pair | None]:
             key=lambda pair_of_joints: _leg_score(body, *pair_of_joints),
         )
     if outer_pairs:
-        hand = max(body.branches(body.heaviest(joint))[1] for joint in outer_pairs[0])
+        hand = max(
+            body.branches(body.longest_path(joint))[1] for joint in outer_pairs[0]
+        )
         return (None, outer_pairs[0]) if hand >= 4 else (outer_pairs[0], None)
     return None, None
 
 
-def _pairs(body: SkeletonTree) -> list[Pair]:
+def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
     """Return pairs of similar subtrees, each joint with its most similar one."""
     pairs = []
     for children in body.children:
@@ -236,21 +238,21 @@ def _pairs(body: SkeletonTree) -> list[Pair]:
                 and more_joints <= 1.2 * fewer_joints + 2
             ):
                 pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
-    best_pairs: list[Pair] = []
+    best_pairs: list[JointIndices] = []
     for _, _, pair in sorted(pairs):
         if not any(set(pair) & set(accepted) for accepted in best_pairs):
             best_pairs.append(pair)
     return best_pairs
 
 
-def _leg_score(body: SkeletonTree, legs: Pair, arms: Pair) -> float:
+def _leg_score(body: SkeletonTree, legs: JointIndices, arms: JointIndices) -> float:
     """Return how well two pairs fit as legs and arms."""
     hips, chest = (body.rig.joints[pair[0]].parent for pair in (legs, arms))
     paths = [body.rig.upwards(hips), body.rig.upwards(chest)]
     score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
     score += float(np.sign(len(paths[1]) - len(paths[0])))
     fingers = [
-        max(body.branches(body.heaviest(child))[1] for child in pair)
+        max(body.branches(body.longest_path(child))[1] for child in pair)
         for pair in (legs, arms)
     ]
     score += 1.5 * float(np.sign(fingers[1] - fingers[0]))
@@ -262,7 +264,7 @@ def _leg_score(body: SkeletonTree, legs: Pair, arms: Pair) -> float:
     return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
 
 
-def upright(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
+def up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
     """Return the up direction of a standing body ``(3,)``; None if it does not stand.
 
     Limbs are given by their lowest joints: ``leg_l``, ``arm_r`` …
@@ -287,7 +289,7 @@ def upright(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
     )
 
 
-def left_of(
+def left_direction(
     body: SkeletonTree, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
 ) -> FloatArray:
     """Return a body's left direction ``(3,)``, from feet and trunk."""
@@ -359,7 +361,7 @@ def split_limb(
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
             elif not limb.led and end_index < n - 1:
-                score += _bend(
+                score += _bend_amount(
                     body, [path[lower], path[end_index], path[end_index + 1]]
                 )
             if score > best_score:
@@ -423,7 +425,7 @@ def _ratio_penalty(value: float, expected: float, deviation: float) -> float:
     return min(0.5 * float(np.log(value / expected) / deviation) ** 2, 12.0)
 
 
-def _bend(body: SkeletonTree, joints: Sequence[int]) -> float:
+def _bend_amount(body: SkeletonTree, joints: Sequence[int]) -> float:
     """Return 0 to 1: how much the path through three joints bends, as at an ankle."""
     first_bone, second_bone = np.diff(body.positions[list(joints)], axis=0)
     length_product = float(np.linalg.norm(first_bone) * np.linalg.norm(second_bone))

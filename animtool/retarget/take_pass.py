@@ -34,23 +34,23 @@ from animtool.motion.passes import (
     TakePart,
 )
 from animtool.motion.take import TakeStream
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.map import JointMap
-from animtool.retarget.motion import Retargeting, transfer_of
+from animtool.retarget.motion import Retargeting, build_transfer
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.pairing import map_joints
-from animtool.retarget.props import Props
+from animtool.retarget.props import PropTracks
 from animtool.retarget.report import scores_of
 from animtool.retarget.roles import (
     CONTROL,
     END,
-    FINGERS,
-    MITTEN,
+    FINGER_ROLES,
+    MITTEN_ROLE,
     TWIST,
     base_role,
 )
-from animtool.retarget.standing import stands_along
-from animtool.rig.kinematics import forward
+from animtool.retarget.standing import standing_axis
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
@@ -59,13 +59,13 @@ from animtool.rig.skeleton import Rig
 # Bones of a complete limb.
 LIMBS = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
 # Minimum fraction of a take's moving joints that are paired [1].
-MIN_PAIRED = 1 / 3
+MIN_PAIRED_FRACTION = 1 / 3
 # Joints irrelevant to body motion: some takes have hundreds of them.
-_DETAIL = {*FINGERS, MITTEN, "toe", "jaw", "eye", TWIST, END, CONTROL}
+_DETAIL_ROLES = {*FINGER_ROLES, MITTEN_ROLE, "toe", "jaw", "eye", TWIST, END, CONTROL}
 _END_ROLES = {"head", "hand", "foot"}
-MAX_LISTED = 6
+MAX_LISTED_LIMBS = 6
 # A bone shorter than this fraction of its rest length has no length [1].
-NO_LENGTH = 1e-4
+ZERO_LENGTH = 1e-4
 
 
 def insufficient_pairs(
@@ -82,14 +82,14 @@ def insufficient_pairs(
     roles = joint_map.source.roles
     used_joints = {pair.source for pair in joint_map.pairs} | {*follows.tolist()}
     used_joints |= {j for chain in joint_map.chains for j in chain.source}
-    limbs = _limbs(roles)
+    limbs = _complete_limbs(roles)
     intact_limbs = [
         name for name, joints in limbs.items() if used_joints.issuperset(joints)
     ]
-    body_joints = _body(source, roles)
+    body_joints = _body_joints(source, roles)
     counted_joints = [j for j in body_joints if j in moving] or body_joints
     paired_joints = [j for j in counted_joints if j in used_joints]
-    if len(paired_joints) >= MIN_PAIRED * len(counted_joints) and (
+    if len(paired_joints) >= MIN_PAIRED_FRACTION * len(counted_joints) and (
         intact_limbs or not limbs
     ):
         return None
@@ -98,7 +98,9 @@ def insufficient_pairs(
         f"{source.name!r} are paired"
     )
     if limbs and not intact_limbs:
-        message += f", and none of its limbs ({listed(sorted(limbs), MAX_LISTED)})"
+        message += (
+            f", and none of its limbs ({listed(sorted(limbs), MAX_LISTED_LIMBS)})"
+        )
     hint = (
         "write a map file, or retarget what is paired with "
         f"{argument('force_fit', True)}, "
@@ -120,12 +122,12 @@ def zero_length_limbs(
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
     has_collapsed = (
-        (longest <= NO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
+        (longest <= ZERO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
     )
     bones = sorted(
         {
             j
-            for joints in _limbs(roles).values()
+            for joints in _complete_limbs(roles).values()
             for end_joint, start_joint in ((joints[-1], joints[0]),)
             for j in source.upwards(end_joint)
             if has_collapsed[j]
@@ -135,7 +137,7 @@ def zero_length_limbs(
     )
     if not bones:
         return None
-    names = listed([repr(source.names[j]) for j in bones], MAX_LISTED)
+    names = listed([repr(source.names[j]) for j in bones], MAX_LISTED_LIMBS)
     message = (
         f"{counted(len(bones), 'limb bone')} of {source.name!r} have zero length in "
         f"every frame, but up to {length_text(float(lengths[bones].max()))} at rest: "
@@ -149,17 +151,19 @@ def zero_length_limbs(
     return Fault("MAP011", message, hint=hint)
 
 
-def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | None:
+def unpaired_body_fault(
+    source: Rig, roles: tuple[str, ...], target: Rig
+) -> Fault | None:
     """Return the fault that no body joint is paired (MAP010); None for non-bodies."""
-    limbs = _limbs(roles)
+    limbs = _complete_limbs(roles)
     if not limbs:
         return None
     message = f"no joint of {source.name!r} maps to one of {target.name!r}, and none "
-    message += f"of its limbs ({listed(sorted(limbs), MAX_LISTED)})"
+    message += f"of its limbs ({listed(sorted(limbs), MAX_LISTED_LIMBS)})"
     return Fault("MAP010", message, hint="choose another rig, or write a map file")
 
 
-def _limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
+def _complete_limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
     """Return the joints of a skeleton's complete limbs, by name."""
     limbs = {}
     for name, bones in LIMBS.items():
@@ -170,12 +174,12 @@ def _limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
     return limbs
 
 
-def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
+def _body_joints(rig: Rig, roles: tuple[str, ...]) -> list[int]:
     """Return the joints of a skeleton except fingers, toes, face and twist joints."""
     joints = []
     for j, role in enumerate(roles):
         end_roles = {base_role(roles[k]) for k in rig.upwards(j)[1:]} & _END_ROLES
-        if base_role(role) not in _DETAIL and not (end_roles and not role):
+        if base_role(role) not in _DETAIL_ROLES and not (end_roles and not role):
             joints.append(j)
     return joints
 
@@ -188,13 +192,13 @@ class RetargetPassOptions:
     rig: Path | None = None  # the rig file
 
 
-def onto_rig(
+def retarget_stream(
     stream: TakeStream,
     rig: Rig,
     options: RetargetOptions,
     *,
     same: bool = False,
-    props: Props | None = None,
+    props: PropTracks | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
     """Return a retargeting of a take, the joint map, and warnings.
 
@@ -216,12 +220,15 @@ def onto_rig(
     rest_rotations, blocks = _rest_frame(stream.blocks, frame)
     first_block = next(blocks)
     joint_map = _pair_joints(
-        stream.rig, rig, options, _positions(stream.rig, first_block, rest_rotations)
+        stream.rig,
+        rig,
+        options,
+        _standing_positions(stream.rig, first_block, rest_rotations),
     )
     notices = list(joint_map.notices)
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
-    stance_axis = stands_along(source, first_block, joint_map.source.roles)
+    stance_axis = standing_axis(source, first_block, joint_map.source.roles)
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
         message = f"the body stands along {stance_axis}, but the up axis is {source.up}"
         hint = f"read it with {argument('source.up', stance_axis)}"
@@ -238,7 +245,7 @@ def onto_rig(
         )
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stance_axis)
-    transfer = transfer_of(source, rig, joint_map, rest_rotations, as_rig=as_rig)
+    transfer = build_transfer(source, rig, joint_map, rest_rotations, as_rig=as_rig)
     notices += _scale_warnings(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
@@ -289,8 +296,10 @@ def _pair_joints(
         )
     except OptionError as error:
         if error.code == "MAP004":
-            roles = anatomy(source, preset=options.preset, positions=positions).roles
-            unpaired_fault = nothing_paired(source, roles, target)
+            roles = find_anatomy(
+                source, preset=options.preset, positions=positions
+            ).roles
+            unpaired_fault = unpaired_body_fault(source, roles, target)
             if unpaired_fault is not None:
                 raise FormatError(unpaired_fault) from error
         raise
@@ -317,7 +326,7 @@ def _rest_frame(
     raise OptionError(Fault("MAP006", message, where="rest"))
 
 
-def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
+def _standing_positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
     """Return joint positions in a standing pose ``(J, 3)`` [m].
 
     The pose is the rest pose, or the first frame if the skeleton has no rest pose.
@@ -325,7 +334,9 @@ def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
     first_frame = first.select(slice(0, 1))
     rotations = first_frame.rotations.dense() if rest is None else rest[None]
     return np.asarray(
-        forward(rig, first_frame.translations.dense(), rotations).positions[0]
+        forward_kinematics(rig, first_frame.translations.dense(), rotations).positions[
+            0
+        ]
     )
 
 
@@ -347,7 +358,7 @@ def _scale_warnings(scale: float) -> list[Fault]:
     return [Fault("MAP106", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _named_rig(options: RetargetPassOptions) -> Path:
+def _rig_of_options(options: RetargetPassOptions) -> Path:
     if options.rig is None:
         message = "rig must name the file of a rig"
         raise OptionError(Fault("CAP001", message))
@@ -356,18 +367,18 @@ def _named_rig(options: RetargetPassOptions) -> Path:
 
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     # The take determines root motion, not the rig's stage.
-    rig = at_origin(Rig.load(context.folder / _named_rig(options)))
+    rig = at_origin(Rig.load(context.folder / _rig_of_options(options)))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:
         settings = replace(settings, map=context.folder / settings.map)
-    props = Props(stream.tracks) if stream.tracks and settings.hold_hands else None
+    props = PropTracks(stream.tracks) if stream.tracks and settings.hold_hands else None
     if props is not None:
-        stream = replace(stream, blocks=props.noting(stream.blocks))
+        stream = replace(stream, blocks=props.record_times(stream.blocks))
     # Other tracks pass through; frames stay unchanged.
     passthrough = PassthroughTracks(stream) if stream.tracks else None
     source = stream if passthrough is None else passthrough.stream
-    retargeting, _, notices = onto_rig(source, rig, settings, props=props)
+    retargeting, _, notices = retarget_stream(source, rig, settings, props=props)
     context.notices.extend(notices)
     blocks = checked_blocks(retargeting, settings, stream.notices)
     retargeted = replace(
@@ -430,7 +441,7 @@ def _check_bound(options: Any) -> None:
 
 def _checks(options: Any) -> OptionChecks:
     return {
-        "rig": lambda: _named_rig(options),
+        "rig": lambda: _rig_of_options(options),
         "warn_above": lambda: _check_bound(options),
     }
 

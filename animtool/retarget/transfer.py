@@ -13,7 +13,7 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.retarget.balls import balls_of
 from animtool.retarget.map import JointMap
-from animtool.retarget.roled_skeleton import MIN_BONE, RoledSkeleton
+from animtool.retarget.roled_skeleton import MIN_BONE_LENGTH, RoledSkeleton
 from animtool.retarget.roles import base_role
 from animtool.retarget.standing import MIN_STANDING_COSINE
 from animtool.rig.skeleton import Rig
@@ -73,9 +73,9 @@ class Transfer:
                 for joint, source_joint in positions:
                     follows[joint] = after[joint] = source_joint
                 continue
-            middles = _middles(chain.source_at)
+            middles = _fraction_middles(chain.source_at)
             for joint, position in zip(
-                chain.target, _middles(chain.target_at), strict=True
+                chain.target, _fraction_middles(chain.target_at), strict=True
             ):
                 k = int(np.searchsorted(middles, position))
                 lower_index, upper_index = max(k - 1, 0), min(k, len(middles) - 1)
@@ -87,7 +87,7 @@ class Transfer:
                 fraction[joint] = (
                     (position - middles[lower_index]) / spacing if spacing > 0 else 0.0
                 )
-        for joint, source_joint in namesakes(source.rig, target.rig, follows):
+        for joint, source_joint in equal_name_pairs(source.rig, target.rig, follows):
             follows[joint] = after[joint] = source_joint
         aligned = _rest_alignment(source, target, follows, upright, as_rig=as_rig)
         twists = []
@@ -97,7 +97,7 @@ class Transfer:
                 twists.append(
                     (twist.target, twist.bone, twisting_joint, twist.fraction)
                 )
-        scale = _scale(source, target, follows)
+        scale = _leg_ratio(source, target, follows)
         return Transfer(
             source, target, upright, scale, follows, after, fraction, aligned, twists
         )
@@ -218,7 +218,9 @@ def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray
     return np.asarray(positions[:, joints].mean(axis=1))
 
 
-def namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
+def equal_name_pairs(
+    source: Rig, target: Rig, follows: IntArray
+) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used_joints, names = (
         {*follows.tolist()},
@@ -231,7 +233,7 @@ def namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, in
     ]
 
 
-def _middles(at: Sequence[float]) -> FloatArray:
+def _fraction_middles(at: Sequence[float]) -> FloatArray:
     edges = np.append(at, 1.0)
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
@@ -273,10 +275,10 @@ def _rest_alignment(
                 for horizontal in (bone, source_bone)
             )
             sizes = np.linalg.norm(bone), np.linalg.norm(source_bone)
-            if min(sizes) < MIN_BONE:
+            if min(sizes) < MIN_BONE_LENGTH:
                 continue
             bone, source_bone = bone / sizes[0], source_bone / sizes[1]
-        elif role not in _AIMED_ROLES and role[:-2] not in _FINGERS:
+        elif role not in _AIMED_ROLES and role[:-2] not in _FINGER_NAMES:
             continue
         rotations[j] = so3.multiply(so3.between(bone, source_bone), rotations[j])
     return rotations
@@ -307,11 +309,13 @@ def _heading_alignment(
 
 
 # Roles whose path from the hips measures body size, independent of arms.
-BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
-_FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
+BODY_ROLES = {"neck", "head", "upper_arm", "thigh", "shin"}
+_FINGER_NAMES = {"thumb", "index", "middle", "ring", "pinky"}
 
 
-def _scale(source: RoledSkeleton, target: RoledSkeleton, follows: IntArray) -> float:
+def _leg_ratio(
+    source: RoledSkeleton, target: RoledSkeleton, follows: IntArray
+) -> float:
     """Return the ratio of target leg length to source leg length.
 
     Without legs, of the path lengths from the hips to the rest of the body; without a
@@ -330,7 +334,7 @@ def _scale(source: RoledSkeleton, target: RoledSkeleton, follows: IntArray) -> f
                 float(path_lengths[1][source.first(role)]),
             )
             for role in dict.fromkeys(source.roles)
-            if base_role(role) in BODY and role in target.roles
+            if base_role(role) in BODY_ROLES and role in target.roles
         ]
         followers = np.flatnonzero(follows >= 0)
         leg_lengths = leg_lengths or [

@@ -19,11 +19,11 @@ from animtool.maths.runs import merge_runs, runs
 from animtool.motion.scores import PassScores, Score
 
 # Scores above this multiple of a good take's value need a look [1].
-LOOK_FACTOR = 3.0
+CHECK_FACTOR = 3.0
 # Mean limb deviation from the source above which it is another motion [rad].
 MAX_LIMB_DEVIATION = np.radians(30.0)
 # Runs of frames nearer to each other than this are joined [frames].
-JOIN_FRAMES = 4
+MAX_JOINED_GAP = 4
 
 
 class TakeStatus(StrEnum):
@@ -101,7 +101,7 @@ class Verdict:
         return Verdict(TakeStatus.GOOD if is_good else self.status, reasons)
 
 
-def verdict_of(
+def assess_take(
     scores: PassScores,
     values: Mapping[str, FloatArray],
     source_values: Mapping[str, float],
@@ -123,30 +123,35 @@ def verdict_of(
     if limbs.value > MAX_LIMB_DEVIATION:
         return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
     excess = [
-        (score_name, _bound(score_name, source_values.get(score_name.name, math.nan)))
+        (
+            score_name,
+            _score_bound(score_name, source_values.get(score_name.name, math.nan)),
+        )
         for score_name in scores.scores
     ]
     excess = [(score, bound) for score, bound in excess if score.value > bound]
     excess.sort(key=lambda reason: -reason[0].excess)
     reasons = tuple(
-        VerdictReason(score.name, score.text, _runs(values, score.name, bound))
+        VerdictReason(
+            score.name, score.text, _exceeding_runs(values, score.name, bound)
+        )
         for score, bound in excess
     )
     return Verdict(TakeStatus.LOOK if reasons else TakeStatus.GOOD, reasons)
 
 
-def _bound(score: Score, source_values: float) -> float:
+def _score_bound(score: Score, source_values: float) -> float:
     """Return the value above which a score needs a look."""
-    bound = score.ideal + LOOK_FACTOR * (score.usual - score.ideal)
+    bound = score.ideal + CHECK_FACTOR * (score.usual - score.ideal)
     return bound if math.isnan(source_values) else max(bound, source_values)
 
 
-def _runs(
+def _exceeding_runs(
     values: Mapping[str, FloatArray], name: str, bound: float
 ) -> tuple[tuple[int, int], ...]:
     """Return first and last frames of runs in which a score exceeds a bound."""
     samples = values.get(name)
     if samples is None:
         return ()
-    joined_runs = merge_runs(runs(samples > bound), JOIN_FRAMES)
+    joined_runs = merge_runs(runs(samples > bound), MAX_JOINED_GAP)
     return tuple((first, end - 1) for first, end in joined_runs)

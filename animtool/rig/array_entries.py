@@ -14,7 +14,7 @@ from animtool.core.names import most_similar, nearest
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
-from animtool.documents.references import referred, split_reference
+from animtool.documents.references import resolve_reference, split_reference
 from animtool.rig.parts import (
     ArrayRef,
     ArraySource,
@@ -29,7 +29,7 @@ Shape = tuple[int | None, ...]
 # Array roles that count something and contain whole numbers.
 _INTEGER_ROLES = frozenset({"faces", "indices", "pins", "vertices"})
 # Keys of the file that differ from the role of their array.
-_KEYS = {"strands": "points"}
+_ROLE_KEYS = {"strands": "points"}
 # Fills the missing corner of a triangle among quadrangles, and so on.
 MISSING_CORNER = -1
 # Placeholder of a refused array.
@@ -50,9 +50,9 @@ class ArrayReader:
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
     ) -> ArraySource:
         """Return a reference; record the faults of its array."""
-        name, key = split_reference(text, _KEYS.get(role, role))
+        name, key = split_reference(text, _ROLE_KEYS.get(role, role))
         path = self.paths.get(name)
-        path = path or referred(self.document, at, name, self.roots)
+        path = path or resolve_reference(self.document, at, name, self.roots)
         if path is None:
             return NO_ARRAY
         self.paths[name] = path
@@ -122,12 +122,12 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
         if role == "faces":
             is_optional[:, 3:] = values[:, 3:] == MISSING_CORNER
         is_wrong = (values < 0) if count is None else (values < 0) | (values >= count)
-        index = _first(is_wrong & ~is_optional)
+        index = _first_index(is_wrong & ~is_optional)
         if index is None:
             return None
         range_text = "" if count is None else f" to {count - 1}"
         return f"contains {values[index]} at {list(index)}, not 0{range_text}"
-    index = _first(~np.isfinite(values))
+    index = _first_index(~np.isfinite(values))
     if index is not None:
         return f"contains {values[index]} at {list(index)}, not a finite number"
     if role == "strands":
@@ -136,7 +136,7 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
 
 
 def _strand_fault(values: npt.NDArray[Any]) -> str | None:
-    index = _first((values[:, 1:] == values[:, :-1]).all(axis=-1))
+    index = _first_index((values[:, 1:] == values[:, :-1]).all(axis=-1))
     if index is None:
         return None
     strand, point = index
@@ -144,20 +144,20 @@ def _strand_fault(values: npt.NDArray[Any]) -> str | None:
 
 
 def _weight_fault(values: npt.NDArray[Any]) -> str | None:
-    index = _first(values < 0)
+    index = _first_index(values < 0)
     if index is not None:
         return f"contains {values[index]} at {list(index)}, a negative weight"
-    index = _first(np.asarray(~values.any(axis=1)))
+    index = _first_index(np.asarray(~values.any(axis=1)))
     return None if index is None else f"gives vertex {index[0]} no weight"
 
 
-def _first(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
+def _first_index(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
     if not wrong.any():
         return None
     return tuple(map(int, np.unravel_index(int(wrong.argmax()), wrong.shape)))
 
 
-Check = Callable[[Location, str], object]
+LocatedCheck = Callable[[Location, str], object]
 
 # Required and optional keys of each kind of attachment.
 _ATTACH_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -177,8 +177,8 @@ class AttachmentReader:
     arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh; None if unknown.
     vertices: Mapping[str, int | None]
-    check_joint: Check  # records an unknown joint
-    check_mesh: Check  # records an unknown mesh
+    check_joint: LocatedCheck  # records an unknown joint
+    check_mesh: LocatedCheck  # records an unknown mesh
 
     def attachment(self, at: Location, entry: AttachModel) -> Attachment:
         """Return an attachment; record its faults in the document."""
@@ -225,7 +225,7 @@ class AttachmentReader:
             if (
                 key not in set_keys
                 and is_certain
-                and "attach" not in self.document.partial
+                and "attach" not in self.document.partial_lists
             ):
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", at, message, hint)

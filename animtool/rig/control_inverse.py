@@ -11,8 +11,8 @@ from animtool.core.record import dataclass
 from animtool.rig.controls import Control, evaluate_controls
 
 # Number of sweeps over the controls, each followed by Newton steps on all of them.
-SWEEPS = 4
-NEWTON_STEPS = 12
+MAX_SWEEPS = 4
+MAX_NEWTON_STEPS = 12
 # Grid points of a control's range, in addition to the corners of its curves.
 GRID_POINTS = 9
 # Finite-difference step, as a fraction of a control's range.
@@ -92,13 +92,13 @@ def solve_controls(
     values = {name: np.array(value, np.float64) for name, value in start.items()}
     solved_names: set[str] = set()
     released_names: set[str] = set()
-    for group in _groups(controls):
+    for group in _coupled_groups(controls):
         group_controls = [control for control in controls if control.name in group]
-        problem = _Problem(group_controls, targets, tolerances, keyed)
+        problem = _GroupProblem(group_controls, targets, tolerances, keyed)
         start_values = {
             control.name: values[control.name] for control in group_controls
         }
-        solved, unsolved_names = _solved_group(problem, start_values)
+        solved, unsolved_names = _solve_group(problem, start_values)
         values |= solved
         released_names |= unsolved_names
         solved_names |= {
@@ -112,38 +112,38 @@ def solve_controls(
     )
 
 
-def _solved_group(
-    problem: _Problem, start: dict[str, FloatArray]
+def _solve_group(
+    problem: _GroupProblem, start: dict[str, FloatArray]
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Solve a group of coupled controls; return values and released controls."""
-    if not problem.unexplained(start):
+    if not problem.missed_targets(start):
         return start, set()
     solvable = [name for name in start if name not in problem.masters]
     values = problem.solve(start, solvable)
     for shifted_problem in (*problem.on_revolutions(start, solvable), problem):
-        if not shifted_problem.unexplained(values):
+        if not shifted_problem.missed_targets(values):
             break
         names = [*start] if shifted_problem is problem and problem.masters else solvable
         trial = shifted_problem.solve(
             start if shifted_problem is not problem else values, names
         )
-        if not shifted_problem.unexplained(trial):
+        if not shifted_problem.missed_targets(trial):
             values = trial
     released: set[str] = set()
     while True:
-        unexplained = problem.unexplained(values)
+        unexplained = problem.missed_targets(values)
         unsolved = {name for name in solvable if problem.targets[name] & unexplained}
         if not unsolved:
-            values, released = _solved_again(problem, values, released)
-            return _simplest(problem, values, start), released
+            values, released = _solve_released(problem, values, released)
+            return _reset_needless(problem, values, start), released
         released |= unsolved
         solvable = [name for name in solvable if name not in unsolved]
         values |= {name: start[name] for name in unsolved}
         values = problem.solve(values, solvable)
 
 
-def _solved_again(
-    problem: _Problem, values: dict[str, FloatArray], released: set[str]
+def _solve_released(
+    problem: _GroupProblem, values: dict[str, FloatArray], released: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Solve again the controls that were released because of others."""
     remaining = set(released)
@@ -151,28 +151,30 @@ def _solved_again(
         name = control.name
         if name in remaining:
             trial = problem.solve(values, [name])
-            unexplained = problem.unexplained(trial)
+            unexplained = problem.missed_targets(trial)
             if not problem.targets[name] & unexplained:
                 values, remaining = trial, remaining - {name}
     return values, remaining
 
 
-def _simplest(
-    problem: _Problem, values: dict[str, FloatArray], start: dict[str, FloatArray]
+def _reset_needless(
+    problem: _GroupProblem, values: dict[str, FloatArray], start: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Reset the controls to their start where that makes no difference.
 
     Samples in float32 leave rounding noise on static controls.
     """
-    unexplained = problem.unexplained(values)
+    unexplained = problem.missed_targets(values)
     for name, value in start.items():
         trial = {**values, name: value}
-        if (values[name] != value).any() and problem.unexplained(trial) <= unexplained:
+        if (values[name] != value).any() and problem.missed_targets(
+            trial
+        ) <= unexplained:
             values = trial
     return values
 
 
-def _groups(controls: Sequence[Control]) -> list[set[str]]:
+def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return the names of controls that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
@@ -204,7 +206,7 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
     return groups
 
 
-class _Problem:
+class _GroupProblem:
     """A group of coupled controls and their goals."""
 
     def __init__(
@@ -234,7 +236,7 @@ class _Problem:
 
     def on_revolutions(
         self, start: Mapping[str, FloatArray], free: Sequence[str]
-    ) -> Iterator[_Problem]:
+    ) -> Iterator[_GroupProblem]:
         """Yield the problem with goal angles shifted by revolutions."""
         angles = [target for target in self.order if target.endswith(".angle")]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
@@ -250,8 +252,8 @@ class _Problem:
                 shifted_goals[target] = shifted_goals[target] + 2 * np.pi * revolutions
             yield self._of(shifted_goals)
 
-    def _of(self, targets: Mapping[str, FloatArray]) -> _Problem:
-        return _Problem(self.controls, targets, self.tolerances, self.keyed)
+    def _of(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
+        return _GroupProblem(self.controls, targets, self.tolerances, self.keyed)
 
     def residuals(
         self,
@@ -278,7 +280,7 @@ class _Problem:
             )
         )
 
-    def unexplained(self, values: Mapping[str, FloatArray]) -> set[str]:
+    def missed_targets(self, values: Mapping[str, FloatArray]) -> set[str]:
         """Return the targets that are missed by more than their tolerance."""
         if not self.order:
             return set()
@@ -294,24 +296,24 @@ class _Problem:
     ) -> dict[str, FloatArray]:
         """Return the start with the values of some controls solved for."""
         values = {name: value.copy() for name, value in start.items()}
-        for _ in range(SWEEPS if free else 0):
+        for _ in range(MAX_SWEEPS if free else 0):
             largest_residuals = np.abs(self.residuals(values)).max(axis=1)
             open_frames = np.flatnonzero(largest_residuals > CONVERGED_RATIO)
             for start_index in range(0, len(open_frames), FRAMES_AT_ONCE):
                 frames = open_frames[start_index : start_index + FRAMES_AT_ONCE]
                 for name in free:
-                    values[name][frames] = self._nearest(values, name, frames)
-                self._newton(values, free, frames)
+                    values[name][frames] = self._best_value(values, name, frames)
+                self._minimize(values, free, frames)
         return values
 
-    def _nearest(
+    def _best_value(
         self, values: Mapping[str, FloatArray], name: str, frames: IntArray
     ) -> FloatArray:
         """Return the best value of one control ``(F,)``, the others fixed.
 
         Its effect is taken as linear between grid points.
         """
-        grid = _grid(self.by_name[name])
+        grid = _control_grid(self.by_name[name])
         other_values = {
             control_name: value[frames] for control_name, value in values.items()
         }
@@ -348,11 +350,11 @@ class _Problem:
             grid[best_segments] + fraction[best_segments, column] * steps[best_segments]
         )
 
-    def _newton(
+    def _minimize(
         self, values: dict[str, FloatArray], free: Sequence[str], frames: IntArray
     ) -> None:
         """Minimize the residual over some controls by Gauss-Newton, in place."""
-        bounds = [_bounds(self.by_name[name]) for name in free]
+        bounds = [_control_bounds(self.by_name[name]) for name in free]
         low_bounds, high_bounds = np.array(bounds).T
         current = np.stack([values[name][frames] for name in free], axis=-1)
         other_values = {name: value[frames] for name, value in values.items()}
@@ -363,7 +365,7 @@ class _Problem:
 
         residual = residual_at(current)
         cost = (residual**2).sum(axis=1)
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             step = self._step(
                 residual_at, current, residual, free, (low_bounds, high_bounds)
             )
@@ -399,7 +401,7 @@ class _Problem:
         """
         slopes = np.zeros((*residual.shape, len(free)))
         for i, name in enumerate(free):
-            grid = _grid(self.by_name[name])
+            grid = _control_grid(self.by_name[name])
             increment = DIFFERENCE_STEP * float(np.ptp(grid))
             # Away from the nearer end, so that the difference quotient stays on one
             # segment.
@@ -449,12 +451,12 @@ def _reached_targets(
     }
 
 
-def _bounds(control: Control) -> tuple[float, float]:
+def _control_bounds(control: Control) -> tuple[float, float]:
     low = -np.inf if control.low is None else control.low
     return low, np.inf if control.high is None else control.high
 
 
-def _grid(control: Control) -> FloatArray:
+def _control_grid(control: Control) -> FloatArray:
     """Return values of a control between which its effect is nearly linear."""
     corners = {x for drive in control.drives for x, _ in drive.curve}
     range_low, range_high = control.low, control.high

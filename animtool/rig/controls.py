@@ -85,14 +85,14 @@ def evaluation_order(controls: Sequence[Control]) -> list[str]:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             if kind == "control" and name in dependencies:
-                dependencies[name] |= dict.fromkeys(_reads(control.name, drive))
+                dependencies[name] |= dict.fromkeys(_controls_read(control.name, drive))
     try:
         return list(TopologicalSorter(dependencies).static_order())
     except CycleError as error:
         raise ControlCycleError(list(error.args[1])) from error
 
 
-def _reads(control: str, drive: Drive) -> tuple[str, ...]:
+def _controls_read(control: str, drive: Drive) -> tuple[str, ...]:
     return (control,) if drive.expression is None else drive.expression.names
 
 

@@ -8,9 +8,9 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.driver_plan import (
     DriverCycleError,
+    controls_read_by,
     coordinate_fault,
     driving_order,
-    reads,
 )
 from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.expressions import parse_expression
@@ -36,7 +36,7 @@ def read_driver(
         document.add("RIG015", at, message, "write one of them for the value")
         return None
     if model.expr is not None:
-        return _of_expression(document, at, model, units, unit)
+        return _expression_driver(document, at, model, units, unit)
     if model.by is None:
         message = "the curve does not name its input"
         document.add("RIG015", at, message, "write by: elbow.angle, for example")
@@ -47,7 +47,7 @@ def read_driver(
     return Driver(None, model.by, points, model.interp == "smooth", unit, *units)
 
 
-def _of_expression(
+def _expression_driver(
     document: Document,
     at: Location,
     model: DrivenModel,
@@ -100,16 +100,16 @@ class DriverCheck:
     def run(self) -> None:
         """Record unknown inputs, conflicting motion and cycles of drivers."""
         faults = False
-        for target, driver in _drivers(self.rig):
-            location = self._at(target)
+        for target, driver in _drivers_by_target(self.rig):
+            location = self._target_location(target)
             for name in driver.names:
-                faults = self._reads(location, name) or faults
+                faults = self._record_unreadable(location, name) or faults
         if faults:
             return
         try:
             order = driving_order(self.rig)
         except DriverCycleError as error:
-            driven_targets = {target for target, _ in _drivers(self.rig)}
+            driven_targets = {target for target, _ in _drivers_by_target(self.rig)}
             # Cycles of drives alone are reported as RIG014.
             driven_in_cycle = [name for name in error.cycle if name in driven_targets]
             local = [
@@ -119,13 +119,15 @@ class DriverCheck:
             ]
             if driven_in_cycle:
                 self._note(
-                    "RIG032", self._at((local or driven_in_cycle)[0]), str(error)
+                    "RIG032",
+                    self._target_location((local or driven_in_cycle)[0]),
+                    str(error),
                 )
             return
-        for target, message, hint in _conflicts(self.rig, order):
-            self._note("RIG034", self._at(target), message, hint)
+        for target, message, hint in _motion_conflicts(self.rig, order):
+            self._note("RIG034", self._target_location(target), message, hint)
 
-    def _reads(self, at: Location, name: str) -> bool:
+    def _record_unreadable(self, at: Location, name: str) -> bool:
         """Record a name that a driver cannot read; return whether it was recorded."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
@@ -142,7 +144,7 @@ class DriverCheck:
         inherited = at == ("from",)
         self.document.add("RIG023" if inherited else code, at, message, hint)
 
-    def _at(self, target: str) -> Location:
+    def _target_location(self, target: str) -> Location:
         location = self._local_location(target)
         return ("from",) if location is None else location
 
@@ -157,7 +159,7 @@ class DriverCheck:
         return None
 
 
-def _drivers(rig: Rig) -> Iterator[tuple[str, Driver]]:
+def _drivers_by_target(rig: Rig) -> Iterator[tuple[str, Driver]]:
     for kind, parts in (
         ("joint", rig.joints),
         ("shape", rig.shapes),
@@ -168,12 +170,12 @@ def _drivers(rig: Rig) -> Iterator[tuple[str, Driver]]:
                 yield f"{kind}/{part.name}", part.driven
 
 
-def _conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
+def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
     """Yield driven targets with another source of motion, with message and hint.
 
     ``order``: all driven targets.
     """
-    driven_targets = {target for target, _ in _drivers(rig)}
+    driven_targets = {target for target, _ in _drivers_by_target(rig)}
     for joint in rig.joints:
         if joint.driven is not None and joint.mimic is not None:
             message = f"{joint.name!r} has both a driver and a mimic"
@@ -185,7 +187,9 @@ def _conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
             if target.startswith("joint/"):
                 name = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)[0]
                 target = f"joint/{name}"
-                drivers = sorted(driven_controls.intersection(reads(control, drive)))
+                drivers = sorted(
+                    driven_controls.intersection(controls_read_by(control, drive))
+                )
                 if drivers:
                     message = f"control {drivers[0]!r} is driven, but drives {name!r}"
                     hint = "give the joint a driver; it may read the control"

@@ -21,7 +21,7 @@ from animtool.rig.drivers import (
     ANGLE,
     SLIDE,
     SWING,
-    SWINGS,
+    SWING_PARTS,
     TWIST,
     Driver,
     split_coordinate,
@@ -35,7 +35,7 @@ AXIS_TOLERANCE = 1e-9
 # Attribute that caches a rig's plan.
 _CACHE_ATTRIBUTE = "_driver_plan"
 # The driver of a part of a rig.
-Driven = Driver | Mimic
+DrivenSource = Driver | Mimic
 
 
 class DriverCycleError(ValueError):
@@ -65,7 +65,7 @@ def readable_parts(joint: Joint) -> list[str]:
         return []
     swing_exists = np.abs(joint.limits.axes[0]) < 1 - AXIS_TOLERANCE
     swings = [
-        name for name, is_free in zip(SWINGS, swing_exists, strict=True) if is_free
+        name for name, is_free in zip(SWING_PARTS, swing_exists, strict=True) if is_free
     ]
     twists = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
     return [*twists, SWING, *swings]
@@ -128,16 +128,18 @@ def driving_order(rig: Rig) -> list[str]:
         inputs = dependencies.setdefault(f"joint/{joint.name}", {})
         if joint.mimic is not None:
             inputs[f"joint/{joint.mimic.joint}"] = None
-        inputs |= _needs(joint.driven)
+        inputs |= _driver_inputs(joint.driven)
     for control in rig.controls:
         inputs = dependencies.setdefault(f"control/{control.name}", {})
-        inputs |= _needs(control.driven)
+        inputs |= _driver_inputs(control.driven)
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             target = f"joint/{split_coordinate(name)[0]}" if kind == "joint" else name
             target = f"control/{name}" if kind == "control" else target
             if kind != "shape":
-                read = dict.fromkeys(f"control/{n}" for n in reads(control, drive))
+                read = dict.fromkeys(
+                    f"control/{n}" for n in controls_read_by(control, drive)
+                )
                 dependencies.setdefault(target, {}).update(read)
     try:
         order = list(TopologicalSorter(dependencies).static_order())
@@ -167,20 +169,23 @@ def driving_order(rig: Rig) -> list[str]:
         for control in rig.controls
         for drive in control.drives
         if drive.target.startswith("shape/")
-        and any(f"control/{name}" in driven_parts for name in reads(control, drive))
+        and any(
+            f"control/{name}" in driven_parts
+            for name in controls_read_by(control, drive)
+        )
     }
     driven_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
     return [*(target for target in order if target in driven_parts), *driven_shapes]
 
 
-def _needs(driver: Driver | None) -> dict[str, None]:
+def _driver_inputs(driver: Driver | None) -> dict[str, None]:
     if driver is None:
         return {}
     joints = ((split_coordinate(name)[0], name) for name in driver.names)
     return {f"joint/{j}" if j else f"control/{name}": None for j, name in joints}
 
 
-def reads(control: Control, drive: Drive) -> tuple[str, ...]:
+def controls_read_by(control: Control, drive: Drive) -> tuple[str, ...]:
     """Return the controls that a control's drives read."""
     return (control.name,) if drive.expression is None else drive.expression.names
 
@@ -194,10 +199,10 @@ class DriverPlan:
     controls: tuple[str, ...]  # driven controls, and controls that one of them drives
     shapes: tuple[str, ...]  # driven shapes, and shapes that such a control drives
     # Shapes that combine one of these, or are one of these and combine others.
-    combined: tuple[str, ...]
+    combined_shapes: tuple[str, ...]
     order: tuple[str, ...]  # all targets except shapes
     # Joints that each driven joint reads, directly or through controls.
-    reads: Mapping[str, tuple[str, ...]]
+    joints_read: Mapping[str, tuple[str, ...]]
     # Targets whose values depend on undriven controls.
     by_control: frozenset[str]
 
@@ -244,10 +249,10 @@ class DriverPlan:
             tuple(combined),
             tuple(target for target in order if not target.startswith("shape/")),
             _joints_read(rig, order),
-            _by_control(rig, order),
+            _control_driven(rig, order),
         )
 
-    def driver(self, joint: int) -> Driven:
+    def driver(self, joint: int) -> DrivenSource:
         """Return the driver or mimic of a driven joint."""
         rig_joint = self.rig.joints[joint]
         driver_or_mimic = rig_joint.driven or rig_joint.mimic
@@ -265,7 +270,9 @@ class DriverPlan:
         while pending_joints:
             j = pending_joints.pop()
             if j in self.joints:
-                read_joints = list(map(self.rig.index, self.reads[self.rig.names[j]]))
+                read_joints = list(
+                    map(self.rig.index, self.joints_read[self.rig.names[j]])
+                )
             elif (mimic := self.rig.joints[j].mimic) is not None:
                 read_joints = [self.rig.index(mimic.joint)]
             else:
@@ -299,11 +306,11 @@ class DriverPlan:
                 for control in self.rig.controls
                 for drive in control.drives
                 if drive.target == f"control/{name}" and name in self.controls
-                for read in reads(control, drive)
+                for read in controls_read_by(control, drive)
             ]
         return {name for name in visited if name not in self.controls}
 
-    def followers(self, moved: Collection[str]) -> list[str]:
+    def dependent_joints(self, moved: Collection[str]) -> list[str]:
         """Return the driven joints that depend on given joints, in the rig's order.
 
         Includes dependencies through mimic joints.
@@ -326,7 +333,7 @@ def plan_of(rig: Rig) -> DriverPlan:
     return plan
 
 
-def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
+def _control_driven(rig: Rig, order: Sequence[str]) -> frozenset[str]:
     """Return the driven targets that depend on keyed controls.
 
     Joint coordinates that they read count as known.
@@ -349,7 +356,7 @@ def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
                 for control in rig.controls
                 for drive in control.drives
                 if driver is None and drive.target == target
-                for name in reads(control, drive)
+                for name in controls_read_by(control, drive)
             ),
         )
         if keyed_controls.intersection(names):
@@ -367,7 +374,7 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
         kind, _, name = target.partition("/")
         if kind == "shape":
             continue
-        driver: Driven | None
+        driver: DrivenSource | None
         if kind == "joint":
             joint = rig.joints[rig.index(name)]
             driver = joint.driven or joint.mimic
@@ -384,7 +391,7 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
                 for control in rig.controls
                 for drive in control.drives
                 if drive.target == target
-                for read in reads(control, drive)
+                for read in controls_read_by(control, drive)
             ]
         joints = of.setdefault(target, {})
         for read in names:

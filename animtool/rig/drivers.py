@@ -15,13 +15,13 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.rig.expressions import Expression, parse_expression
 
-Points = tuple[tuple[float, float], ...]
+CurvePoints = tuple[tuple[float, float], ...]
 
 # Joint parts that a driver reads: of a pin; of a prismatic joint; and of a ball, whose
 # motion is swing · twist about the ``twist_axis`` of its limits: the twist, the swing's
 # angle, and its rotation vector in the joint's rest frame.
 ANGLE, SLIDE, TWIST, SWING = "angle", "slide", "twist", "swing"
-SWINGS = ("swing_x", "swing_y", "swing_z")
+SWING_PARTS = ("swing_x", "swing_y", "swing_z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Driver:
     # Input of the curve: one such name.
     by: str = ""
     # Points (input, value), ascending, constant beyond the ends.
-    curve: Points = ()
+    curve: CurvePoints = ()
     # Whether a monotone cubic joins the points, instead of straight lines.
     smooth: bool = False
     # Size of a value of 1: radians or metres per unit of the file, or 1.
@@ -77,7 +77,9 @@ class Driver:
         swings about the other axes are mirror images with opposite signs.
         """
         signs = {
-            name: -1.0 for name in self.names if split_coordinate(name)[1] in SWINGS[1:]
+            name: -1.0
+            for name in self.names
+            if split_coordinate(name)[1] in SWING_PARTS[1:]
         }
         mirrored_driver = self
         if signs and self.expression is not None:
@@ -123,7 +125,9 @@ def renamed_coordinates(
     return renamed
 
 
-def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> FloatArray:
+def curve_values(
+    points: CurvePoints, x: FloatArray, *, smooth: bool = False
+) -> FloatArray:
     """Evaluate a curve through points at ``x`` ``(F,)``, constant beyond its ends.
 
     Points are joined by straight lines, or if ``smooth``, by cubic Hermite segments
@@ -153,7 +157,7 @@ def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> Floa
     return np.where(is_nan, np.nan, values)
 
 
-def smooth_slopes(points: Points) -> FloatArray:
+def smooth_slopes(points: CurvePoints) -> FloatArray:
     """Return the slopes ``(K,)`` of a smooth curve at its points."""
     from animtool.maths.tangents import auto_clamped
 

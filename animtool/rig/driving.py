@@ -20,7 +20,7 @@ from animtool.rig.drivers import (
     ANGLE,
     SLIDE,
     SWING,
-    SWINGS,
+    SWING_PARTS,
     TWIST,
     split_coordinate,
 )
@@ -31,7 +31,7 @@ from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 # A twist range within this of a full revolution has no middle [rad].
 REVOLUTION_TOLERANCE = 1e-6
 # Maps the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
-Read = Callable[[str], FloatArray]
+ReadCoordinate = Callable[[str], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class DriverValues:
 
 def evaluate_drivers(
     plan: DriverPlan,
-    read: Read,
+    read: ReadCoordinate,
     controls: Mapping[str, FloatArray],
     skipped: Collection[str] = (),
 ) -> DriverValues:
@@ -76,7 +76,9 @@ def evaluate_drivers(
             if spec.driven is not None:
                 value = spec.driven.evaluate(_NamedValues(plan, read, values, result))
             else:
-                value = np.array([spec.default]) + _driven_by(rig, target, values)
+                value = np.array([spec.default]) + _control_contribution(
+                    rig, target, values
+                )
             values[name] = result.controls[name] = value
             continue
         j = rig.index(name)
@@ -104,7 +106,7 @@ def evaluate_drivers(
                 _NamedValues(plan, read, values, result)
             )
         else:
-            result.shapes[name] = _driven_by(rig, f"shape/{name}", values)
+            result.shapes[name] = _control_contribution(rig, f"shape/{name}", values)
     return result
 
 
@@ -114,7 +116,7 @@ class _NamedValues(dict[str, FloatArray]):
     def __init__(
         self,
         plan: DriverPlan,
-        read: Read,
+        read: ReadCoordinate,
         controls: Mapping[str, FloatArray],
         done: DriverValues,
     ) -> None:
@@ -128,7 +130,9 @@ class _NamedValues(dict[str, FloatArray]):
         return self._read(name)
 
 
-def _driven_by(rig: Rig, target: str, values: Mapping[str, FloatArray]) -> FloatArray:
+def _control_contribution(
+    rig: Rig, target: str, values: Mapping[str, FloatArray]
+) -> FloatArray:
     """Return the controls' contribution to a target."""
     contribution = np.zeros(1)
     for control in rig.controls:
@@ -164,7 +168,7 @@ def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
     vector = so3.log(swing)
     if part == SWING:
         return np.asarray(np.linalg.norm(vector, axis=-1))
-    return np.asarray(vector[:, SWINGS.index(part)])
+    return np.asarray(vector[:, SWING_PARTS.index(part)])
 
 
 def driven_coordinates(

@@ -23,9 +23,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 
-MAX_LENGTH = 1000
+MAX_EXPRESSION_LENGTH = 1000
 MAX_DEPTH = 60
-MAX_BRACKETS = 90
+MAX_NESTED_BRACKETS = 90
 
 
 def _smoothstep(low: Any, high: Any, x: Any) -> Any:
@@ -74,7 +74,7 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 
 
-_SIGNS: dict[type[ast.operator], str] = {
+_UNARY_OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "+",
     ast.Sub: "-",
     ast.Mult: "*",
@@ -99,7 +99,7 @@ class Expression:
         [0.5, 1.0]
         """
         with np.errstate(all="ignore"):
-            return np.asarray(_value(self._tree, values), np.float64)
+            return np.asarray(_evaluate_node(self._tree, values), np.float64)
 
     def program(self) -> list[tuple[str, float | str]]:
         """Return the expression in reverse Polish notation, for a stack machine.
@@ -110,7 +110,7 @@ class Expression:
         >>> parse_expression("2 * x").program()
         [('number', 2.0), ('name', 'x'), ('call', '*')]
         """
-        return list(_operations(self._tree))
+        return list(_postfix_program(self._tree))
 
     def scaled(self, factors: Mapping[str, float], factor: float) -> str:
         """Return the text with names and result multiplied by factors.
@@ -141,12 +141,14 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
     With ``coordinates`` it may read those of joints: ``elbow.angle``, in quotes if the
     joint's name is not a Python identifier: ``'rig:elbow.angle'``.
     """
-    if len(text) > MAX_LENGTH:
-        raise ValueError(f"has {len(text)} characters; the limit is {MAX_LENGTH}")
+    if len(text) > MAX_EXPRESSION_LENGTH:
+        raise ValueError(
+            f"has {len(text)} characters; the limit is {MAX_EXPRESSION_LENGTH}"
+        )
     # Python's parser runs out of memory on more nested brackets.
     depths = accumulate((c in "([{") - (c in ")]}") for c in text)
-    if max(depths, default=0) > MAX_BRACKETS:
-        raise ValueError(f"is nested deeper than {MAX_BRACKETS}")
+    if max(depths, default=0) > MAX_NESTED_BRACKETS:
+        raise ValueError(f"is nested deeper than {MAX_NESTED_BRACKETS}")
     try:
         # Python warns about expressions that are refused below.
         with warnings.catch_warnings(action="ignore"):
@@ -154,7 +156,7 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
     except (SyntaxError, ValueError, RecursionError) as error:
         raise ValueError(_syntax_fault(text.strip(), error)) from error
     names: set[str] = set()
-    _check(tree, text.strip(), names, 0, coordinates=coordinates)
+    _check_node(tree, text.strip(), names, 0, coordinates=coordinates)
     return Expression(text, tuple(sorted(names)), tree)
 
 
@@ -168,7 +170,7 @@ def _syntax_fault(text: str, error: Exception) -> str:
     return f"the expression cannot be read from {excerpt(text[at:])} on"
 
 
-def _coordinate(node: ast.expr) -> str | None:
+def _coordinate_name(node: ast.expr) -> str | None:
     """Return a node's coordinate, ``JOINT.PART``; None for other nodes."""
     match node:
         case ast.Constant(value=str(name)):
@@ -176,7 +178,7 @@ def _coordinate(node: ast.expr) -> str | None:
         case ast.Attribute(value=ast.Name(id=name), attr=part):
             return f"{name}.{part}"
         case ast.Attribute(value=ast.Attribute() as value, attr=part):
-            prefix = _coordinate(value)
+            prefix = _coordinate_name(value)
             return prefix and f"{prefix}.{part}"
     return None
 
@@ -233,15 +235,15 @@ def _read_name(node: ast.AST) -> str | None:
     """Return the control or coordinate name of a node."""
     if isinstance(node, ast.Name):
         return None if node.id in _CONSTANTS else node.id
-    return _coordinate(node) if isinstance(node, ast.expr) else None
+    return _coordinate_name(node) if isinstance(node, ast.expr) else None
 
 
-def _check(
+def _check_node(
     node: ast.expr, text: str, names: set[str], depth: int, *, coordinates: bool
 ) -> None:
     if depth > MAX_DEPTH:
         raise ValueError(f"is nested deeper than {MAX_DEPTH}")
-    coordinate = _coordinate(node)
+    coordinate = _coordinate_name(node)
     if coordinate is not None and coordinates:
         names.add(coordinate)
         return
@@ -250,11 +252,11 @@ def _check(
             f"{coordinate[:40]!r} is not allowed here: `drives` reads controls; "
             "`driven` of a joint, shape or control reads joints"
         )
-    for child in _inner(node, text, names):
-        _check(child, text, names, depth + 1, coordinates=coordinates)
+    for child in _allowed_children(node, text, names):
+        _check_node(child, text, names, depth + 1, coordinates=coordinates)
 
 
-def _inner(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
+def _allowed_children(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
     """Return the child nodes of an allowed node."""
     children: list[ast.expr]
     match node:
@@ -299,7 +301,7 @@ def _check_number(number: object) -> None:
         raise ValueError("a number is beyond float64")
 
 
-def _operations(node: ast.expr) -> Iterator[tuple[str, float | str]]:
+def _postfix_program(node: ast.expr) -> Iterator[tuple[str, float | str]]:
     name = _read_name(node)
     if name is not None:
         yield "name", name
@@ -310,23 +312,23 @@ def _operations(node: ast.expr) -> Iterator[tuple[str, float | str]]:
         case ast.Name(id=name):
             yield "number", float(_CONSTANTS[name])
         case ast.UnaryOp(op=operator, operand=operand):
-            yield from _operations(operand)
+            yield from _postfix_program(operand)
             if isinstance(operator, ast.USub):
                 yield "call", "neg"
         case ast.BinOp(left=left, op=operator, right=right):
-            yield from _operations(left)
-            yield from _operations(right)
-            yield "call", _SIGNS[type(operator)]
+            yield from _postfix_program(left)
+            yield from _postfix_program(right)
+            yield "call", _UNARY_OPERATORS[type(operator)]
         case ast.Call(func=ast.Name(id=name), args=arguments):
             for argument in arguments:
-                yield from _operations(argument)
+                yield from _postfix_program(argument)
             yield "call", name
         case _:
             raise AssertionError(ast.dump(node))
 
 
-def _value(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
-    coordinate = _coordinate(node)
+def _evaluate_node(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
+    coordinate = _coordinate_name(node)
     if coordinate is not None:
         return values[coordinate]
     match node:
@@ -335,12 +337,12 @@ def _value(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
         case ast.Name(id=name):
             return _CONSTANTS[name] if name in _CONSTANTS else values[name]
         case ast.UnaryOp(op=operator, operand=operand):
-            value = _value(operand, values)
+            value = _evaluate_node(operand, values)
             return -value if isinstance(operator, ast.USub) else value
         case ast.BinOp(left=left, op=operator, right=right):
             apply = _OPERATORS[type(operator)]
-            return apply(_value(left, values), _value(right, values))
+            return apply(_evaluate_node(left, values), _evaluate_node(right, values))
         case ast.Call(func=ast.Name(id=name), args=arguments):
-            return FUNCTIONS[name][0](*(_value(a, values) for a in arguments))
+            return FUNCTIONS[name][0](*(_evaluate_node(a, values) for a in arguments))
         case _:
             raise AssertionError(ast.dump(node))

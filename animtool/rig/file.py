@@ -14,26 +14,31 @@ from animtool.core.names import nearest
 from animtool.core.readers import DOCUMENT, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
-from animtool.documents.check import check_version, validated
+from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, read_document
-from animtool.documents.references import referred
+from animtool.documents.references import resolve_reference
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.driver_entries import DriverCheck
-from animtool.rig.joint_entries import FileJoints, FileUnits, joints_of, quaternion
+from animtool.rig.joint_entries import (
+    FileJoints,
+    FileUnits,
+    read_joints,
+    unit_quaternion,
+)
 from animtool.rig.joint_schema import PoseModel
 from animtool.rig.part_entries import PartReader
 from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
-from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
+from animtool.rig.sides import ORIGIN, PoseArrays, mirrored_pose, world_below
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
-from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_order
+from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_w_last
 from animtool.rig.suspicious_shape import warn_of_shape
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
 
 
-def bind_of(
+def read_bind(
     document: Document,
     models: Mapping[str, PoseModel],
     read: FileJoints,
@@ -54,7 +59,7 @@ def bind_of(
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
-        bind[name] = _pose(document, name, model, joints[name], units)
+        bind[name] = _read_pose(document, name, model, joints[name], units)
     bind |= _mirrored_poses(read, bind, set(models))
     return {
         name: pose
@@ -64,7 +69,7 @@ def bind_of(
     }
 
 
-def _pose(
+def _read_pose(
     document: Document, name: str, model: PoseModel, rest: Joint, units: FileUnits
 ) -> Pose:
     translation, rotation = rest.translation, rest.rotation
@@ -72,7 +77,7 @@ def _pose(
         x, y, z = (value * units.length for value in model.translate)
         translation = (x, y, z)
     if model.rotate is not None:
-        rotation = quaternion(document, ("bind", name, "rotate"), model.rotate)
+        rotation = unit_quaternion(document, ("bind", name, "rotate"), model.rotate)
     stretch = None if model.stretch is None else tuple(model.stretch)
     return Pose(translation, rotation, stretch)
 
@@ -86,14 +91,14 @@ def _mirrored_poses(
 ) -> dict[str, Pose]:
     """Return the bind poses of mirrored joints, parents before children."""
     poses: dict[str, Pose] = {}
-    if not joints.mirrored - stated_names or not bind:
+    if not joints.mirrored_joints - stated_names or not bind:
         return poses
-    world: list[Transform] = []
+    world: list[PoseArrays] = []
     indices = {joint.name: i for i, joint in enumerate(joints.joints)}
     for joint in joints.joints:
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
-            joint.name in joints.mirrored
+            joint.name in joints.mirrored_joints
             and joint.name not in stated_names
             and joint.mirror in stated_names
         ):
@@ -102,23 +107,23 @@ def _mirrored_poses(
                 source, world[indices[joint.mirror]], parent
             )
         pose = poses.get(joint.name) or bind.get(joint.name) or _rest_pose(joint)
-        world.append(placed(parent, pose))
+        world.append(world_below(parent, pose))
     return poses
 
 
 # Limit of nested sidecars.
-MAX_SIDECARS = 8
+MAX_SIDECAR_DEPTH = 8
 
 
 def load_rig(path: Path | str, parents: tuple[Path, ...] = ()) -> Rig:
     """Load a rig file, and the file that its ``from`` names."""
-    return rig_of_document(read_document(Path(path)), parents)
+    return parse_rig(read_document(Path(path)), parents)
 
 
-def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
+def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     """Return the rig of a document; see `load_rig`."""
     check_version(document, "rig")
-    model = validated(document, RigModel)
+    model = validate_document(document, RigModel)
     roots = project_roots(document.path)
     units = FileUnits(
         LengthUnit(model.units.length).meters,
@@ -126,13 +131,13 @@ def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     )
     base = None
     if model.source is None:
-        joints = joints_of(document, model.joints, units)
+        joints = read_joints(document, model.joints, units)
     else:
-        base = _base(document, model.source, roots, parents)
+        base = _load_base(document, model.source, roots, parents)
         joints = (
             _joints_without_base(document, model, units)
             if base is None
-            else _overlaid(document, model, base, units)
+            else _overlay_joints(document, model, base, units)
         )
     inherited = Rig("", ()) if base is None else base
     if not (joints.joints or joints.has_unnamed or model.shapes or inherited.shapes):
@@ -145,15 +150,15 @@ def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         shapes = parts.shapes(
             [mesh.name for mesh in meshes], [shape.name for shape in inherited.shapes]
         )
-        bind = bind_of(document, model.bind, joints, units, inherited.bind)
-        shapes = _with_shapes(inherited.shapes, shapes)
+        bind = read_bind(document, model.bind, joints, units, inherited.bind)
+        shapes = _merge_shapes(inherited.shapes, shapes)
         controls = parts.controls([shape.name for shape in shapes], inherited.controls)
         chains = parts.ik(inherited.chains)
         colliders = parts.colliders(inherited.colliders)
         masses = parts.masses(inherited.masses)
         attachments = parts.attach(meshes, inherited.attach)
     warn_of_angles(document, model.joints, model.units.angle)
-    warn_of_order(document, model.joints)
+    warn_of_w_last(document, model.joints)
     rig = Rig(
         model.name,
         joints.joints,
@@ -174,18 +179,18 @@ def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     )
     if rig.is_driven:
         has_unnamed = {
-            "joints": joints.has_unnamed or bool(joints.orphaned),
+            "joints": joints.has_unnamed or bool(joints.orphans),
             "controls": bool(document.has_unnamed("controls")),
         }
-        DriverCheck(document, model, rig, has_unnamed, joints.untyped).run()
+        DriverCheck(document, model, rig, has_unnamed, joints.untyped_joints).run()
     document.check()
-    known = len(document.notices)
+    known_names = len(document.notices)
     warn_of_shape(document, rig)
     warn_of_drives(document, rig)
-    return replace(rig, notices=(*rig.notices, *document.notices[known:]))
+    return replace(rig, notices=(*rig.notices, *document.notices[known_names:]))
 
 
-def _with_shapes(
+def _merge_shapes(
     inherited: tuple[Shape, ...], new_shapes: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
     """Merge shapes; an entry with only a driver is added to the inherited shape."""
@@ -205,19 +210,19 @@ def _with_shapes(
     )
 
 
-def _base(
+def _load_base(
     document: Document, name: str, roots: tuple[Path, ...], parents: tuple[Path, ...]
 ) -> Rig | None:
     """Load the base rig of a sidecar."""
-    path = referred(document, ("from",), name, roots)
+    path = resolve_reference(document, ("from",), name, roots)
     if path is None:
         return None
     parents = (*parents, document.path.resolve())
     if path in parents:
         document.add("RIG030", ("from",), f"{name!r} refers back to this file")
         return None
-    if len(parents) >= MAX_SIDECARS:
-        message = f"more than {MAX_SIDECARS} files refer to each other in a chain"
+    if len(parents) >= MAX_SIDECAR_DEPTH:
+        message = f"more than {MAX_SIDECAR_DEPTH} files refer to each other in a chain"
         document.add("RIG030", ("from",), message)
         return None
     try:
@@ -234,19 +239,19 @@ def _sidecar_roots(document: Document, model: RigModel, units: FileUnits) -> Fil
     """Return a sidecar's joints as roots, since it has no hierarchy."""
     cleared_keys = {"mirror": None, "parent": None}
     root_entries = [entry.model_copy(update=cleared_keys) for entry in model.joints]
-    return joints_of(document, root_entries, units)
+    return read_joints(document, root_entries, units)
 
 
 def _joints_without_base(
     document: Document, model: RigModel, units: FileUnits
 ) -> FileJoints:
     """Return a sidecar's joints without its base, marked incomplete."""
-    document.partial |= {"joints", "meshes", "shapes", "controls"}
+    document.partial_lists |= {"joints", "meshes", "shapes", "controls"}
     joints = _sidecar_roots(document, model, units)
-    return replace(joints, orphaned=frozenset(joint.name for joint in joints.joints))
+    return replace(joints, orphans=frozenset(joint.name for joint in joints.joints))
 
 
-def _overlaid(
+def _overlay_joints(
     document: Document, model: RigModel, base: Rig, units: FileUnits
 ) -> FileJoints:
     """Return a base's joints with a sidecar's types and limits."""
@@ -285,8 +290,8 @@ def _overlaid(
         else joint
         for joint in base.joints
     )
-    untyped = frozenset(names.get(name, name) for name in sidecar.untyped)
-    return FileJoints(joints, untyped=untyped, has_unnamed=sidecar.has_unnamed)
+    untyped = frozenset(names.get(name, name) for name in sidecar.untyped_joints)
+    return FileJoints(joints, untyped_joints=untyped, has_unnamed=sidecar.has_unnamed)
 
 
 def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | None:

@@ -25,11 +25,11 @@ ROTATION_SPAN = np.radians(45.0)
 # Root mean square difference of bone directions below which rest poses are equal [rad].
 SAME_POSE_ANGLE = np.radians(3.0)
 # Bones shorter than this fraction of the mean have no direction.
-MIN_BONE = 1e-3
+MIN_BONE_LENGTH = 1e-3
 # Bones are collinear within this fraction.
-COLLINEAR = 0.05
+COLLINEAR_TOLERANCE = 0.05
 # Differences above which joints are listed [rad], [1].
-LISTED_ANGLE, LISTED_LENGTH = np.radians(5.0), 0.05
+MIN_LISTED_ANGLE, MIN_LISTED_LENGTH = np.radians(5.0), 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +81,11 @@ class RigFit:
         return float(np.sqrt(self.bones @ self.lengths**2))
 
     @property
-    def differing(self) -> list[int]:
+    def differing_joints(self) -> list[int]:
         """Joints of the rig whose rest pose differs noticeably, worst first."""
-        excess = np.maximum(self.angles / LISTED_ANGLE, self.lengths / LISTED_LENGTH)
+        excess = np.maximum(
+            self.angles / MIN_LISTED_ANGLE, self.lengths / MIN_LISTED_LENGTH
+        )
         order = np.argsort(-excess, kind="stable")
         return [int(self.joints[i]) for i in order if excess[i] > 1.0]
 
@@ -125,14 +127,14 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
     longer = relative.max(axis=0)
     lengths = np.zeros(len(inner))
     np.divide(np.abs(relative[0] - relative[1]), longer, lengths, where=longer > 0)
-    is_pointing = (relative > MIN_BONE / len(inner)).all(axis=0)
+    is_pointing = (relative > MIN_BONE_LENGTH / len(inner)).all(axis=0)
     angles = np.where(
         is_pointing, _angles_between(translations_of_both, rig_bones), 0.0
     )
     bones = relative.mean(axis=0)
     tilt = 0.0
     if posed:
-        posture = _Posture(take, rig, source[inner], inner)
+        posture = _AlignedPoses(take, rig, source[inner], inner)
         pose_angles = np.where(is_pointing, _angles_between(*posture.bones), 0.0)
         if np.sqrt(bones @ pose_angles**2) < SAME_POSE_ANGLE:
             angles = np.maximum(angles, posture.turned)
@@ -140,7 +142,7 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
     return RigFit(*fractions, inner, angles, lengths, bones, size, tilt)
 
 
-class _Posture:
+class _AlignedPoses:
     """Two rest poses in model space, one aligned to the other.
 
     Attributes:
@@ -180,7 +182,7 @@ class _Posture:
 def _is_straight(bones: FloatArray) -> bool:
     """Return whether all bones are collinear, so that twist is undefined."""
     spreads = np.linalg.svd(bones, compute_uv=False)
-    return bool(len(spreads) < 2 or spreads[1] <= COLLINEAR * spreads[0])
+    return bool(len(spreads) < 2 or spreads[1] <= COLLINEAR_TOLERANCE * spreads[0])
 
 
 def _take_fraction(take: Rig, used: IntArray) -> float:
@@ -222,23 +224,29 @@ def check_fit(
     fit = measure_fit(take, rig, source, posed=take.has_rest)
     if fit.score >= PERFECT_FIT:
         return fit, []
-    names = [rig.names[j] for j in fit.differing]
+    names = [rig.names[j] for j in fit.differing_joints]
     if fit.score >= MIN_FIT or forced:
         message = f"the take differs from the rig: score {fit.score:.2f}; "
-        message += _numbers(fit)
-        return fit, [_fault("RIG041", message, names, where, None, Severity.WARNING)]
+        message += _score_text(fit)
+        return fit, [
+            _joints_fault("RIG041", message, names, where, None, Severity.WARNING)
+        ]
     message = (
         f"the take does not match the rig: score {fit.score:.2f}, but {MIN_FIT} is "
         "needed; "
     )
-    message += _numbers(fit)
-    faults = [_fault("RIG040", message, names, where, _hint(fit), Severity.ERROR)]
+    message += _score_text(fit)
+    faults = [
+        _joints_fault(
+            "RIG040", message, names, where, _worst_part_hint(fit), Severity.ERROR
+        )
+    ]
     if fit.parts["joints"] < MIN_FIT:
         faults += unmatched or []
     raise FormatError(faults)
 
 
-def _fault(
+def _joints_fault(
     code: str,
     message: str,
     names: list[str],
@@ -252,7 +260,7 @@ def _fault(
     return names_fault(code, message, names, where, hint, severity)
 
 
-def _numbers(fit: RigFit) -> str:
+def _score_text(fit: RigFit) -> str:
     """Return the noticeable parts of a score."""
     names = {
         "joints": f"{fit.take_fraction:.0%} of the take's, "
@@ -269,7 +277,7 @@ def _numbers(fit: RigFit) -> str:
     )
 
 
-def _hint(fit: RigFit) -> str:
+def _worst_part_hint(fit: RigFit) -> str:
     """Return a hint for the worst part of a score."""
     parts = fit.parts
     worst_part = min(parts, key=lambda name: parts[name])

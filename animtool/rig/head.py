@@ -9,17 +9,17 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.units import UpAxis
 from animtool.maths.so3 import conjugate, multiply
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Rig
 
 HEAD, LEFT_EYE, RIGHT_EYE = "head", "left eye", "right eye"
-_NAMES = {
+_JOINT_NAMES = {
     HEAD: ("head",),
     LEFT_EYE: ("eyel", "lefteye", "leye", "eyeleft", "eyeballl", "eyeballleft"),
     RIGHT_EYE: ("eyer", "righteye", "reye", "eyeright", "eyeballr", "eyeballright"),
 }
 # From Y up (face along +Z) to Z up (face along -Y).
-_Z_UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+_Z_UP_ROTATION = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 
 
 def head_joints(rig: Rig) -> dict[str, int]:
@@ -32,7 +32,7 @@ def head_joints(rig: Rig) -> dict[str, int]:
     matches: dict[str, int] = {}
     for j, joint in enumerate(rig.joints):
         plain_name = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
-        for part, names in _NAMES.items():
+        for part, names in _JOINT_NAMES.items():
             if plain_name in names:
                 matches.setdefault(part, j)
     return matches
@@ -50,8 +50,10 @@ def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
             ``(F, 4)``.
     """
     if rig.up is UpAxis.Z:
-        rotations = multiply(multiply(_Z_UP, rotations), conjugate(_Z_UP))
-    rest_transforms = forward(
+        rotations = multiply(
+            multiply(_Z_UP_ROTATION, rotations), conjugate(_Z_UP_ROTATION)
+        )
+    rest_transforms = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
     parent = rig.joints[joint].parent
@@ -67,7 +69,7 @@ def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
 
 def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
     """Convert a joint's local rotations to face rotations ``(F, 4)``."""
-    rest_transforms = forward(
+    rest_transforms = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
     parent = rig.joints[joint].parent
@@ -78,5 +80,7 @@ def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
             multiply(parent_rotation, relative), conjugate(parent_rotation)
         )
     if rig.up is UpAxis.Z:
-        relative = multiply(multiply(conjugate(_Z_UP), relative), _Z_UP)
+        relative = multiply(
+            multiply(conjugate(_Z_UP_ROTATION), relative), _Z_UP_ROTATION
+        )
     return relative

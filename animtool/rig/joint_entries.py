@@ -22,17 +22,17 @@ from animtool.rig.joint_schema import (
 )
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Vector
-from animtool.rig.sides import ORIGIN, Transform, mirrored_joint, placed
+from animtool.rig.sides import ORIGIN, PoseArrays, mirrored_joint, world_below
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
-from animtool.rig.suspicions import warn_of_length
+from animtool.rig.suspicions import warn_of_quaternion_length
 
 # Shorter axes and quaternions are mistakes.
-MIN_VECTOR = 1e-9
+MIN_VECTOR_LENGTH = 1e-9
 # Deviation from unit length that is rounding; such values are kept as written, so that
 # files round-trip.
 UNIT_TOLERANCE = 1e-15
 # Joints this close to the middle plane are on it [m].
-OFF_MIDDLE = 1e-6
+MIDDLE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +52,12 @@ class FileJoints:
     """The joints of a file, and what its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
-    orphaned: frozenset[str] = frozenset()  # names of joints whose parent is unknown
+    orphans: frozenset[str] = frozenset()  # names of joints whose parent is unknown
     # Names of joints created by another joint's ``mirror``.
-    mirrored: frozenset[str] = frozenset()
-    untyped: frozenset[str] = frozenset()  # names of joints whose type is unknown
+    mirrored_joints: frozenset[str] = frozenset()
+    untyped_joints: frozenset[str] = (
+        frozenset()
+    )  # names of joints whose type is unknown
     has_unnamed: bool = False  # whether there are more joints, with unknown names
 
 
@@ -71,44 +73,46 @@ class _JointEntry:
 
 
 @dataclass(slots=True)
-class _Tree:
+class _JointTree:
     """The joints built so far, parents first, with world transforms on demand."""
 
     built: list[Joint] = field(default_factory=list)
     indices: dict[str, int] = field(default_factory=dict)
-    world: list[Transform] = field(default_factory=list)
+    world: list[PoseArrays] = field(default_factory=list)
 
-    def at(self, joint: int) -> Transform:
+    def world_of(self, joint: int) -> PoseArrays:
         """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
         for transform in self.built[len(self.world) : joint + 1]:
             parent = self.world[transform.parent] if transform.parent >= 0 else ORIGIN
             self.world.append(
-                placed(parent, Pose(transform.translation, transform.rotation))
+                world_below(parent, Pose(transform.translation, transform.rotation))
             )
         return self.world[joint]
 
 
-def joints_of(
+def read_joints(
     document: Document, models: list[JointModel], units: FileUnits
 ) -> FileJoints:
     """Return the joints of a file, parents before children; record faults."""
     has_unnamed = document.has_unnamed("joints", "name", "mirror")
-    entries = _entries(document, models, has_unnamed=has_unnamed)
-    tree = _Tree()
+    entries = _joint_entries(document, models, has_unnamed=has_unnamed)
+    tree = _JointTree()
     for name in _parents_first(document, entries):
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
         if entry.mirrored:
-            source, parent_world = tree.indices[entry.source], tree.at(parent)
+            source, parent_world = tree.indices[entry.source], tree.world_of(parent)
             joint = mirrored_joint(
-                tree.built[source], tree.at(source), parent, parent_world
+                tree.built[source], tree.world_of(source), parent, parent_world
             )
             if parent >= 0 and tree.built[source].parent == parent:
-                _note_off_middle(document, entry, joint, parent_world, tree.built)
+                _warn_of_off_middle(document, entry, joint, parent_world, tree.built)
         else:
-            joint = _joint(document, entry.index, models[entry.index], units, parent)
+            joint = _read_joint(
+                document, entry.index, models[entry.index], units, parent
+            )
         tree.indices[name] = len(tree.built)
         tree.built.append(joint)
     joints = FileJoints(
@@ -126,7 +130,7 @@ def joints_of(
     return _with_drivers(document, models, entries, joints, units)
 
 
-def _entries(
+def _joint_entries(
     document: Document, models: list[JointModel], *, has_unnamed: bool
 ) -> dict[str, _JointEntry]:
     entries: dict[str, _JointEntry] = {}
@@ -228,16 +232,16 @@ def _parents_first(
             pending_names[missing_parent] = None
 
 
-def _note_off_middle(
+def _warn_of_off_middle(
     document: Document,
     entry: _JointEntry,
     joint: Joint,
-    parent_world: Transform,
+    parent_world: PoseArrays,
     joints: list[Joint],
 ) -> None:
     """Warn of a mirrored pair whose parent is off the middle plane."""
     distance = float(parent_world[0][0])
-    if abs(distance) <= OFF_MIDDLE:
+    if abs(distance) <= MIDDLE_TOLERANCE:
         return
     parent = joints[joint.parent].name
     message = (
@@ -248,14 +252,14 @@ def _note_off_middle(
     document.note("RIG101", ("joints", entry.index, "mirror"), message, hint)
 
 
-def _joint(
+def _read_joint(
     document: Document, i: int, model: JointModel, units: FileUnits, parent: int
 ) -> Joint:
     location: Location = ("joints", i)
-    rotation = quaternion(document, (*location, "rotate"), model.rotate)
+    rotation = unit_quaternion(document, (*location, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
     tips = tuple(_scale_vector(tip, units.length) for tip in model.tips)
-    _refuse_repeats(document, (*location, "channels"), model.channels or [])
+    _refuse_repeated_channels(document, (*location, "channels"), model.channels or [])
     joint = Joint(
         model.name,
         parent,
@@ -268,7 +272,7 @@ def _joint(
     )
     if isinstance(model, PinJointModel | PrismaticJointModel):
         axis = unit_vector(document, (*location, "axis"), model.axis)
-        limits = _range(
+        limits = _range_limit(
             document, (*location, "limits"), model.limits, units.of(joint.type)
         )
         joint = replace(joint, axis=axis, limits=limits)
@@ -278,7 +282,9 @@ def _joint(
     return joint
 
 
-def _refuse_repeats(document: Document, at: Location, channels: Sequence[str]) -> None:
+def _refuse_repeated_channels(
+    document: Document, at: Location, channels: Sequence[str]
+) -> None:
     for k, name in enumerate(channels):
         if name in channels[:k]:
             message = f"duplicate channel {name!r}"
@@ -290,7 +296,7 @@ def _scale_vector(values: list[float], unit: float) -> Vector:
     return (x, y, z)
 
 
-def _range(
+def _range_limit(
     document: Document, location: Location, pair: list[float] | None, unit: float
 ) -> RangeLimit | None:
     if pair is None:
@@ -317,7 +323,7 @@ def _ball_limit(
     if model.twist == "locked":
         twist = (0.0, 0.0)
     elif isinstance(model.twist, list):
-        limit = _range(document, (*at, "twist"), model.twist, units.angle)
+        limit = _range_limit(document, (*at, "twist"), model.twist, units.angle)
         twist = None if limit is None else (limit.low, limit.high)
     axis = unit_vector(document, (*at, "twist_axis"), model.twist_axis)
     return BallLimit(swing, twist, axis)
@@ -379,7 +385,7 @@ def _with_mimics(
                     "RIG008", location, message, nearest(mimic.joint, list(by_name))
                 )
             continue
-        if mimic.joint in read.untyped:
+        if mimic.joint in read.untyped_joints:
             continue
         if joints[leader].type not in scalar:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
@@ -398,11 +404,11 @@ def _with_mimics(
             target, mimic.gain * unit / leader_unit, mimic.offset * unit
         )
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=mimic_of_joint)
-    _refuse_chains(document, entries, joints)
+    _refuse_mimic_chains(document, entries, joints)
     return replace(read, joints=tuple(joints))
 
 
-def _refuse_chains(
+def _refuse_mimic_chains(
     document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
     """Refuse a mimic of a mimic, and so every cycle."""
@@ -419,7 +425,7 @@ def _refuse_chains(
                 document.add("RIG009", location, message, hint)
 
 
-def quaternion(
+def unit_quaternion(
     document: Document, location: Location, values: list[float]
 ) -> tuple[float, float, float, float]:
     """Convert a file's [w, x, y, z] to a unit quaternion (x, y, z, w)."""
@@ -427,10 +433,10 @@ def quaternion(
     length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_TOLERANCE:
         return (x, y, z, w)
-    if not MIN_VECTOR < length < 1 / MIN_VECTOR:
+    if not MIN_VECTOR_LENGTH < length < 1 / MIN_VECTOR_LENGTH:
         document.add("RIG006", location, f"quaternion {values} is not a rotation")
         return (0.0, 0.0, 0.0, 1.0)
-    warn_of_length(document, location, values)
+    warn_of_quaternion_length(document, location, values)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
 
@@ -440,7 +446,7 @@ def unit_vector(document: Document, location: Location, values: list[float]) -> 
     length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_TOLERANCE:
         length = 1.0
-    if not MIN_VECTOR < length < 1 / MIN_VECTOR:
+    if not MIN_VECTOR_LENGTH < length < 1 / MIN_VECTOR_LENGTH:
         message, hint = "an axis of zeros has no direction", "for example [1, 0, 0]"
         document.add("RIG005", location, message, hint)
         return (0.0, 0.0, 1.0)

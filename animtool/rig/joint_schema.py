@@ -12,7 +12,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Direction,
     Name,
-    Pair,
+    NumberPair,
     Quaternion,
     Real,
     Vector,
@@ -24,13 +24,13 @@ from animtool.rig.skeleton import ChannelName
 class BallLimitsModel(FileModel):
     """Cone half-angle, or two, and range of twist."""
 
-    swing: Real | Pair | None = key(
+    swing: Real | NumberPair | None = key(
         "Half angle of the cone within which the twist axis may swing, or two angles "
         "about the other axes. Default: no limit.",
         [30.0, 60.0],
         default=None,
     )
-    twist: Pair | Literal["locked"] | None = key(
+    twist: NumberPair | Literal["locked"] | None = key(
         "Range of the rotation about the twist axis; `locked` is [0, 0]. Default: no "
         "limit.",
         [-20.0, 20.0],
@@ -77,7 +77,7 @@ class DrivenModel(FileModel):
         "elbow_l.angle",
         default=None,
     )
-    curve: Annotated[list[Pair], Len(1)] | None = key(
+    curve: Annotated[list[NumberPair], Len(1)] | None = key(
         "The value: points [input, value], ascending, constant beyond both ends.",
         [[0.0, 0.0], [90.0, 1.0]],
         default=None,
@@ -99,7 +99,7 @@ _Axis = Annotated[
     ),
 ]
 _Limits = Annotated[
-    Pair | None,
+    NumberPair | None,
     shared_key("Range of the coordinate. Default: no limit.", [0.0, 148.0]),
 ]
 _Mimic = Annotated[

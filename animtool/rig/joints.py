@@ -24,7 +24,7 @@ from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.core.names import MAX_LENGTH, most_similar
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.rig.skeleton import WIDTHS, JointType, Rig
+from animtool.rig.skeleton import COORDINATE_WIDTHS, JointType, Rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def coordinate_slices(rig: Rig) -> list[slice]:
     """Return the slice of each joint's coordinates in a row of q."""
     firsts = rig.joint_arrays.columns.tolist()
     return [
-        slice(first, first + WIDTHS[joint.type])
+        slice(first, first + COORDINATE_WIDTHS[joint.type])
         for joint, first in zip(rig.joints, firsts, strict=True)
     ]
 
@@ -130,7 +130,7 @@ KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
 
 
 # Parts of a joint in other tools, without the name of an axis.
-_OTHER_PARTS = {
+_PART_SYNONYMS = {
     "position": "translation",
     "translate": "translation",
     "location": "translation",
@@ -145,7 +145,7 @@ _OTHER_PARTS = {
     "quat": "rotation",
 }
 # Of a joint with one degree of freedom.
-_SINGLE = {
+_SINGLE_PARTS = {
     (JointType.PIN, "rotation"): "angle",
     (JointType.PRISMATIC, "translation"): "slide",
 }
@@ -176,9 +176,9 @@ def part_hint(
         bare_name = (
             plain_name[:-1] if plain_name[-1:] in ("x", "y", "z") else plain_name
         )
-        meant = _OTHER_PARTS.get(bare_name, bare_name)
+        meant = _PART_SYNONYMS.get(bare_name, bare_name)
         axis = plain_name[-1] if bare_name != plain_name else "x"
-        single = _SINGLE.get((kind, meant)) if kind is not None else None
+        single = _SINGLE_PARTS.get((kind, meant)) if kind is not None else None
         for part in (single, meant, f"{meant}.{axis}"):
             if part in fitting_parts:
                 return f"the part is .{part}"

@@ -40,7 +40,7 @@ class WorldTransforms:
         return f"<WorldTransforms: {frames} frames, {joints} joints>"
 
 
-def forward(
+def forward_kinematics(
     rig: Rig,
     translations: ArrayLike,
     rotations: ArrayLike,
@@ -68,7 +68,8 @@ def forward(
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
     >>> quarter = [0, 0, 0.5**0.5, 0.5**0.5]
-    >>> world = forward(arm, [arm.rest_translations], [[quarter, [0, 0, 0, 1]]])
+    >>> rotations = [[quarter, [0, 0, 0, 1]]]
+    >>> world = forward_kinematics(arm, [arm.rest_translations], rotations)
     >>> (world.positions[0, 1].round(12) + 0.0).tolist()
     [-1.0, 0.0, 0.0]
     """
@@ -85,7 +86,9 @@ def forward(
 
 def rest_world(rig: Rig) -> WorldTransforms:
     """Return the world transforms of the rest pose, one frame."""
-    return forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    return forward_kinematics(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
 
 
 def bind_world(rig: Rig) -> WorldTransforms:
@@ -100,7 +103,7 @@ def bind_world(rig: Rig) -> WorldTransforms:
     for name, pose in rig.bind.items():
         translations[rig.index(name)] = pose.translation
         rotations[rig.index(name)] = pose.rotation
-    return forward(rig, translations[None], rotations[None])
+    return forward_kinematics(rig, translations[None], rotations[None])
 
 
 def bind_matrices(rig: Rig) -> FloatArray:

@@ -43,7 +43,7 @@ class BallLimit:
     @property
     def axes(self) -> FloatArray:
         """Twist axis and the two swing axes, unit rows ``(3, 3)``."""
-        return _axes(self.twist_axis)
+        return _twist_swing_axes(self.twist_axis)
 
     def excess(self, rotations: FloatArray) -> FloatArray:
         """Return the angle by which rotations ``(F, 4)`` exceed the limits [rad]."""
@@ -67,7 +67,7 @@ class BallLimit:
         if self.swing is not None:
             swing_vector = so3.log(swing)
             swing_components = swing_vector @ self.axes[1:].T
-            cone = np.maximum(self.swing, SMALLEST_CONE)
+            cone = np.maximum(self.swing, MIN_CONE)
             relative_swing = np.linalg.norm(swing_components / cone, axis=-1)
             is_outside |= relative_swing > 1
         if not is_outside.any():
@@ -90,7 +90,7 @@ class BallLimit:
 
 
 # Minimum cone width; with zero width, rounding would always exceed it [rad].
-SMALLEST_CONE = 1e-12
+MIN_CONE = 1e-12
 # Rotations that differ by less are equal up to rounding [rad].
 LIMIT_TOLERANCE = 1e-9
 
@@ -121,7 +121,7 @@ def swing_twist(
 
 
 @cache
-def _axes(axis: tuple[float, float, float]) -> FloatArray:
+def _twist_swing_axes(axis: tuple[float, float, float]) -> FloatArray:
     """Return a twist axis and two perpendicular ones, as rows ``(3, 3)``."""
     direction = np.asarray(axis, np.float64)
     largest = int(np.argmax(np.abs(direction)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from animtool.documents.document import Document, Location
-from animtool.rig.joint_entries import quaternion
+from animtool.rig.joint_entries import unit_quaternion
 from animtool.rig.parts import Mass
 from animtool.rig.schema import MassModel
 
@@ -49,7 +49,7 @@ def read_masses(
             if problem := inertia_problem([a, b, c]):
                 message = f"no body has such an inertia: {problem}"
                 document.add("RIG047", (*location, "inertia"), message)
-        axes = quaternion(document, (*location, "axes"), entry.axes)
+        axes = unit_quaternion(document, (*location, "axes"), entry.axes)
         x, y, z = (value * length for value in entry.centre)
         masses.append(Mass(entry.joint, entry.mass, (x, y, z), inertia, axes))
     return tuple(masses)

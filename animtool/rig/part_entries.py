@@ -74,7 +74,7 @@ class PartReader:
 
     def meshes(self) -> tuple[Mesh, ...]:
         """Return the meshes; check their arrays."""
-        self._distinct("meshes", "mesh")
+        self._distinct_entries("meshes", "mesh")
         return tuple(
             self._mesh(("meshes", i), mesh) for i, mesh in enumerate(self.model.meshes)
         )
@@ -83,7 +83,7 @@ class PartReader:
         self, meshes: Iterable[str], inherited: Iterable[str] = ()
     ) -> tuple[Shape, ...]:
         """Return the blend shapes; check their arrays."""
-        self._distinct("shapes", "shape")
+        self._distinct_entries("shapes", "shape")
         names = dict.fromkeys(
             [*inherited, *(shape.name for shape in self.model.shapes)]
         )
@@ -154,7 +154,7 @@ class PartReader:
         self, shapes: Iterable[str], inherited: Sequence[Control] = ()
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
-        self._distinct("controls", "control")
+        self._distinct_entries("controls", "control")
         entry_of_name = {
             control.name: i for i, control in enumerate(self.model.controls)
         }
@@ -166,7 +166,7 @@ class PartReader:
             [*(control.name for control in inherited_controls), *entry_of_name]
         )
         for control in inherited_controls:
-            self._note_lost_drive(control)
+            self._warn_of_lost_drive(control)
         controls = (
             *inherited_controls,
             *(
@@ -184,11 +184,11 @@ class PartReader:
             )
         return controls
 
-    def _note_lost_drive(self, control: Control) -> None:
+    def _warn_of_lost_drive(self, control: Control) -> None:
         """Record a drive whose joint no longer has the part."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
-            if not part or name in self.file_joints.untyped:
+            if not part or name in self.file_joints.untyped_joints:
                 continue
             kind = self.joints[name].type
             if kind not in DRIVEN_PARTS[part]:
@@ -201,7 +201,7 @@ class PartReader:
 
     def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
-        self._distinct("ik", "chain")
+        self._distinct_entries("ik", "chain")
         listed_names = {chain.name for chain in self.model.ik}
         chains = [chain for chain in inherited if chain.name not in listed_names]
         for i, chain in enumerate(self.model.ik):
@@ -237,8 +237,8 @@ class PartReader:
         self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
     ) -> tuple[Attachment, ...]:
         """Return the attachments; check their arrays."""
-        self._distinct("attach", "attachment")
-        counts = {mesh.name: self._count(mesh) for mesh in meshes}
+        self._distinct_entries("attach", "attachment")
+        counts = {mesh.name: self._point_count(mesh) for mesh in meshes}
         reader = AttachmentReader(
             self.document,
             self.arrays,
@@ -260,7 +260,7 @@ class PartReader:
             ),
         )
 
-    def _count(self, mesh: Mesh) -> int | None:
+    def _point_count(self, mesh: Mesh) -> int | None:
         """Return the point count of a mesh; None if it cannot be read."""
         if mesh.name in self.vertices:
             return self.vertices[mesh.name]
@@ -412,15 +412,17 @@ class PartReader:
         try:
             expression = parse_expression(text)
         except ValueError as error:
-            if not self._reads_misnamed(text):
+            if not self._reads_misnamed_control(text):
                 self.document.add("RIG013", at, str(error))
             return None
-        if self.names.keys() >= set(expression.names) or not self._reads_misnamed(text):
+        if self.names.keys() >= set(
+            expression.names
+        ) or not self._reads_misnamed_control(text):
             for name in expression.names:
                 self._is_known(at, name, self.names, "control")
         return expression
 
-    def _reads_misnamed(self, text: str) -> bool:
+    def _reads_misnamed_control(self, text: str) -> bool:
         """Return whether an expression reads a misnamed control (RIG025)."""
         return any(
             re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)
@@ -442,7 +444,7 @@ class PartReader:
             self.document.add("RIG015", at, message, hint)
         elif self._is_known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
-            has_known_type = joint not in self.file_joints.untyped
+            has_known_type = joint not in self.file_joints.untyped_joints
             if has_known_type and self.joints[joint].type not in types:
                 fitting_parts = [
                     p for p, t in DRIVEN_PARTS.items() if self.joints[joint].type in t
@@ -463,11 +465,11 @@ class PartReader:
             message = f"unknown part {part!r} of joint {joint!r}"
         else:
             return f"missing part of joint {name!r}", part_hint(name, DRIVEN_PARTS)
-        typed = joint not in self.file_joints.untyped
+        typed = joint not in self.file_joints.untyped_joints
         kind = self.joints[joint].type if typed else None
         return message, part_hint(name, DRIVEN_PARTS, kind)
 
-    def _distinct(self, key: str, kind: str) -> None:
+    def _distinct_entries(self, key: str, kind: str) -> None:
         first_entry: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
             if entry.name in first_entry:
@@ -495,7 +497,7 @@ class PartReader:
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:
-            if joints[index].name in self.file_joints.orphaned:
+            if joints[index].name in self.file_joints.orphans:
                 return True
             index = joints[index].parent
         return index >= 0

@@ -25,7 +25,7 @@ from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
-def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
+def place_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     """Return a rig moved to a placement's first frame.
 
     Scale is applied to lengths; geometry bound to joints is moved and scaled with them.
@@ -33,7 +33,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     up: the new up axis; None keeps it.
     """
     placement = placement.first()
-    if placement.is_none and up in {None, rig.up}:
+    if placement.is_identity and up in {None, rig.up}:
         return rig
     roots = {joint.name for joint in rig.joints if joint.parent < 0}
     scale = placement.size
@@ -46,34 +46,37 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     return replace(
         rig,
         joints=tuple(
-            _scale_joint(_joint(joint, placement), rig, scale) for joint in rig.joints
+            _scale_joint(_place_joint(joint, placement), rig, scale)
+            for joint in rig.joints
         ),
         shapes=tuple(
-            replace(shape, driven=_driver(shape.driven, scale)) for shape in rig.shapes
+            replace(shape, driven=_scale_driver(shape.driven, scale))
+            for shape in rig.shapes
         ),
-        controls=tuple(_control(control, scale) for control in rig.controls),
+        controls=tuple(_scale_control(control, scale) for control in rig.controls),
         up=rig.up if up is None else up,
         bind={
-            name: _pose(pose, placement, root=name in roots)
+            name: _place_pose(pose, placement, root=name in roots)
             for name, pose in rig.bind.items()
         },
         meshes=tuple(
-            _mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
+            _place_mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
         ),
-        chains=tuple(_chain(chain, placement, roots) for chain in rig.chains),
+        chains=tuple(_rotate_chain(chain, placement, roots) for chain in rig.chains),
         attach=tuple(
-            _strands(entry, placement, rig.meters_per_unit) for entry in rig.attach
+            _place_strands(entry, placement, rig.meters_per_unit)
+            for entry in rig.attach
         ),
-        colliders=tuple(_collider(collider, scale) for collider in rig.colliders),
-        masses=tuple(_mass(collider, scale) for collider in rig.masses),
+        colliders=tuple(_scale_collider(collider, scale) for collider in rig.colliders),
+        masses=tuple(_scale_mass(collider, scale) for collider in rig.masses),
         stands=stands,
     )
 
 
-def _joint(joint: Joint, placement: Placement) -> Joint:
+def _place_joint(joint: Joint, placement: Placement) -> Joint:
     if joint.parent < 0:
         x, y, z = placement.points(np.array(joint.translation)).tolist()
-        a, b, c, w = placement.rotated(np.array(joint.rotation)).tolist()
+        a, b, c, w = placement.transform_rotations(np.array(joint.rotation)).tolist()
         joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
     scale = placement.size
     if scale == 1.0:
@@ -93,7 +96,7 @@ def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
     if size == 1.0 or (joint.mimic is None and joint.driven is None):
         return joint
     slides = joint.type is JointType.PRISMATIC
-    scaled_driver, mimic = _driver(joint.driven, size), joint.mimic
+    scaled_driver, mimic = _scale_driver(joint.driven, size), joint.mimic
     if scaled_driver is not None and slides:
         scaled_driver = replace(scaled_driver, unit=scaled_driver.unit * size)
     if mimic is not None:
@@ -105,14 +108,14 @@ def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
     return replace(joint, driven=scaled_driver, mimic=mimic)
 
 
-def _driver(driver: Driver | None, size: float) -> Driver | None:
+def _scale_driver(driver: Driver | None, size: float) -> Driver | None:
     """Return a driver for scaled slides."""
     if driver is None or size == 1.0:
         return driver
     return replace(driver, length=driver.length * size)
 
 
-def _control(control: Control, size: float) -> Control:
+def _scale_control(control: Control, size: float) -> Control:
     """Return a control with its drives of lengths scaled."""
     if size == 1.0:
         return control
@@ -120,13 +123,13 @@ def _control(control: Control, size: float) -> Control:
         replace(drive, unit=drive.unit * size) if drive.of_length else drive
         for drive in control.drives
     )
-    return replace(control, drives=drives, driven=_driver(control.driven, size))
+    return replace(control, drives=drives, driven=_scale_driver(control.driven, size))
 
 
-def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
+def _place_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
     if root:
         x, y, z = placement.points(np.array(pose.translation)).tolist()
-        a, b, c, w = placement.rotated(np.array(pose.rotation)).tolist()
+        a, b, c, w = placement.transform_rotations(np.array(pose.rotation)).tolist()
         return replace(pose, translation=(x, y, z), rotation=(a, b, c, w))
     if placement.size == 1.0:
         return pose
@@ -134,7 +137,7 @@ def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
     return replace(pose, translation=(x, y, z))
 
 
-def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
+def _rotate_chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
     """Return a chain with its world-space pole direction rotated."""
     if chain.pole_dir is None or chain.root not in roots:
         return chain
@@ -143,14 +146,14 @@ def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
     return replace(chain, pole_dir=(x, y, z))
 
 
-def _mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
+def _place_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
     """Return a mesh with its bind transform placed."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
     matrix = placement_matrix(placement, unit)
     return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 
-def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
+def _place_strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
     """Return an attachment with its world-space strands placed."""
     if entry.points is None:
         return entry
@@ -162,7 +165,7 @@ def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment
     return replace(entry, points=LoadedArray(points))
 
 
-def _mass(mass: Mass, size: float) -> Mass:
+def _scale_mass(mass: Mass, size: float) -> Mass:
     """Return mass properties with lengths scaled; the mass is kept."""
     if size == 1.0:
         return mass
@@ -174,7 +177,7 @@ def _mass(mass: Mass, size: float) -> Mass:
     return replace(mass, centre=(x, y, z), inertia=inertia)
 
 
-def _collider(collider: Collider, size: float) -> Collider:
+def _scale_collider(collider: Collider, size: float) -> Collider:
     if size == 1.0:
         return collider
     shape = collider.capsule
@@ -192,4 +195,4 @@ def at_origin(rig: Rig) -> Rig:
     """Return a rig at the origin, scaled and upright."""
     if rig.stands is None:
         return rig
-    return replace(placed_rig(rig, rig.stands.inverse()), stands=None)
+    return replace(place_rig(rig, rig.stands.inverse()), stands=None)

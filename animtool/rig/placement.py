@@ -52,7 +52,7 @@ class Placement:
         return float(self.sizes[0])
 
     @cached_property
-    def is_none(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether the placement is the identity."""
         distance = np.abs(self.translations).max(initial=0.0)
         rotation_error = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
@@ -74,7 +74,7 @@ class Placement:
             return rotated_points
         return np.asarray(rotated_points + translations)
 
-    def rotated(self, rotations: FloatArray) -> FloatArray:
+    def transform_rotations(self, rotations: FloatArray) -> FloatArray:
         """Return transformed rotations; ``(F, N, 4)`` if animated."""
         return so3.multiply(self._placement_parts()[1], rotations)
 
@@ -106,7 +106,7 @@ class Placement:
         """Return the placement of the first frame."""
         return Placement(self.translations[:1], self.rotations[:1], self.sizes[:1])
 
-    def steady(self) -> Placement:
+    def simplified(self) -> Placement:
         """Return a single frame if all frames are equal."""
         if not self.moves:
             return self
@@ -138,7 +138,7 @@ class Placement:
         axis_index = int(np.abs(local_up).argmax())
         nearest = np.zeros(3)
         nearest[axis_index] = np.copysign(1.0, local_up[axis_index])
-        righting = _shortest(nearest, axis)
+        righting = _rotation_between(nearest, axis)
         frames = np.repeat(righting[None], len(self.sizes), axis=0)
         scale_and_righting = Placement(np.zeros((len(frames), 3)), frames, self.sizes)
         remaining_rotations = so3.multiply(self.rotations, so3.conjugate(righting))
@@ -146,7 +146,7 @@ class Placement:
         return stands, scale_and_righting
 
 
-def _shortest(one: FloatArray, other: FloatArray) -> FloatArray:
+def _rotation_between(one: FloatArray, other: FloatArray) -> FloatArray:
     """Return the shortest rotation between two axes; about X if opposite."""
     if (one == -other).all():
         return np.array([1.0, 0.0, 0.0, 0.0])

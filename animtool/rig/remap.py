@@ -13,9 +13,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.names import nearest
 from animtool.core.options import key
 from animtool.core.record import dataclass
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real
+from animtool.documents.fields import IgnoreModel, Name, NumberPair, Real
 from animtool.rig.shapes import arkit_name
 
 
@@ -28,7 +28,7 @@ class RemapEntryModel(FileModel):
     )
     gain: Real = key("Factor of its weight.", 0.8, default=1.0)
     offset: Real = key("Added after the gain.", -0.1, default=0.0)
-    clamp: Pair | None = key(
+    clamp: NumberPair | None = key(
         "Range to clamp the result to. Default: none.", [0, 1], default=None
     )
 
@@ -81,7 +81,7 @@ class ShapeLinks:
 
     links: tuple[ShapeLink, ...]
     lost: tuple[str, ...]  # unlinked source shapes
-    resting: tuple[str, ...]  # unlinked target shapes
+    unlinked_targets: tuple[str, ...]  # unlinked target shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
         """Convert source weights to target weights ``(F, count)``."""
@@ -100,13 +100,13 @@ def load_remap(path: Path | str) -> RemapFile:
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
     """
-    return remap_of_document(read_document(Path(path)))
+    return parse_remap(read_document(Path(path)))
 
 
-def remap_of_document(document: Document) -> RemapFile:
+def parse_remap(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     check_version(document, "remap")
-    model = validated(document, RemapModel)
+    model = validate_document(document, RemapModel)
     entry_of_pair: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
         shape_pair = (entry.source, entry.target)
@@ -133,7 +133,7 @@ def link_shapes(
     Raises:
         FormatError: A named shape is missing (FAC001).
     """
-    source_index, target_index = _index(source), _index(target)
+    source_index, target_index = _shapes_by_name(source), _shapes_by_name(target)
     links: list[ShapeLink] = []
     model = None if remap is None else remap.model
     if remap is not None and model is not None:
@@ -189,7 +189,7 @@ def link_shapes(
     )
 
 
-def _index(names: Sequence[str]) -> Mapping[str, int]:
+def _shapes_by_name(names: Sequence[str]) -> Mapping[str, int]:
     """Index shapes by all their names, exact ones first."""
     index = {name: i for i, name in enumerate(names)}
     for i, name in enumerate(names):

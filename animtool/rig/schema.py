@@ -16,7 +16,7 @@ from animtool.documents.fields import (
     Direction,
     IgnoreModel,
     Name,
-    Pair,
+    NumberPair,
     Quaternion,
     Real,
     Vector,
@@ -132,7 +132,7 @@ class DriveModel(FileModel):
         "clamp(grip * 2, 0, 1)",
         default=None,
     )
-    curve: Annotated[list[Pair], Len(1)] | None = key(
+    curve: Annotated[list[NumberPair], Len(1)] | None = key(
         "The amount: points [value of this control, amount], ascending, constant "
         "beyond both ends.",
         [[0.0, 0.0], [1.0, 80.0]],
@@ -153,7 +153,7 @@ class ControlModel(FileModel):
         "Python keyword, a function of expressions or `pi`.",
         "grip",
     )
-    range: Pair | None = key(
+    range: NumberPair | None = key(
         "Intended range; values outside are reported, and clamped with `clamp`. "
         "Default: no limit.",
         [0.0, 1.0],

@@ -29,20 +29,20 @@ _LEFT, _RIGHT = (
     for word in ("left", "right")
 )
 # A letter separated by other characters, or by the case of its neighbours.
-_LETTER = (
+_SIDE_LETTER = (
     r"(?<![A-Za-z0-9])[{0}{1}](?![A-Za-z0-9])"
     r"|(?<![A-Za-z])[{0}{1}](?=[A-Z][a-z])|(?<![A-Za-z0-9]){0}(?=[A-Z])"
     r"|(?<=[a-z]){1}(?![A-Za-z0-9])"
 )
-_LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _LETTER.format("l", "L"))
-_LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _LETTER.format("r", "R"))
+_LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _SIDE_LETTER.format("l", "L"))
+_LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _SIDE_LETTER.format("r", "R"))
 # Patterns of left names, most reliable first. The last ones also match unrelated
 # letters, but a partner with the other name must exist anyway.
 _SIDE_PATTERNS = tuple(
     re.compile(pattern)
     for pattern in (
         f"{_LEFT}|左",
-        _LETTER.format("l", "L"),
+        _SIDE_LETTER.format("l", "L"),
         r"Left|LEFT|left|(?<![A-Za-z])[Ll](?:ft|f|t)(?![a-z])|Lft|Lf(?![a-z])",
         r"(?<![A-Za-z])[lL](?![A-Za-z])|(?<=[a-z0-9])L(?![a-z])",
         r"(?<![A-Za-z])[lL](?=[A-Za-z])",
@@ -59,7 +59,7 @@ class SidePairs:
     partners: IntArray
     left: tuple[int, ...]  # indices of the left ones among the pairs found by name
     # Left or right names without a partner.
-    strays: tuple[int, ...]
+    unpaired: tuple[int, ...]
 
 
 def pair_sides(
@@ -87,7 +87,9 @@ def pair_sides(
             partners[a], partners[b] = b, a
             unpaired_indices -= {a, b}
     partner_of: list[int] = []
-    for _, _, left, right in sorted(_candidates(names, index, _depths(parents_of))):
+    for _, _, left, right in sorted(
+        _candidate_pairs(names, index, _joint_depths(parents_of))
+    ):
         parent = parents_of[left]
         partner_of_parent = int(partners[parent]) if parent >= 0 else -1
         if (
@@ -98,7 +100,7 @@ def pair_sides(
             partners[left], partners[right] = right, left
             unpaired_indices -= {left, right}
             partner_of.append(left)
-    strays = [i for i in sorted(unpaired_indices) if _looks(names[i])]
+    strays = [i for i in sorted(unpaired_indices) if _looks_of_side(names[i])]
     return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 
@@ -109,8 +111,8 @@ def unpaired_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, st
     >>> unpaired_sides(names, pair_sides(names))
     [('armLeft', 'arm_right')]
     """
-    left_names = [names[i] for i in pairs.strays if _LOOKS_LEFT.search(names[i])]
-    right = [names[i] for i in pairs.strays if names[i] not in left_names]
+    left_names = [names[i] for i in pairs.unpaired if _LOOKS_LEFT.search(names[i])]
+    right = [names[i] for i in pairs.unpaired if names[i] not in left_names]
     likely_pairs = []
     for name in left_names:
         key = _without_side(name)
@@ -126,18 +128,18 @@ def _without_side(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", without_words.casefold())
 
 
-def _looks(name: str) -> bool:
+def _looks_of_side(name: str) -> bool:
     return bool(_LOOKS_LEFT.search(name) or _LOOKS_RIGHT.search(name))
 
 
-def _depths(parents: Sequence[int]) -> list[int]:
+def _joint_depths(parents: Sequence[int]) -> list[int]:
     depths: list[int] = []
     for parent in parents:
         depths.append(depths[parent] + 1 if parent >= 0 else 0)
     return depths
 
 
-def _candidates(
+def _candidate_pairs(
     names: Sequence[str], index: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
     """Yield depth, rank, left and right of each possible pair."""
@@ -160,15 +162,17 @@ def _partner_names(name: str) -> Iterator[tuple[int, str]]:
     for rank, pattern in enumerate(_SIDE_PATTERNS):
         side_marks = list(pattern.finditer(name))
         if len(side_marks) > 1:
-            yield rank, pattern.sub(_right, name)
+            yield rank, pattern.sub(_right_mark, name)
         for side_mark in side_marks:
             yield (
                 rank,
-                name[: side_mark.start()] + _right(side_mark) + name[side_mark.end() :],
+                name[: side_mark.start()]
+                + _right_mark(side_mark)
+                + name[side_mark.end() :],
             )
 
 
-def _right(side_mark: re.Match[str]) -> str:
+def _right_mark(side_mark: re.Match[str]) -> str:
     word = side_mark[0]
     right = SIDE_WORDS[word.lower()]
     if word.isupper():
@@ -177,14 +181,14 @@ def _right(side_mark: re.Match[str]) -> str:
 
 
 # Translation and rotation, world space.
-Transform = tuple[FloatArray, FloatArray]
-ORIGIN: Transform = (np.zeros(3), so3.IDENTITY)
+PoseArrays = tuple[FloatArray, FloatArray]
+ORIGIN: PoseArrays = (np.zeros(3), so3.IDENTITY)
 
 # The plane x = 0: left and right are along X, whichever axis is up.
 _MIRROR_SIGNS = np.array([-1.0, 1.0, 1.0])
 
 # Smaller differences are rounding [m], [rad]; the file's own numbers are kept.
-SAME_POSITION = 1e-12
+POSITION_TOLERANCE = 1e-12
 
 
 def reflect_vector(vector: FloatArray) -> FloatArray:
@@ -201,7 +205,7 @@ def reflect_rotation(rotation: FloatArray) -> FloatArray:
     return np.asarray(rotation * np.array([1.0, -1.0, -1.0, 1.0]))
 
 
-def placed(parent_world: Transform, pose: Pose) -> Transform:
+def world_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
     """Return the world transform of a local transform below a parent."""
     position, rotation = parent_world
     return (
@@ -210,7 +214,7 @@ def placed(parent_world: Transform, pose: Pose) -> Transform:
     )
 
 
-def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose:
+def mirrored_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose:
     """Return the local pose of the partner joint, a reflection in world space."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
     facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
@@ -221,8 +225,8 @@ def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose
         so3.multiply(inverse_parent, rotation),
     )
     if (
-        np.abs(so3.rotate(inverse_parent, offset) - local).max() > SAME_POSITION
-        or so3.angle_between(mirrored_rotation, facing_local) > SAME_POSITION
+        np.abs(so3.rotate(inverse_parent, offset) - local).max() > POSITION_TOLERANCE
+        or so3.angle_between(mirrored_rotation, facing_local) > POSITION_TOLERANCE
     ):
         # The parents are not mirror images of each other.
         local, facing_local = (
@@ -230,11 +234,11 @@ def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose
             mirrored_rotation + 0.0,
         )
     a, b, c, d = facing_local.tolist()
-    return Pose(_vector(local), (a, b, c, d))
+    return Pose(_float_tuple(local), (a, b, c, d))
 
 
 def mirrored_joint(
-    joint: Joint, world: Transform, parent: int, parent_world: Transform
+    joint: Joint, world: PoseArrays, parent: int, parent_world: PoseArrays
 ) -> Joint:
     """Return the joint named ``joint.mirror``: the reflection of a joint at rest.
 
@@ -253,10 +257,10 @@ def mirrored_joint(
         parent=parent,
         translation=pose.translation,
         rotation=pose.rotation,
-        axis=_vector(reflect_vector(np.array(joint.axis)))
+        axis=_float_tuple(reflect_vector(np.array(joint.axis)))
         if slides
         else _reflected_axis(joint.axis),
-        tips=tuple(_vector(reflect_vector(np.array(tip))) for tip in joint.tips),
+        tips=tuple(_float_tuple(reflect_vector(np.array(tip))) for tip in joint.tips),
         limits=limits,
         source_name="",
     )
@@ -264,9 +268,9 @@ def mirrored_joint(
 
 def _reflected_axis(axis: Vector) -> Vector:
     """Return the reflected axis about which equal angles are mirror images."""
-    return _vector(-reflect_vector(np.array(axis)))
+    return _float_tuple(-reflect_vector(np.array(axis)))
 
 
-def _vector(values: FloatArray) -> Vector:
+def _float_tuple(values: FloatArray) -> Vector:
     x, y, z = (values + 0.0).tolist()
     return (x, y, z)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 # Limit of all joint paths together [character], since paths in chains grow
 # quadratically.
-MAX_PATHS = 500_000_000
+MAX_PATH_CHARACTERS = 500_000_000
 # Nothing that is animated is larger [m].
 MAX_SIZE = 30.0
 
@@ -61,7 +61,7 @@ class JointType(StrEnum):
 
 
 # Number of coordinates of each joint type; kernels number the types in this order.
-WIDTHS = {
+COORDINATE_WIDTHS = {
     JointType.FIXED: 0,
     JointType.PIN: 1,
     JointType.PRISMATIC: 1,
@@ -319,8 +319,10 @@ class Rig:
     @cached_property
     def joint_arrays(self) -> JointArrays:
         """Types, columns of coordinates and axes of the joints."""
-        numbers = {kind: number for number, kind in enumerate(WIDTHS)}
-        widths = np.array([WIDTHS[joint.type] for joint in self.joints], np.int64)
+        numbers = {kind: number for number, kind in enumerate(COORDINATE_WIDTHS)}
+        widths = np.array(
+            [COORDINATE_WIDTHS[joint.type] for joint in self.joints], np.int64
+        )
         return JointArrays(
             np.array([numbers[joint.type] for joint in self.joints], np.int64),
             np.cumsum(widths) - widths,
@@ -330,7 +332,7 @@ class Rig:
     @cached_property
     def coordinates(self) -> int:
         """Width Q of a row of joint coordinates."""
-        return sum(WIDTHS[joint.type] for joint in self.joints)
+        return sum(COORDINATE_WIDTHS[joint.type] for joint in self.joints)
 
     @property
     def roots(self) -> list[int]:
@@ -341,7 +343,7 @@ class Rig:
         """Return ``root/…/joint`` for every joint, optionally with other names.
 
         Raises:
-            FormatError: They are longer than `MAX_PATHS` letters in all (USD020).
+            FormatError: They exceed `MAX_PATH_CHARACTERS` in all (USD020).
 
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).paths()
         ['upper', 'upper/lower']
@@ -352,11 +354,11 @@ class Rig:
         for joint, name in zip(self.joints, names, strict=True):
             paths.append(name if joint.parent < 0 else f"{paths[joint.parent]}/{name}")
             total_length += len(paths[-1])
-            if total_length > MAX_PATHS:
+            if total_length > MAX_PATH_CHARACTERS:
                 message = (
                     f"the paths of the {len(self.joints)} joints of {self.name!r} "
                 )
-                message += f"have more than {MAX_PATHS:g} characters in total"
+                message += f"have more than {MAX_PATH_CHARACTERS:g} characters in total"
                 hint = (
                     "shorten the chains: each path contains all names above its joint"
                 )

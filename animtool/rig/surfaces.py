@@ -107,13 +107,13 @@ def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
         tuple(
             _shape(shape, len(points), unit, archives)
             for shape in rig.shapes
-            if shape.mesh == mesh.name and _deforms(shape)
+            if shape.mesh == mesh.name and _has_deltas(shape)
         ),
-        _subdivision(mesh),
+        _subdivision_scheme(mesh),
     )
 
 
-def _subdivision(mesh: Mesh) -> Subdivision:
+def _subdivision_scheme(mesh: Mesh) -> Subdivision:
     if mesh.subdivision is not None:
         return mesh.subdivision
     has_no_normals = mesh.normals is None
@@ -125,7 +125,7 @@ def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
     return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load(archives))
 
 
-def _deforms(shape: Shape) -> bool:
+def _has_deltas(shape: Shape) -> bool:
     """Return whether a shape or its inbetweens change points or normals."""
     arrays = (shape.deltas, shape.normals, *shape.inbetweens)
     return any(array is not None for array in arrays)
@@ -179,7 +179,7 @@ def strands_of(rig: Rig) -> tuple[Strands, ...]:
 StoredArrays = dict[str, npt.NDArray[np.generic]]
 
 
-def with_file(
+def with_array_file(
     rig: Rig, path: Path, *, copy_all: bool = False
 ) -> tuple[Rig, StoredArrays]:
     """Return the rig with references to an npz file for its arrays, and the arrays.
@@ -187,7 +187,7 @@ def with_file(
     With ``copy_all``, referenced arrays are stored too, for a rig file in another
     folder.
     """
-    store = _Store(path, copy_all)
+    store = _ArrayStore(path, copy_all)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
     shapes = tuple(store.shape(shape) for shape in rig.shapes)
     attach = tuple(store.attachment(entry) for entry in rig.attach)
@@ -195,7 +195,7 @@ def with_file(
 
 
 @dataclass(slots=True)
-class _Store:
+class _ArrayStore:
     path: Path
     copy_all: bool
     arrays: StoredArrays = field(default_factory=dict)
@@ -222,7 +222,7 @@ class _Store:
         number = 2
         while key in self.arrays:
             key, number = f"{identifier}_{number}", number + 1
-        self.arrays[key] = _smallest(values, integers=integers)
+        self.arrays[key] = _narrow(values, integers=integers)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
     def mesh(self, mesh: Mesh) -> Mesh:
@@ -273,7 +273,7 @@ class _Store:
         )
 
 
-def _smallest(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
+def _narrow(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
     """Return the values in 32 bits if that is lossless."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):

@@ -18,20 +18,23 @@ from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Names of the units of angles; for each, the other one and the factor from it.
 ANGLE_NAMES = {"deg": "degrees", "rad": "radians"}
-OTHER_ANGLES = {"deg": ("rad", math.degrees(1.0)), "rad": ("deg", math.radians(1.0))}
+OTHER_ANGLE_UNITS = {
+    "deg": ("rad", math.degrees(1.0)),
+    "rad": ("deg", math.radians(1.0)),
+}
 # Half a revolution in radians, rounded up: the largest limit of most joints [rad].
-HALF_CIRCLE = 3.2
+HALF_REVOLUTION = 3.2
 # Limits this small are tight in any unit, such as those of a spine [file's angle].
 TIGHT_LIMIT = 0.3
 # Minimum number of joints whose limits are all within half a revolution in radians: one
 # or two may be stiff.
 MIN_JOINTS = 3
 # Knees and elbows bend by far more than this on every creature [deg].
-MIN_HINGE = 2 * HALF_CIRCLE
+MIN_HINGE_RANGE = 2 * HALF_REVOLUTION
 # Multiples of 15 degrees in radians, with at least three decimals.
 ANGLE_STEP, STEP_TOLERANCE = math.radians(15), 6e-4
 # Limits in radians exceed a full revolution only for joints that wind up [rad].
-FULL_CIRCLE, MAX_DEGREES = 6.4, 360.0
+FULL_REVOLUTION, MAX_DEGREES = 6.4, 360.0
 HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
 # Rounding to two decimals changes the length of a quaternion by 0.01 at most [1].
 MAX_LENGTH_ERROR = 0.02
@@ -57,9 +60,11 @@ def warn_of_angles(
     document: Document, joints: Sequence[JointModel], angle: str
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
-    limits = [limit for limit in _limits(joints) if limit.largest > 0]
-    intended_unit, factor = OTHER_ANGLES[angle]
-    suspects = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
+    limits = [limit for limit in _joint_limits(joints) if limit.largest > 0]
+    intended_unit, factor = OTHER_ANGLE_UNITS[angle]
+    suspects = (
+        _limits_in_radians(limits) if angle == "deg" else _limits_in_degrees(limits)
+    )
     if not suspects:
         return
     largest_limit = max(suspects, key=lambda limit: limit.largest)
@@ -89,7 +94,7 @@ def are_multiples(values: ArrayLike) -> BoolArray:
     return np.asarray(near & (steps != 0))
 
 
-def warn_of_order(document: Document, joints: Sequence[JointModel]) -> None:
+def warn_of_w_last(document: Document, joints: Sequence[JointModel]) -> None:
     """Warn of [0, 0, 0, 1], which is the identity only if w is last (RIG108)."""
     rotations = [joint.rotate for joint in joints if "rotate" in joint.model_fields_set]
     if any(abs(w) > abs(z) for w, _, _, z in rotations):
@@ -109,7 +114,7 @@ def warn_of_quaternion(document: Document, code: str, location: Location) -> Non
     document.warn(code, location, message, hint)
 
 
-def _limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
+def _joint_limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
     for i, joint in enumerate(joints):
         location: Location = ("joints", i, "limits")
         if isinstance(joint, PinJointModel) and joint.limits is not None:
@@ -123,16 +128,16 @@ def _limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
                 yield _Limit((*location, "twist"), joint.name, twist)
 
 
-def _in_radians(limits: list[_Limit]) -> list[_Limit]:
-    if any(limit.largest > HALF_CIRCLE for limit in limits):
+def _limits_in_radians(limits: list[_Limit]) -> list[_Limit]:
+    if any(limit.largest > HALF_REVOLUTION for limit in limits):
         return [
             limit
             for limit in limits
             if (
                 HINGE_NAMES.search(limit.joint)
                 and len(limit.values) == 2
-                and 0 < limit.values[1] - limit.values[0] < MIN_HINGE
-                and limit.largest <= HALF_CIRCLE
+                and 0 < limit.values[1] - limit.values[0] < MIN_HINGE_RANGE
+                and limit.largest <= HALF_REVOLUTION
             )
         ]
     joints = {limit.joint for limit in limits}
@@ -144,16 +149,16 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
     return [] if plausible or largest < TIGHT_LIMIT else limits
 
 
-def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
+def _limits_in_degrees(limits: list[_Limit]) -> list[_Limit]:
     return [
         limit
         for limit in limits
-        if FULL_CIRCLE < limit.largest <= MAX_DEGREES
+        if FULL_REVOLUTION < limit.largest <= MAX_DEGREES
         and (HINGE_NAMES.search(limit.joint) or all(map(_is_round, limit.values)))
     ]
 
 
-def warn_of_length(
+def warn_of_quaternion_length(
     document: Document, location: Location, wxyz: Sequence[float]
 ) -> None:
     """Warn once of a quaternion whose length is not 1 (RIG110)."""
@@ -177,12 +182,12 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
     for control in rig.controls:
         for k, drive in enumerate(control.drives):
             target = drive.target
-            largest = _largest(control, drive, at_rest) if drive.of_angle else 0.0
+            largest = _largest_drive(control, drive, at_rest) if drive.of_angle else 0.0
             check = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
             if not check:
                 continue
             declared = "deg" if in_degrees else "rad"
-            meant, factor = OTHER_ANGLES[declared]
+            meant, factor = OTHER_ANGLE_UNITS[declared]
             message = (
                 f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
                 f"looks like {ANGLE_NAMES[meant]}, but units.angle is {declared}"
@@ -195,7 +200,9 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             return
 
 
-def _largest(control: Control, drive: Drive, at_rest: dict[str, FloatArray]) -> float:
+def _largest_drive(
+    control: Control, drive: Drive, at_rest: dict[str, FloatArray]
+) -> float:
     """Return a drive's largest value over its control's range [file's angle]."""
     if control.low is None or control.high is None:
         return 0.0
@@ -208,13 +215,13 @@ def _is_radians(value: float) -> bool:
     quarter = math.radians(90)
     count = round(value / quarter)
     near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
-    return value <= HALF_CIRCLE and (near or bool(are_multiples(value)))
+    return value <= HALF_REVOLUTION and (near or bool(are_multiples(value)))
 
 
 def _is_degrees(value: float, target: str) -> bool:
     # A crank winds up; the angles of a ball joint do not.
     plausible = target.endswith(".angle") and not _is_round(value)
-    return FULL_CIRCLE < value <= MAX_DEGREES and not plausible
+    return FULL_REVOLUTION < value <= MAX_DEGREES and not plausible
 
 
 def _is_round(value: float) -> bool:

@@ -16,17 +16,19 @@ from animtool.rig.skeleton import MAX_SIZE, Rig
 # Joints that every body with limbs has.
 HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
 # No body is smaller; a wrong unit is off by a factor of 39 or more [m].
-MIN_BODY = 0.05
+MIN_BODY_SIZE = 0.05
 # A rig smaller than this in metres is smaller than an ant [m].
 MIN_SIZE = 1e-3
 # Joints that are below the others where a body stands, and joints above them.
-FEET = re.compile("foot|feet|ankle|toe|paw|hoof|heel", re.IGNORECASE)
-ABOVE = re.compile("head|neck|chest|spine|torso|pelvis|hips?(?![a-z])", re.IGNORECASE)
+FOOT_NAMES = re.compile("foot|feet|ankle|toe|paw|hoof|heel", re.IGNORECASE)
+UPPER_BODY_NAMES = re.compile(
+    "head|neck|chest|spine|torso|pelvis|hips?(?![a-z])", re.IGNORECASE
+)
 # Cosines to the up axis and to the other one of a body that stands along the other.
-LYING, STANDING = 0.3, 0.8
+MAX_LYING_COSINE, MIN_STANDING_COSINE = 0.3, 0.8
 
 
-def rest_pose(rig: Rig) -> tuple[FloatArray, FloatArray]:
+def source_rest_pose(rig: Rig) -> tuple[FloatArray, FloatArray]:
     """Return world positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest.
 
     One step for all joints of a depth: rigs are checked without the kernels.
@@ -48,7 +50,7 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
     """Warn of an implausible size and of a body that stands along another axis."""
     if len(rig.joints) < 2:
         return
-    positions, _ = rest_pose(rig)
+    positions, _ = source_rest_pose(rig)
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
     _warn_of_size(document, rig, size)
     _warn_of_up(document, rig, positions)
@@ -58,14 +60,14 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     """Warn of a size that fits another unit better (RIG217)."""
     unit = rig.meters_per_unit
     is_body = any(map(HINGE_NAMES.search, rig.names))
-    low = MIN_BODY if is_body else (MIN_SIZE if unit == 1.0 else unit)
+    low = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
     if not size or low <= size <= MAX_SIZE:
         return
     number = size / unit
     fitting_units = [
         str(other)
         for other in LengthUnit
-        if MIN_BODY <= number * other.meters <= MAX_SIZE and other.meters != unit
+        if MIN_BODY_SIZE <= number * other.meters <= MAX_SIZE and other.meters != unit
     ]
     at = ("units", "length") if "units" in document.value else ("joints",)
     message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
@@ -75,17 +77,17 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
 
 def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     """Warn of a body that stands along the axis that is not up (RIG111)."""
-    feet = [j for j, name in enumerate(rig.names) if FEET.search(name)]
-    above = [j for j, name in enumerate(rig.names) if ABOVE.search(name)]
+    feet = [j for j, name in enumerate(rig.names) if FOOT_NAMES.search(name)]
+    above = [j for j, name in enumerate(rig.names) if UPPER_BODY_NAMES.search(name)]
     above = [j for j in above if j not in feet]
     if not (feet and above):
         return
     other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
     offset = positions[above].mean(axis=0) - positions[feet].mean(axis=0)
     length = float(np.linalg.norm(offset))
-    if not length or offset @ rig.up.vector > LYING * length:
+    if not length or offset @ rig.up.vector > MAX_LYING_COSINE * length:
         return
-    if offset @ other.vector < STANDING * length:
+    if offset @ other.vector < MIN_STANDING_COSINE * length:
         return
     message = (
         f"{rig.names[above[0]]!r} is {length_text(float(offset @ other.vector))} above "

@@ -24,7 +24,7 @@ from animtool.rig.parts import (
 )
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
-Pairs = Iterable[tuple[str, str | None]]
+KeyTexts = Iterable[tuple[str, str | None]]
 
 # A bind pose's stretch this close to the identity is float32 rounding [1].
 STRETCH_TOLERANCE = 1e-5
@@ -35,12 +35,12 @@ def rig_text(rig: Rig) -> str:
 
     A joint that mirrors an earlier one is written as that joint's ``mirror``.
     References to arrays keep the spelling of the rig's file; an array without a file is
-    a `TypeError`, see `animtool.rig.surfaces.with_file`.
+    a `TypeError`, see `animtool.rig.surfaces.with_array_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
     """
-    units = _WrittenUnits(rig)
+    units = _FileNumbers(rig)
     text_lines = [
         "rig: animtool/1",
         f"name: {yaml_scalar(rig.name)}",
@@ -55,7 +55,7 @@ def rig_text(rig: Rig) -> str:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             text_lines.append(f"- {units.joint(joint, parent, rig)}")
             written_names.add(joint.name)
-    bind = {**_unbound(rig), **_explicit_bind(rig)}
+    bind = {**_poses_at_rest(rig), **_explicit_bind(rig)}
     if bind:
         text_lines.append("bind:")
         for name, pose in bind.items():
@@ -82,7 +82,7 @@ def rig_text(rig: Rig) -> str:
     return "\n".join(text_lines) + "\n"
 
 
-class _WrittenUnits:
+class _FileNumbers:
     """Numbers in the unit of the rig."""
 
     def __init__(self, rig: Rig) -> None:
@@ -119,7 +119,7 @@ class _WrittenUnits:
                 ("type", joint.type.value),
                 ("translate", self.lengths(joint.translation)),
                 ("rotate", _quaternion(joint.rotation) if is_rotated else None),
-                ("axis", _numbers(joint.axis) if scalar else None),
+                ("axis", _number_list(joint.axis) if scalar else None),
                 ("limits", self.limits(joint)),
                 ("mimic", self.mimic(joint, rig)),
                 ("driven", self.driver(joint.driven, joint.type)),
@@ -133,7 +133,7 @@ class _WrittenUnits:
         capsule = [
             ("radius", self.length(collider.capsule.radius)),
             ("length", self.length(collider.capsule.length)),
-            ("axis", _numbers(collider.capsule.axis)),
+            ("axis", _number_list(collider.capsule.axis)),
             (
                 "offset",
                 self.lengths(collider.capsule.offset)
@@ -155,7 +155,7 @@ class _WrittenUnits:
                 ("joint", yaml_scalar(mass.joint)),
                 ("mass", decimal_text(mass.mass)),
                 ("centre", self.lengths(mass.centre) if any(mass.centre) else None),
-                ("inertia", _numbers(mass.inertia)),
+                ("inertia", _number_list(mass.inertia)),
                 ("axes", _quaternion(mass.axes) if has_axes else None),
             ]
         )
@@ -173,7 +173,7 @@ class _WrittenUnits:
             swing = scaled_decimal(limits.swing[0], self.radians)
         twist = self.range(limits.twist, self.radians)
         twist = "locked" if limits.twist == (0.0, 0.0) else twist
-        axis = _numbers(limits.twist_axis)
+        axis = _number_list(limits.twist_axis)
         return _flow_mapping([("swing", swing), ("twist", twist), ("twist_axis", axis)])
 
     def mimic(self, joint: Joint, rig: Rig) -> str | None:
@@ -198,8 +198,8 @@ class _WrittenUnits:
             _flow_mapping(
                 [
                     ("at", decimal_text(inbetween.at)),
-                    ("deltas", _file(inbetween.deltas)),
-                    ("normals", _file(inbetween.normals)),
+                    ("deltas", _array_path(inbetween.deltas)),
+                    ("normals", _array_path(inbetween.normals)),
                 ]
             )
             for inbetween in shape.inbetweens
@@ -208,11 +208,11 @@ class _WrittenUnits:
             [
                 ("name", yaml_scalar(shape.name)),
                 ("mesh", yaml_scalar(shape.mesh) if shape.mesh else None),
-                ("deltas", _file(shape.deltas)),
-                ("normals", _file(shape.normals)),
-                ("vertices", _file(shape.vertices)),
+                ("deltas", _array_path(shape.deltas)),
+                ("normals", _array_path(shape.normals)),
+                ("vertices", _array_path(shape.vertices)),
                 ("inbetweens", flow_list(inbetweens) if inbetweens else None),
-                ("combine", _names(shape.combine) if shape.combine else None),
+                ("combine", _name_list(shape.combine) if shape.combine else None),
                 ("driven", self.driver(shape.driven)),
             ]
         )
@@ -220,7 +220,7 @@ class _WrittenUnits:
     def control(self, control: Control) -> str:
         limits = None
         if control.low is not None and control.high is not None:
-            limits = _numbers((control.low, control.high))
+            limits = _number_list((control.low, control.high))
         drives = [self.drive(drive) for drive in control.drives]
         return _flow_mapping(
             [
@@ -241,7 +241,7 @@ class _WrittenUnits:
         # Equal units up to rounding.
         factor = drive.unit / unit
         factor = 1.0 if math.isclose(factor, 1.0, rel_tol=1e-12) else factor
-        curve = flow_list([str(_numbers((x, y * factor))) for x, y in drive.curve])
+        curve = flow_list([str(_number_list((x, y * factor))) for x, y in drive.curve])
         expression, expression_text = drive.expression, None
         if expression is not None:
             expression_text = (
@@ -250,7 +250,12 @@ class _WrittenUnits:
         return _flow_mapping(
             [
                 (kind, yaml_scalar(name)),
-                ("expr", None if expression_text is None else _quote(expression_text)),
+                (
+                    "expr",
+                    None
+                    if expression_text is None
+                    else _quoted_scalar(expression_text),
+                ),
                 ("curve", curve if drive.curve else None),
                 ("interp", "smooth" if drive.smooth else None),
             ]
@@ -273,13 +278,16 @@ class _WrittenUnits:
             )
             expr = driver.expression
             expression_text = expr.text if is_unscaled else expr.scaled(ratios, factor)
-            return _flow_mapping([("expr", _quote(expression_text))])
+            return _flow_mapping([("expr", _quoted_scalar(expression_text))])
         ratio = ratios[driver.by]
         scaled_points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
             [
                 ("by", yaml_scalar(driver.by)),
-                ("curve", flow_list([str(_numbers(point)) for point in scaled_points])),
+                (
+                    "curve",
+                    flow_list([str(_number_list(point)) for point in scaled_points]),
+                ),
                 ("interp", "smooth" if driver.smooth else None),
             ]
         )
@@ -335,13 +343,13 @@ def _stretch(pose: Pose) -> str | None:
         return None
     deviations = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
     return (
-        _numbers(pose.stretch)
+        _number_list(pose.stretch)
         if max(map(abs, deviations)) > STRETCH_TOLERANCE
         else None
     )
 
 
-def _unbound(rig: Rig) -> dict[str, Pose]:
+def _poses_at_rest(rig: Rig) -> dict[str, Pose]:
     """Return the rest pose of joints whose mirror image alone has a bind pose."""
     return {
         joint.name: Pose(joint.translation, joint.rotation)
@@ -357,14 +365,14 @@ def _chain(chain: IkChain) -> str:
             ("root", yaml_scalar(chain.root)),
             ("tip", yaml_scalar(chain.tip)),
             ("goal", chain.goal),
-            ("pole_dir", _numbers(chain.pole_dir)),
+            ("pole_dir", _number_list(chain.pole_dir)),
             ("stretch", decimal_text(chain.stretch) if chain.stretch else None),
         ]
     )
 
 
 def _attachment(entry: Attachment) -> str:
-    joints = ("joints", _names(entry.joints) if entry.joints else None)
+    joints = ("joints", _name_list(entry.joints) if entry.joints else None)
     if entry.kind == AttachKind.STRANDS:
         joints = ("joint", yaml_scalar(entry.joints[0]))
     return _flow_mapping(
@@ -373,8 +381,8 @@ def _attachment(entry: Attachment) -> str:
             ("kind", yaml_scalar(entry.kind)),
             joints,
             ("mesh", yaml_scalar(entry.mesh) if entry.mesh else None),
-            ("pins", _file(entry.pins)),
-            ("points", _file(entry.points)),
+            ("pins", _array_path(entry.pins)),
+            ("points", _array_path(entry.points)),
         ]
     )
 
@@ -385,25 +393,25 @@ def _mesh(mesh: Mesh) -> str:
         skin = _flow_mapping(
             [
                 ("method", mesh.skin.method),
-                ("joints", _names(mesh.skin.joints)),
-                ("indices", _file(mesh.skin.indices)),
-                ("weights", _file(mesh.skin.weights)),
+                ("joints", _name_list(mesh.skin.joints)),
+                ("indices", _array_path(mesh.skin.indices)),
+                ("weights", _array_path(mesh.skin.weights)),
             ]
         )
     return _flow_mapping(
         [
             ("name", yaml_scalar(mesh.name)),
-            ("points", _file(mesh.points)),
-            ("faces", _file(mesh.faces)),
-            ("normals", _file(mesh.normals)),
-            ("geom_bind", _numbers(mesh.geom_bind)),
+            ("points", _array_path(mesh.points)),
+            ("faces", _array_path(mesh.faces)),
+            ("normals", _array_path(mesh.normals)),
+            ("geom_bind", _number_list(mesh.geom_bind)),
             ("skin", skin),
             ("subdivision", mesh.subdivision and mesh.subdivision.value),
         ]
     )
 
 
-def _file(source: ArraySource | None) -> str | None:
+def _array_path(source: ArraySource | None) -> str | None:
     """Return an array's path as spelled in the rig file."""
     if isinstance(source, LoadedArray):
         message = "the array is in no file; animtool.rig.surfaces writes it to one"
@@ -411,21 +419,21 @@ def _file(source: ArraySource | None) -> str | None:
     return None if source is None else yaml_scalar(source.text)
 
 
-def _quote(value: str) -> str:
+def _quoted_scalar(value: str) -> str:
     escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
-def _flow_mapping(pairs: Pairs) -> str:
+def _flow_mapping(pairs: KeyTexts) -> str:
     entries = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
     return f"{{{entries}}}"
 
 
-def _names(names: Sequence[str]) -> str:
+def _name_list(names: Sequence[str]) -> str:
     return flow_list([yaml_scalar(name) for name in names])
 
 
-def _numbers(values: Sequence[float] | None) -> str | None:
+def _number_list(values: Sequence[float] | None) -> str | None:
     return (
         None if values is None else flow_list([decimal_text(value) for value in values])
     )
@@ -433,4 +441,4 @@ def _numbers(values: Sequence[float] | None) -> str | None:
 
 def _quaternion(rotation: tuple[float, float, float, float]) -> str:
     x, y, z, w = rotation
-    return str(_numbers((w, x, y, z)))
+    return str(_number_list((w, x, y, z)))

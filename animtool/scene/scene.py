@@ -14,7 +14,7 @@ from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
-from animtool.motion.driving import driven_stream, without_repeated
+from animtool.motion.driving import drive_stream, drop_repeated_notices
 from animtool.motion.motion import Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
@@ -335,7 +335,7 @@ class Scene:
 
         def tell() -> None:
             notices.extend(
-                map(entry.location.locate, without_repeated(pass_notices, notices))
+                map(entry.location.locate, drop_repeated_notices(pass_notices, notices))
             )
             pass_notices.clear()
             name, where = entry.pass_.name, entry.location.where
@@ -423,7 +423,7 @@ class Scene:
             raise FormatError(faults)
         first = self.sources[0]
         with first.location.located():
-            stream = driven_stream(
+            stream = drive_stream(
                 joined(source_parts[0], source_parts[1:]), report_replaced=True
             )
         return replace(stream, blocks=_read(first.location, stream.blocks))

@@ -13,18 +13,18 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.quantities import plain_number
-from animtool.sim.integrators.integrator import Step
+from animtool.sim.integrators.integrator import StepResult
 from animtool.sim.options import IntegrateOptions
-from animtool.sim.run import Run
+from animtool.sim.run import IntegrationRun
 from animtool.sim.trajectory import Status
 
 # Safety factor on the step, and bounds of the step change.
-SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
+SAFETY, MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.9, 0.2, 5.0
 # Step factor after a stage that did not converge, or a state that is not finite.
 FAILED_FACTOR = 0.25
 
 
-def advance(run: Run, target: float) -> Status:
+def advance_adaptively(run: IntegrationRun, target: float) -> Status:
     """Integrate until ``target`` [s]; the last step ends exactly there."""
     while run.time < target:
         status = _try_step(run, target)
@@ -33,15 +33,15 @@ def advance(run: Run, target: float) -> Status:
     return Status.OK
 
 
-def _try_step(run: Run, target: float) -> Status:
+def _try_step(run: IntegrationRun, target: float) -> Status:
     """Try a step; accept it if its error is within tolerance."""
     step_function = run.integrator.step
     assert step_function is not None
     run.equations.anchor(run.time, run.state)
-    trial = _first_trial(run) if run.trial is None else run.trial
+    trial = _initial_step(run) if run.trial is None else run.trial
     if run.options.step is not None:
         trial = min(trial, run.options.step)
-    if _too_small(trial, run, target):
+    if _is_too_small(trial, run, target):
         return _stop_below_floor(run, trial)
     h, t = _fit_to_stop(trial, run.time, target)
     step = step_function(run.equations, run.time, run.state, h, run.memory)
@@ -67,28 +67,30 @@ def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float
     return h, time + h
 
 
-def _too_small(trial: float, run: Run, target: float) -> bool:
+def _is_too_small(trial: float, run: IntegrationRun, target: float) -> bool:
     if trial >= target - run.time:
         return False
     return trial < run.options.floor or run.time + trial == run.time
 
 
-def _stop_below_floor(run: Run, trial: float) -> Status:
+def _stop_below_floor(run: IntegrationRun, trial: float) -> Status:
     reason = f"the tolerance needs a step of {plain_number(trial)} s"
     suspect = run.equations.system.suspect(run.time, run.state)
     reason += f"; {suspect}" if suspect else ""
     return run.stop(Status.STEP_TOO_SMALL, reason)
 
 
-def _step_factor(ratio: float, run: Run) -> float:
+def _step_factor(ratio: float, run: IntegrationRun) -> float:
     """Return the factor of the next step size, from the error over the tolerance."""
     if ratio == 0:
-        return GROW
+        return MAX_STEP_FACTOR
     factor = SAFETY * math.pow(ratio, -1 / run.integrator.error_order)
-    return min(GROW, max(SHRINK, factor))
+    return min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, factor))
 
 
-def _error_ratio(step: Step, start: FloatArray, options: IntegrateOptions) -> float:
+def _error_ratio(
+    step: StepResult, start: FloatArray, options: IntegrateOptions
+) -> float:
     """Return the largest error over its tolerance; NaN if the state is not finite."""
     assert step.error is not None
     magnitude = np.maximum(np.abs(start), np.abs(step.state))
@@ -98,7 +100,7 @@ def _error_ratio(step: Step, start: FloatArray, options: IntegrateOptions) -> fl
     return float(ratios.max(initial=0.0)) if np.isfinite(ratios).all() else math.nan
 
 
-def _first_trial(run: Run) -> float:
+def _initial_step(run: IntegrationRun) -> float:
     """Return an initial step size, from the rate and its rate of change."""
     options, equations, y = run.options, run.equations, run.state
     tolerances = np.maximum(options.least + options.relative * np.abs(y), 1e-300)

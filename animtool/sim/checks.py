@@ -11,7 +11,7 @@ from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import plain_number
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Form, Integrator, StepControl
+from animtool.sim.integrators.integrator import EquationForm, Integrator, StepControl
 from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import step_grid
@@ -20,7 +20,7 @@ from animtool.sim.trajectory import Checkpoint, Stats, Status
 
 # Hint when no step of a method is stable.
 STABLE_METHODS = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
-_CODES = {
+_STATUS_CODES = {
     Status.UNSTABLE: "SIM102",
     Status.STEP_TOO_SMALL: "SIM103",
     Status.OUT_OF_BUDGET: "SIM104",
@@ -48,7 +48,7 @@ def step_warnings(
     if limit is None or longest <= limit:
         return []
     message = f"{integrator.name} is not stable with steps of {plain_number(longest)} s"
-    return [warning("SIM101", message, _advice(limit))]
+    return [warning("SIM101", message, _stable_step_advice(limit))]
 
 
 def stop_warning(
@@ -58,18 +58,18 @@ def stop_warning(
     verb = "blew up" if stats.status is Status.UNSTABLE else "stopped"
     message = f"{integrator.name} {verb} at {stats.time:.6g} s: {stats.reason}"
     advice = {
-        Status.UNSTABLE: _advice(stats.stable_step),
+        Status.UNSTABLE: _stable_step_advice(stats.stable_step),
         Status.STEP_TOO_SMALL: f"the smallest step is {options.floor:g} s: raise the "
         "tolerance, soften the stiffest parts, or use radau for stiff systems",
         Status.OUT_OF_BUDGET: "raise the budget or the tolerance, or use lsoda or "
         "radau for stiff systems",
         Status.NOT_SOLVED: "use a shorter step",
     }
-    code, hint = _CODES[stats.status], advice[stats.status]
+    code, hint = _STATUS_CODES[stats.status], advice[stats.status]
     return warning(code, message, hint)
 
 
-def _advice(stable_step: float | None) -> str:
+def _stable_step_advice(stable_step: float | None) -> str:
     if stable_step is None or math.isinf(stable_step):
         return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
@@ -169,7 +169,9 @@ def check_supported(equations: Equations, integrator: Integrator) -> None:
         kind = type(equations.system).__name__
         message = f"a {kind} has neither rates nor accelerations"
         hint = "derive it from FirstOrder or SecondOrder"
-    elif integrator.form is Form.ACCELERATIONS and equations.second_order is None:
+    elif (
+        integrator.form is EquationForm.ACCELERATIONS and equations.second_order is None
+    ):
         message = f"{name} needs accelerations, but the system has rates"
         hint = "use heun or rk4"
     elif integrator.control is StepControl.SCIPY and equations.system.settles:

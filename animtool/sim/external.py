@@ -13,12 +13,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.plugins import load_object
 from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
-from animtool.sim.run import Run
+from animtool.sim.run import IntegrationRun
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
 # Solvers without support for sparse Jacobians; they use finite differences instead.
-DENSE_ONLY = {"scipy.integrate:LSODA"}
+DENSE_OUTPUT_SOLVERS = {"scipy.integrate:LSODA"}
 
 
 @dataclass(slots=True)
@@ -29,7 +29,7 @@ class _Solver:
     dense_output: Any = None
 
 
-def advance(run: Run, target: float) -> Status:
+def advance_scipy(run: IntegrationRun, target: float) -> Status:
     """Integrate until ``target`` [s], which may lie between two steps."""
     memory = run.memory if isinstance(run.memory, _Solver) else _start_solver(run)
     solver, shape = memory.solver, run.state.shape
@@ -38,7 +38,7 @@ def advance(run: Run, target: float) -> Status:
         reason = _take_step(solver)
         if reason:
             run.time = start
-            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, reason))
+            return run.stop(Status.STEP_TOO_SMALL, _failure_text(run, reason))
         h = float(solver.t - start)
         run.memory, run.state = memory, solver.y.reshape(shape)
         status = run.count(float(solver.t), h, 1)
@@ -46,12 +46,12 @@ def advance(run: Run, target: float) -> Status:
             return status
         if h < run.options.floor and solver.t < run.end:
             reason = f"the tolerance needs a step of {plain_number(h)} s"
-            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, reason))
-    run.time, run.state = target, _value(memory, target).reshape(shape)
+            return run.stop(Status.STEP_TOO_SMALL, _failure_text(run, reason))
+    run.time, run.state = target, _dense_value(memory, target).reshape(shape)
     return Status.OK
 
 
-def _value(memory: _Solver, t: float) -> FloatArray:
+def _dense_value(memory: _Solver, t: float) -> FloatArray:
     if t == memory.solver.t:
         return np.array(memory.solver.y)
     if memory.dense_output is None:
@@ -69,12 +69,12 @@ def _take_step(solver: Any) -> str:
     return str(message or (caught[-1].message if caught else "its solver failed"))
 
 
-def _with_suspect(run: Run, failure: str) -> str:
+def _failure_text(run: IntegrationRun, failure: str) -> str:
     suspect = run.equations.system.suspect(run.time, run.state)
     return f"{failure}; {suspect}" if suspect else failure
 
 
-def _start_solver(run: Run) -> _Solver:
+def _start_solver(run: IntegrationRun) -> _Solver:
     options, shape = run.options, run.state.shape
     equations = run.equations
 
@@ -97,7 +97,7 @@ def _start_solver(run: Run) -> _Solver:
     return memory
 
 
-def _flat_jacobian(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
+def _flat_jacobian(run: IntegrationRun) -> Callable[[float, FloatArray], Matrix] | None:
     """Return the Jacobian of the flattened rate; None if unavailable."""
     equations, shape = run.equations, run.state.shape
 
@@ -107,7 +107,7 @@ def _flat_jacobian(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
     def of_accelerations(t: float, flat: FloatArray) -> Matrix:
         matrices = equations.jacobians(t, *flat.reshape(shape))
         assert matrices is not None
-        return _block(*matrices)
+        return _block_jacobian(*matrices)
 
     if equations.second_order is None:
         sample = equations.jacobian(run.time, run.state)
@@ -117,12 +117,13 @@ def _flat_jacobian(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
         sample = None if pair is None else pair[0]
         jacobian = of_accelerations
     supported = (
-        isinstance(sample, np.ndarray) or run.integrator.solver not in DENSE_ONLY
+        isinstance(sample, np.ndarray)
+        or run.integrator.solver not in DENSE_OUTPUT_SOLVERS
     )
     return jacobian if sample is not None and supported else None
 
 
-def _block(by_x: Matrix, by_v: Matrix) -> Matrix:
+def _block_jacobian(by_x: Matrix, by_v: Matrix) -> Matrix:
     """Return the Jacobian of velocities and accelerations by the full state."""
     if isinstance(by_x, np.ndarray):
         zero = np.zeros_like(by_x)

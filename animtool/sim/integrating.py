@@ -20,28 +20,28 @@ from animtool.sim.checks import (
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.modes import allowed_step, modes_at
-from animtool.sim.options import IntegrateOptions, check_options, finer
-from animtool.sim.run import Run, advance_evenly
+from animtool.sim.options import IntegrateOptions, check_options, finer_options
+from animtool.sim.run import IntegrationRun, advance_evenly
 from animtool.sim.system import FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Stats, Status, Trajectory
 
-_ADVANCE = {
+_ADVANCE_FUNCTIONS = {
     StepControl.FIXED: advance_evenly,
-    StepControl.ADAPTIVE: adaptive_steps.advance,
-    StepControl.SCIPY: external.advance,
+    StepControl.ADAPTIVE: adaptive_steps.advance_adaptively,
+    StepControl.SCIPY: external.advance_scipy,
 }
 
 
-def advance(run: Run, target: float) -> Status:
+def advance_run(run: IntegrationRun, target: float) -> Status:
     """Integrate up to a time [s], then check for divergence."""
     if not target > run.time:
         return Status.OK
-    status = _ADVANCE[run.integrator.control](run, target)
+    status = _ADVANCE_FUNCTIONS[run.integrator.control](run, target)
     return run.check() if status is Status.OK else status
 
 
 def checkpoint_of(
-    run: Run, status: Status, time: float, state: FloatArray
+    run: IntegrationRun, status: Status, time: float, state: FloatArray
 ) -> Checkpoint:
     """Return a checkpoint to resume the integration from.
 
@@ -53,7 +53,7 @@ def checkpoint_of(
 
 
 def stats_of(
-    run: Run, status: Status, samples: Sequence[tuple[float, FloatArray]]
+    run: IntegrationRun, status: Status, samples: Sequence[tuple[float, FloatArray]]
 ) -> Stats:
     """Return statistics of a run; the samples give its stable step."""
     integrator, stable = run.integrator, None
@@ -73,7 +73,9 @@ def stats_of(
     )
 
 
-def _stable_step(run: Run, samples: Sequence[tuple[float, FloatArray]]) -> float | None:
+def _stable_step(
+    run: IntegrationRun, samples: Sequence[tuple[float, FloatArray]]
+) -> float | None:
     """Return the largest step that is stable at all of the samples."""
     modes = (modes_at(run.equations, t, state) for t, state in samples)
     steps = [
@@ -134,14 +136,14 @@ def integrate(
         stats = stats_of(
             run, status, [(float(sample_times[i]), states[i]) for i in ends]
         )
-        energies = _energies(system, sample_times, states)
+        energies = _sample_energies(system, sample_times, states)
     if status is not Status.OK:
         notices.append(stop_warning(integrator, options, stats))
     elif options.estimate:
         refined = integrate(
             system,
             sample_times,
-            finer(options),
+            finer_options(options),
             replace(start, memory=None, trial=None),
         )
         stats = replace(stats, error=_refinement_error(refined, states))
@@ -162,10 +164,10 @@ def _start_run(
     options: IntegrateOptions,
     times: FloatArray,
     begin: Checkpoint,
-) -> Run:
+) -> IntegrationRun:
     watch = EnergyWatch(equations.system, options)
     watch.start(begin.time, begin.state)
-    return Run(
+    return IntegrationRun(
         integrator,
         equations,
         options,
@@ -178,18 +180,18 @@ def _start_run(
     )
 
 
-def _states(run: Run, times: FloatArray) -> tuple[list[FloatArray], Status]:
+def _states(run: IntegrationRun, times: FloatArray) -> tuple[list[FloatArray], Status]:
     """Return the states at the times that were reached, and the final status."""
     states, status = [run.state], Status.OK
     for t in times[1:].tolist():
-        status = advance(run, t)
+        status = advance_run(run, t)
         if status is not Status.OK:
             break
         states.append(run.state)
     return states, status
 
 
-def _energies(
+def _sample_energies(
     system: FirstOrder | SecondOrder, times: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
     energies = [

@@ -9,10 +9,10 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
-from animtool.sim.newton import differences
+from animtool.sim.newton import finite_differences
 
 # The largest number of state components for finite-difference Jacobians.
-MAX_COMPONENTS = 240
+MAX_STATE_SIZE = 240
 
 
 def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
@@ -45,14 +45,14 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     known_modes = equations.system.frequencies(t, state)
     if known_modes is not None:
         return known_modes
-    if state.size > MAX_COMPONENTS or not np.isfinite(state).all():
+    if state.size > MAX_STATE_SIZE or not np.isfinite(state).all():
         return None
 
     def rate(flat_state: FloatArray) -> FloatArray:
         rates: FloatArray = equations.rate(t, flat_state.reshape(state.shape)).ravel()
         return rates
 
-    jacobian = differences(rate, state.ravel(), rate(state.ravel()))
+    jacobian = finite_differences(rate, state.ravel(), rate(state.ravel()))
     if not np.isfinite(jacobian).all():
         return None
     values = np.linalg.eigvals(jacobian)

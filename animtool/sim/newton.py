@@ -15,7 +15,7 @@ Residual: TypeAlias = Callable[[FloatArray], FloatArray]
 
 # Relative tolerance of the last correction: as convergence is quadratic, the remaining
 # error is rounding.
-CONVERGED = 1e-10
+CONVERGED_CORRECTION = 1e-10
 # Velocities that move a particle by less than this fraction of its position count as 0,
 # as a body at rest has no velocity to which errors could be relative.
 REST_FRACTION = 1e-3
@@ -34,11 +34,11 @@ def solve_stage(
     ``scale`` is the step times the method's factor [s].
     """
     if equations.second_order is None:
-        return _first_order(equations, t, base, guess, scale)
-    return _second_order(equations, t, base, guess, scale)
+        return _solve_first_order(equations, t, base, guess, scale)
+    return _solve_second_order(equations, t, base, guess, scale)
 
 
-def _first_order(
+def _solve_first_order(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
     shape = base.shape
@@ -51,14 +51,14 @@ def _first_order(
     def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
         jacobian = equations.jacobian(t, unknowns.reshape(shape))
         if jacobian is None:
-            return -differences(residual, unknowns, value)
+            return -finite_differences(residual, unknowns, value)
         return _identity_minus(jacobian * scale)
 
-    solution = _newton(residual, matrix, guess.ravel(), 0.0)
+    solution = _find_root(residual, matrix, guess.ravel(), 0.0)
     return None if solution is None else solution.reshape(shape)
 
 
-def _second_order(
+def _solve_second_order(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
     shape = base[1].shape
@@ -75,16 +75,18 @@ def _second_order(
     def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
         jacobians = equations.jacobians(t, *state(unknowns))
         if jacobians is None:
-            return -differences(residual, unknowns, value)
+            return -finite_differences(residual, unknowns, value)
         by_x, by_v = jacobians
         return _identity_minus(by_v * scale + by_x * (scale * scale))
 
     rest_velocity = REST_FRACTION * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
-    solution = _newton(residual, matrix, guess[1].ravel(), rest_velocity)
+    solution = _find_root(residual, matrix, guess[1].ravel(), rest_velocity)
     return None if solution is None else state(solution)
 
 
-def differences(function: Residual, point: FloatArray, value: FloatArray) -> FloatArray:
+def finite_differences(
+    function: Residual, point: FloatArray, value: FloatArray
+) -> FloatArray:
     """Return the Jacobian ``(n, n)`` of a function by finite differences."""
     scale = max(float(np.abs(point).max(initial=0.0)), 1e-3)
     columns = np.zeros((len(value), len(point)))
@@ -95,7 +97,7 @@ def differences(function: Residual, point: FloatArray, value: FloatArray) -> Flo
     return columns
 
 
-def _newton(
+def _find_root(
     residual: Residual,
     matrix: Callable[[FloatArray, FloatArray], Matrix],
     start: FloatArray,
@@ -114,7 +116,10 @@ def _newton(
         if not np.isfinite(residuals).all():
             return None
         size = max(float(np.abs(point).max(initial=0.0)), min_size)
-        if float(np.abs(correction).max(initial=0.0)) <= CONVERGED * size + 1e-300:
+        if (
+            float(np.abs(correction).max(initial=0.0))
+            <= CONVERGED_CORRECTION * size + 1e-300
+        ):
             return point
     return None
 

@@ -73,16 +73,16 @@ def check_options(options: IntegrateOptions) -> Integrator:
         OptionError: Options are invalid (SIM001, SIM004, SIM005, SIM006); lists all.
     """
     integrator = _integrator_of(options)
-    faults = _faults(options, integrator.control)
+    faults = _option_faults(options, integrator.control)
     if faults:
         raise OptionError(faults)
     return integrator
 
 
-def finer(options: IntegrateOptions) -> IntegrateOptions:
+def finer_options(options: IntegrateOptions) -> IntegrateOptions:
     """Return options of a more accurate run, to compare with.
 
-    >>> finer(IntegrateOptions("rk4", step=0.1)).step
+    >>> finer_options(IntegrateOptions("rk4", step=0.1)).step
     0.05
     """
     if _integrator_of(options).control is StepControl.FIXED:
@@ -111,7 +111,7 @@ def _integrator_of(options: IntegrateOptions) -> Integrator:
     return integrator
 
 
-def _faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
+def _option_faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
     """Return faults of options, for a kind of method."""
     return range_faults(options) + _method_faults(
         options, fixed=control is StepControl.FIXED

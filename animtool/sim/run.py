@@ -11,13 +11,13 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Integrator, Step
+from animtool.sim.integrators.integrator import Integrator, StepResult
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Native
 from animtool.sim.trajectory import Status
 
 # Times within this fraction of a step count as a multiple of it.
-ON_GRID = 1e-9
+GRID_TOLERANCE = 1e-9
 # Steps between two divergence checks.
 CHECK_INTERVAL = 32
 
@@ -31,7 +31,7 @@ class DivergenceWatch(Protocol):
 
 
 @dataclass(slots=True)
-class Run:
+class IntegrationRun:
     """A running integration."""
 
     integrator: Integrator
@@ -52,7 +52,7 @@ class Run:
     reason: str = ""  # why it stopped
     checked_steps: int = field(default=0)  # accepted steps at the last divergence check
 
-    def accept(self, step: Step, t: float, h: float) -> Status:
+    def accept(self, step: StepResult, t: float, h: float) -> Status:
         """Accept a step that ends at time t; return whether to continue."""
         system = self.equations.system
         state, memory = step.state, step.memory
@@ -128,7 +128,7 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     first, last = start / step, end / step
     first_index, last_index = round(first), round(last)
     # Rounding error of times that are multiples of the step.
-    tolerance = ON_GRID + 4 * math.ulp(max(abs(first), abs(last)))
+    tolerance = GRID_TOLERANCE + 4 * math.ulp(max(abs(first), abs(last)))
     on_grid = max(abs(first - first_index), abs(last - last_index)) <= tolerance < 0.5
     if on_grid and last_index > first_index:
         return StepGrid(start, end, last_index - first_index, step, first_index)
@@ -136,7 +136,7 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     return StepGrid(start, end, count, (end - start) / count, None)
 
 
-def advance_evenly(run: Run, target: float) -> Status:
+def advance_evenly(run: IntegrationRun, target: float) -> Status:
     """Integrate until ``target`` [s] in equal steps."""
     assert run.options.step is not None
     grid = step_grid(run.time, target, run.options.step)
@@ -151,7 +151,7 @@ def advance_evenly(run: Run, target: float) -> Status:
     return status
 
 
-def _advance_by_steps(run: Run, grid: StepGrid) -> Status:
+def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
     step_function = run.integrator.step
     assert step_function is not None
     for i in range(grid.count):
@@ -166,7 +166,7 @@ def _advance_by_steps(run: Run, grid: StepGrid) -> Status:
     return Status.OK
 
 
-def _advance_by_blocks(run: Run, grid: StepGrid, native: Native) -> Status:
+def _advance_by_blocks(run: IntegrationRun, grid: StepGrid, native: Native) -> Status:
     """Take the steps in compiled blocks, with a check after each."""
     evaluations = run.integrator.evaluations or 1
     for i in range(0, grid.count, CHECK_INTERVAL):

@@ -25,7 +25,7 @@ ROUNDING = 1e-14
 MAX_DAMPING = 1e6
 
 
-def unlimited(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
+def no_limit(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
     """Return the limit of unconditionally stable methods."""
     return math.inf
 

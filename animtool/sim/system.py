@@ -168,7 +168,7 @@ Jacobian: TypeAlias = Callable[[float, FloatArray], Matrix]
 Jacobians: TypeAlias = Callable[[float, FloatArray, FloatArray], tuple[Matrix, Matrix]]
 
 
-class _StateFunctions:
+class _FunctionSystem:
     """Optional parts of a system defined by functions."""
 
     def __init__(
@@ -196,7 +196,7 @@ class _StateFunctions:
         return self._frequencies
 
 
-class RateSystem(_StateFunctions, FirstOrder):
+class RateSystem(_FunctionSystem, FirstOrder):
     """A first-order system from a function, such as a velocity field.
 
     Args:
@@ -233,7 +233,7 @@ class RateSystem(_StateFunctions, FirstOrder):
         return None if self._jacobian is None else self._jacobian(t, y)
 
 
-class ForceSystem(_StateFunctions, SecondOrder):
+class ForceSystem(_FunctionSystem, SecondOrder):
     """A second-order system from a function that returns accelerations.
 
     Args:
@@ -286,5 +286,5 @@ class ForceSystem(_StateFunctions, SecondOrder):
 
     def suspect(self, t: float, state: FloatArray) -> str:
         """Return the particle with the largest acceleration."""
-        pulls = np.linalg.norm(self._acceleration(t, *state), axis=1)
-        return f"particle {int(np.argmax(pulls))} has the largest acceleration"
+        magnitudes = np.linalg.norm(self._acceleration(t, *state), axis=1)
+        return f"particle {int(np.argmax(magnitudes))} has the largest acceleration"

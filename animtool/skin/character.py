@@ -61,11 +61,13 @@ def character_meshes(
     meshes, faults = [], []
     for surface in surfaces:
         try:
-            mesh = _mesh(surface, joint_indices, bind)
+            mesh = _prepare_mesh(surface, joint_indices, bind)
         except FormatError as error:
             faults += [_with_mesh_name(fault, surface.name) for fault in error.faults]
             continue
-        shape_columns = [_column(surface, shape, columns) for shape in surface.shapes]
+        shape_columns = [
+            _shape_column(surface, shape, columns) for shape in surface.shapes
+        ]
         meshes.append(
             CharacterMesh(surface.name, mesh, np.array(shape_columns, np.int64))
         )
@@ -112,18 +114,20 @@ def _with_mesh_name(fault: Fault, mesh: str) -> Fault:
     return replace(fault, message=f"mesh {mesh!r}: " + fault.message)
 
 
-def _column(surface: Surface, shape: SurfaceShape, columns: dict[str, int]) -> int:
+def _shape_column(
+    surface: Surface, shape: SurfaceShape, columns: dict[str, int]
+) -> int:
     """Return the column of a shape, which may have its mesh's name as prefix."""
     short_name = shape.name.removeprefix(f"{surface.name}_")
     return columns.get(shape.name, columns.get(short_name, -1))
 
 
-def _mesh(
+def _prepare_mesh(
     surface: Surface, joint_indices: dict[str, int], bind: FloatArray
 ) -> DeformedMesh:
     shapes = skin = None
     if surface.shapes:
-        deltas = [_deltas(shape) for shape in surface.shapes]
+        deltas = [_shape_deltas(shape) for shape in surface.shapes]
         shapes = prepare_shapes(deltas, surface.points, surface.normals)
     if surface.skin is not None:
         binding = Binding(
@@ -138,7 +142,7 @@ def _mesh(
     return DeformedMesh(surface.points, shapes, skin, surface.normals)
 
 
-def _deltas(shape: SurfaceShape) -> ShapeDeltas:
+def _shape_deltas(shape: SurfaceShape) -> ShapeDeltas:
     return ShapeDeltas(
         shape.name,
         shape.deltas,

@@ -21,7 +21,7 @@ from animtool.skin.skinning import PreparedSkin, skin_normals, skin_points
 # Size of a block of frames [bytes]: small enough to stay in cache between steps and for
 # a writing thread; for large meshes, enough frames for fast matrix products.
 BLOCK_BYTES = 2**22
-MIN_FRAMES = 4
+MIN_BLOCK_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class DeformedMesh:
 
 
 @dataclass(frozen=True, slots=True)
-class Deformed:
+class DeformedFrames:
     """A deformed mesh in F frames."""
 
     # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
@@ -92,9 +92,9 @@ class Deformed:
     # ``(F, V, 3)`` [unit of the points / s]; None unless requested.
     velocities: FloatArray | None = None
 
-    def select(self, frames: slice) -> Deformed:
+    def select(self, frames: slice) -> DeformedFrames:
         """Return a range of the frames."""
-        return Deformed(
+        return DeformedFrames(
             self.points[frames],
             self.extents[frames],
             None if self.normals is None else self.normals[frames],
@@ -109,7 +109,7 @@ def deform(
     *,
     normals: bool = False,
     times: ArrayLike | None = None,
-) -> Deformed:
+) -> DeformedFrames:
     """Return a mesh deformed in every frame: shapes first, then the skin.
 
     Args:
@@ -132,30 +132,30 @@ def deform(
     [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
     """
     values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
-    return _deform(mesh, values, world, normals, _seconds(times), None)
+    return _deform_into(mesh, values, world, normals, _block_seconds(times), None)
 
 
-def _deform(
+def _deform_into(
     mesh: DeformedMesh,
     values: FloatArray | None,
     world: WorldTransforms | None,
     normals: bool,
     times: FloatArray | None,
-    buffers: _Buffers | None,
-) -> Deformed:
+    buffers: _DeformBuffers | None,
+) -> DeformedFrames:
     """Return the deformed mesh like `deform`, reusing buffers if given."""
-    frames = _frames(values, world)
-    points = _points(mesh, values, world, frames, buffers)
-    return Deformed(
+    frames = _frame_count(values, world)
+    points = _deformed_points(mesh, values, world, frames, buffers)
+    return DeformedFrames(
         points,
         extents(points),
-        _normals(mesh, values, world, frames, buffers) if normals else None,
-        None if times is None else _velocities(points, times),
+        _deformed_normals(mesh, values, world, frames, buffers) if normals else None,
+        None if times is None else _point_velocities(points, times),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Buffers:
+class _DeformBuffers:
     """Buffers reused from block to block."""
 
     unskinned: FloatArray  # points or normals before skinning ``(F, V, 3)``
@@ -163,7 +163,7 @@ class _Buffers:
     normals: FloatArray  # ``(F, N, 3)``
 
     @classmethod
-    def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _Buffers:
+    def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _DeformBuffers:
         count = 0 if mesh.normals is None or not normals else len(mesh.normals)
         shape = (frames, *mesh.points.shape)
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((frames, count, 3)))
@@ -177,7 +177,7 @@ def deform_blocks(
     normals: bool = False,
     times: ArrayLike | None = None,
     block: int | None = None,
-) -> Iterator[Deformed]:
+) -> Iterator[DeformedFrames]:
     """Yield a deformed mesh in blocks of consecutive frames; see `deform`.
 
     Args:
@@ -195,16 +195,16 @@ def deform_blocks(
         ValueError: As for `deform`.
     """
     values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
-    frames = _frames(values, world)
+    frames = _frame_count(values, world)
     size = block or block_frames(len(mesh.points))
     # Central differences need the frame on either side.
-    seconds = _seconds(times)
+    seconds = _block_seconds(times)
     margin = 0 if seconds is None else 1
-    buffers = _Buffers.of(mesh, min(frames, size + 2 * margin), normals=normals)
+    buffers = _DeformBuffers.of(mesh, min(frames, size + 2 * margin), normals=normals)
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
         first, stop = max(begin - margin, 0), min(end + margin, frames)
-        deformed = _deform(
+        deformed = _deform_into(
             mesh,
             None if values is None else values[first:stop],
             None
@@ -224,7 +224,7 @@ def block_frames(vertices: int) -> int:
     16
     """
     count = BLOCK_BYTES // max(24 * vertices, 1)
-    return max(MIN_FRAMES, count // MIN_FRAMES * MIN_FRAMES)
+    return max(MIN_BLOCK_FRAMES, count // MIN_BLOCK_FRAMES * MIN_BLOCK_FRAMES)
 
 
 def extents(points: ArrayLike) -> FloatArray:
@@ -236,7 +236,7 @@ def extents(points: ArrayLike) -> FloatArray:
     return _kernels.point_extents(as_floats(points, ("F", "V", 3), "points"))
 
 
-def _frames(weights: FloatArray | None, world: WorldTransforms | None) -> int:
+def _frame_count(weights: FloatArray | None, world: WorldTransforms | None) -> int:
     counts = set()
     if weights is not None:
         counts.add(len(weights))
@@ -247,12 +247,12 @@ def _frames(weights: FloatArray | None, world: WorldTransforms | None) -> int:
     return counts.pop()
 
 
-def _points(
+def _deformed_points(
     mesh: DeformedMesh,
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
-    buffers: _Buffers | None,
+    buffers: _DeformBuffers | None,
 ) -> FloatArray:
     points = mesh.points[None]
     is_skinned = mesh.skin is not None and world is not None
@@ -267,12 +267,12 @@ def _points(
     return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))
 
 
-def _normals(
+def _deformed_normals(
     mesh: DeformedMesh,
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
-    buffers: _Buffers | None,
+    buffers: _DeformBuffers | None,
 ) -> FloatArray:
     if mesh.normals is None:
         raise ValueError("the mesh has no normals")
@@ -293,23 +293,23 @@ def _normals(
     return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))
 
 
-def _seconds(times: ArrayLike | None) -> FloatArray | None:
+def _block_seconds(times: ArrayLike | None) -> FloatArray | None:
     return None if times is None else as_floats(times, ("F",), "times")
 
 
-def _velocities(points: FloatArray, times: FloatArray) -> FloatArray:
+def _point_velocities(points: FloatArray, times: FloatArray) -> FloatArray:
     if len(points) < 2:
         return np.zeros_like(points)
     return np.asarray(np.gradient(points, times, axis=0))
 
 
-def displaced_points(
-    deformed: Deformed,
+def replace_points(
+    deformed: DeformedFrames,
     points: Channel,
     frames: slice,
     surface: Surface | None,
     times: FloatArray | None,
-) -> Deformed:
+) -> DeformedFrames:
     """Return frames of a mesh with replaced points, such as simulated ones.
 
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
@@ -321,9 +321,9 @@ def displaced_points(
         surface: Mesh with the faces; None for strands.
         times: Times of all frames ``(F,)`` [s]; None for no velocities.
 
-    >>> static = Deformed(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
+    >>> static = DeformedFrames(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
     >>> up = Channel(np.zeros((2, 3)), np.arange(2), np.ones((3, 2, 3)))
-    >>> displaced_points(static, up, slice(1, 2), None, None).extents.tolist()
+    >>> replace_points(static, up, slice(1, 2), None, None).extents.tolist()
     [[[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]]
     """
     margin = 0 if times is None else 1

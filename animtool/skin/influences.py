@@ -94,7 +94,7 @@ def read_influences(
         numbers.astype(np.int64), values, max(joints, 1)
     )
     weight_sums = np.bincount(rows, strengths, count).astype(np.float64)
-    is_kept = _strongest(rows, count, max_influences)
+    is_kept = _first_entries(rows, count, max_influences)
     is_pruned = np.bincount(rows[~is_kept], minlength=count) > 0
     nonzero, merged_count = int(np.count_nonzero(values)), len(rows)
     rows, joints_of_rows, strengths = (
@@ -155,7 +155,7 @@ def _row_starts(rows: IntArray, count: int) -> IntArray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _strongest(rows: IntArray, count: int, max_count: int | None) -> BoolArray:
+def _first_entries(rows: IntArray, count: int, max_count: int | None) -> BoolArray:
     """Return a mask of the first ``max_count`` entries of each row."""
     if max_count is None:
         return np.ones(len(rows), np.bool_)
@@ -191,12 +191,14 @@ def _check_values(
     out_of_range = (integers < 0) | (integers >= joints)
     infinite = ~np.isfinite(values)
     faults = [
-        *_faults(
+        *_vertex_faults(
             "SKIN002",
             _any_per_vertex(out_of_range),
             f"a joint index outside 0…{joints - 1}",
         ),
-        *_faults("SKIN003", _any_per_vertex(infinite), "a weight that is not finite"),
+        *_vertex_faults(
+            "SKIN003", _any_per_vertex(infinite), "a weight that is not finite"
+        ),
     ]
     if faults:
         raise FormatError(faults)
@@ -208,12 +210,14 @@ def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
 
 def _check_sums(sums: FloatArray, kept_sums: FloatArray) -> None:
     without_weight = np.minimum(sums, kept_sums) <= 0
-    faults = _faults("SKIN004", np.asarray(without_weight), "no weight on any joint")
+    faults = _vertex_faults(
+        "SKIN004", np.asarray(without_weight), "no weight on any joint"
+    )
     if faults:
         raise FormatError(faults)
 
 
-def _faults(code: str, is_wrong: BoolArray, problem: str) -> list[Fault]:
+def _vertex_faults(code: str, is_wrong: BoolArray, problem: str) -> list[Fault]:
     """Return a fault that lists the vertices of a mask, if any."""
     at = np.flatnonzero(is_wrong).tolist()
     if not at:

@@ -41,7 +41,7 @@ PASS_COLUMNS = 6.6
 
 # Rows of the dense table are copied to leave out inactive columns. Copying a row costs
 # as much as its product over this many frames (measured: 6.7).
-COPY_FRAMES = 7
+MIN_COPY_FRAMES = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def prepare_shapes(
     [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
     rest = as_floats(points, ("V", 3), "points")
-    faults = [fault for shape in shapes for fault in _faults(shape, len(rest))]
+    faults = [fault for shape in shapes for fault in _shape_faults(shape, len(rest))]
     if faults:
         raise FormatError(faults)
     sorted_shapes = [_all_offsets(shape) for shape in shapes]
@@ -122,14 +122,14 @@ def prepare_shapes(
     return PreparedShapes(
         tuple(shape.name for shape in shapes),
         tuple(np.sort(np.append(weights, 0.0)) for weights in knots),
-        _columns(
+        _prepare_columns(
             shapes,
             [[p.offsets for p in shape_offsets] for shape_offsets in sorted_shapes],
             rest,
         ),
         None
         if normals is None
-        else _columns(
+        else _prepare_columns(
             shapes,
             [
                 [p.normal_offsets for p in shape_offsets]
@@ -167,7 +167,7 @@ def blend_points(
 
     ``weights`` ``(F, S)`` [1], ``out`` ``(F, V, 3)``.
     """
-    return _blend(shapes.points, column_weights(shapes, weights), out)
+    return _blend_columns(shapes.points, column_weights(shapes, weights), out)
 
 
 def blend_normals(
@@ -179,10 +179,10 @@ def blend_normals(
     """
     if shapes.normals is None:
         raise ValueError("the shapes were prepared without normals")
-    return _blend(shapes.normals, column_weights(shapes, weights), out)
+    return _blend_columns(shapes.normals, column_weights(shapes, weights), out)
 
 
-def _blend(
+def _blend_columns(
     columns: _Columns, weights: FloatArray, out: FloatArray | None
 ) -> FloatArray:
     active = np.asarray(weights.any(axis=0), np.bool_)
@@ -191,7 +191,9 @@ def _blend(
     blended_rows = output_array(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if active_dense.any():
-        _product(columns, weights, active, blended_rows.reshape(len(blended_rows), -1))
+        _add_dense_columns(
+            columns, weights, active, blended_rows.reshape(len(blended_rows), -1)
+        )
         points = blended_rows
     if active_sparse.any():
         first, numbers, offsets = columns.first, columns.columns, columns.offsets
@@ -204,14 +206,14 @@ def _blend(
     return blended_rows
 
 
-def _product(
+def _add_dense_columns(
     columns: _Columns, weights: FloatArray, active: BoolArray, out: FloatArray
 ) -> None:
     """Fill in the rest and the dense columns times their weights ``(F, 3·V)``."""
     dense_weights, is_used = weights[:, columns.dense], active[columns.dense]
     table = columns.table
     inactive = len(is_used) - int(is_used.sum())
-    if inactive * len(weights) > COPY_FRAMES * (len(is_used) - inactive + 1):
+    if inactive * len(weights) > MIN_COPY_FRAMES * (len(is_used) - inactive + 1):
         table, dense_weights = (
             table[np.append(True, is_used)],
             dense_weights[:, is_used],
@@ -263,7 +265,7 @@ def _all_offsets(shape: ShapeDeltas) -> list[InbetweenDeltas]:
     return sorted(all_offsets, key=lambda offset: offset.at)
 
 
-def _columns(
+def _prepare_columns(
     shapes: Sequence[ShapeDeltas],
     offsets: Sequence[Sequence[ArrayLike | None]],
     rest: FloatArray,
@@ -273,7 +275,7 @@ def _columns(
         for values in shape_offsets:
             nonzero.append(_nonzero_offsets(shape, values, len(rest)))
     density = np.array([len(at) for at, _ in nonzero]) / max(len(rest), 1)
-    dense = _dense(density)
+    dense = _is_dense(density)
     table = np.zeros((1 + int(dense.sum()), *rest.shape))
     table[0] = rest
     for row, i in enumerate(np.flatnonzero(dense), 1):
@@ -300,7 +302,7 @@ def _columns(
     )
 
 
-def _dense(density: FloatArray) -> BoolArray:
+def _is_dense(density: FloatArray) -> BoolArray:
     """Return a mask of the columns that are faster in the dense product."""
     cost = density * SPARSE_COST
     dense = np.asarray(cost >= 1.0)
@@ -325,7 +327,7 @@ def _nonzero_offsets(
     return at[is_nonzero].astype(np.int64), offsets[is_nonzero]
 
 
-def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
+def _shape_faults(shape: ShapeDeltas, count: int) -> list[Fault]:
     label = f"shape {shape.name!r}"
     faults = []
     length = count

@@ -24,7 +24,7 @@ from animtool.skin.influences import InfluenceReport, Influences, read_influence
 
 # A bind matrix is singular if the determinant of its linear part, relative to the cube
 # of its largest element, is smaller than this.
-SINGULAR = 1e-12
+SINGULAR_DETERMINANT = 1e-12
 
 # Stretches closer to identity are rounding and ignored, as in UsdSkel.
 STRETCH_TOLERANCE = 1e-6
@@ -116,7 +116,7 @@ def skin_points(
     ``out`` ``(F, V, 3)``.
     """
     source = as_floats(points, ("F", skin.vertices, 3), "points")
-    return _skin(skin, skin.influences, source, world, out, normals=False)
+    return _skin_values(skin, skin.influences, source, world, out, normals=False)
 
 
 def skin_normals(
@@ -138,10 +138,10 @@ def skin_normals(
     """
     influences = skin.influences if vertices is None else skin.influences.rows(vertices)
     source = as_floats(normals, ("F", influences.vertices, 3), "normals")
-    return _skin(skin, influences, source, world, out, normals=True)
+    return _skin_values(skin, influences, source, world, out, normals=True)
 
 
-def _skin(
+def _skin_values(
     skin: PreparedSkin,
     influences: Influences,
     source: FloatArray,
@@ -153,7 +153,7 @@ def _skin(
     skinned = output_array(out, (len(world.positions), influences.vertices, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
-        transforms = _transforms(skin, offsets[:, :3], world)
+        transforms = _skinning_matrices(skin, offsets[:, :3], world)
         if normals:
             transforms[..., :3] = _inverse_transposes(transforms[..., :3])
             transforms[..., 3] = 0.0
@@ -167,7 +167,7 @@ def _skin(
             skinned,
         )
         return skinned
-    transforms = _transforms(skin, skin.joint_from_world[:, :3], world)
+    transforms = _skinning_matrices(skin, skin.joint_from_world[:, :3], world)
     rotations, stretches = _kernels.split_stretch(
         np.ascontiguousarray(transforms[..., :3])
     )
@@ -186,7 +186,7 @@ def _skin(
         influences.weights,
         rotations,
         translations,
-        _without_rounding(stretches),
+        _remove_rounding(stretches),
         normals,
         skinned,
     )
@@ -199,7 +199,7 @@ def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
     return points @ world_from_points[:3, :3].T + world_from_points[:3, 3]
 
 
-def _transforms(
+def _skinning_matrices(
     skin: PreparedSkin, offsets: FloatArray, world: WorldTransforms
 ) -> FloatArray:
     """Return joint world transforms times offsets ``(U, 3, 4)`` as ``(F, U, 3, 4)``."""
@@ -210,7 +210,7 @@ def _transforms(
     return transforms
 
 
-def _without_rounding(stretches: FloatArray) -> FloatArray | None:
+def _remove_rounding(stretches: FloatArray) -> FloatArray | None:
     """Return stretches with rounding removed; None if no frame is stretched."""
     distance = np.abs(stretches - np.eye(3)).max(axis=(1, 2, 3), initial=0.0)
     is_stretched = distance > STRETCH_TOLERANCE
@@ -227,7 +227,7 @@ def _inverse_transposes(linear: FloatArray) -> FloatArray:
     determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]
     size = np.linalg.norm(cofactors, axis=(-2, -1), keepdims=True)
     largest = np.abs(linear).max(axis=(-2, -1), keepdims=True)
-    regular = np.abs(determinant) > SINGULAR * largest**3
+    regular = np.abs(determinant) > SINGULAR_DETERMINANT * largest**3
     divisor = np.where(regular, determinant, np.where(size > 0, size, 1.0))
     return np.asarray(cofactors / divisor)
 
@@ -264,7 +264,7 @@ def _check_order(order: IntArray, joints: int) -> None:
 def _check_regular(bind: FloatArray, joints: IntArray) -> None:
     linear = bind[joints, :3, :3]
     largest = np.abs(linear).max(axis=(1, 2), initial=0.0)
-    singular = np.abs(np.linalg.det(linear)) <= SINGULAR * largest**3
+    singular = np.abs(np.linalg.det(linear)) <= SINGULAR_DETERMINANT * largest**3
     if singular.any():
         at = listed(joints[singular].tolist())
         message = f"bind transforms of joints {at} have no inverse"

@@ -72,9 +72,9 @@ class ValidateOptions:
         if level is None or self.levels[level] is not None:
             return True
         # A more specific selection overrides the profile.
-        return max(selected_length, _prefix_length(code, self.severity)) >= _length(
-            level
-        )
+        return max(
+            selected_length, _prefix_length(code, self.severity)
+        ) >= _prefix_length_of(level)
 
     def of(self, fault: Fault) -> Fault:
         """Return a finding with its configured severity."""
@@ -114,7 +114,7 @@ class ValidateOptions:
 
 
 FORMATS = ("text", "json", "github", "sarif", "junit")
-_FOR_FIX = f"needs {argument('fix', True)}, which writes"
+_NEEDS_FIX = f"needs {argument('fix', True)}, which writes"
 _NO_REPORT = (
     f"{argument('diff')} writes a diff, not a report: remove {argument('format')}"
 )
@@ -139,7 +139,7 @@ class ReportOptions:
         "output",
         short_flag="-o",
         goes_with="fix",
-        missing_message=f"{argument('output')} {_FOR_FIX}",
+        missing_message=f"{argument('output')} {_NEEDS_FIX}",
         help=f"With {argument('fix', True)} and one USD file: write the repaired "
         "copy here.",
     )
@@ -147,7 +147,7 @@ class ReportOptions:
         False,
         "switch",
         goes_with="fix",
-        missing_message=f"{argument('overwrite', True)} {_FOR_FIX}",
+        missing_message=f"{argument('overwrite', True)} {_NEEDS_FIX}",
         help=f"With {argument('fix', True)}: replace the file of -o; without -o, the "
         "USD files themselves.",
     )
@@ -155,8 +155,8 @@ class ReportOptions:
         False,
         "switch",
         excludes={
-            "output": f"{argument('output')} {_FOR_FIX}",
-            "overwrite": f"{argument('overwrite', True)} {_FOR_FIX}",
+            "output": f"{argument('output')} {_NEEDS_FIX}",
+            "overwrite": f"{argument('overwrite', True)} {_NEEDS_FIX}",
             "report_format": _NO_REPORT,
             "output_file": _NO_REPORT,
         },
@@ -181,10 +181,10 @@ def _longest_prefix(code: str, beginnings: Iterable[str]) -> str | None:
     matching_prefixes = [
         prefix for prefix in beginnings if code.startswith(current_codes(prefix))
     ]
-    return max(matching_prefixes, key=_length, default=None)
+    return max(matching_prefixes, key=_prefix_length_of, default=None)
 
 
-def _length(prefix: str) -> int:
+def _prefix_length_of(prefix: str) -> int:
     """Return the length of a prefix in current spelling."""
     return len(current_codes(prefix)[0])
 
@@ -192,7 +192,7 @@ def _length(prefix: str) -> int:
 def _prefix_length(code: str, beginnings: Iterable[str]) -> int:
     """Return the length of the longest matching prefix of a code, -1 for none."""
     longest_prefix = _longest_prefix(code, beginnings)
-    return -1 if longest_prefix is None else _length(longest_prefix)
+    return -1 if longest_prefix is None else _prefix_length_of(longest_prefix)
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
@@ -225,10 +225,10 @@ _PROJECT_SETTINGS = tuple(
 def settings_of(path: Path) -> ValidateOptions:
     """Return the project settings of a file."""
     config = find_config(path)
-    return _options(config.validate, str(config.path))
+    return _parse_options(config.validate, str(config.path))
 
 
-def _options(table: Any, path: str) -> ValidateOptions:
+def _parse_options(table: Any, path: str) -> ValidateOptions:
     lists: dict[str, tuple[str, ...]] = {}
     for name in table:
         if name not in _PROJECT_SETTINGS:

@@ -17,8 +17,8 @@ from animtool.documents.document import read_document
 # Severity by code or prefix; None disables a code.
 Levels = Mapping[str, Severity | None]
 
-OFF = "off"
-_KEYS = ("profile", "extends", "severity")
+OFF_WORD = "off"
+_PROFILE_KEYS = ("profile", "extends", "severity")
 _VERSION = "animtool/1"
 _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
@@ -109,18 +109,18 @@ def load_profile(name: str, folder: Path | None = None) -> Levels:
         hint = nearest(name, list(PROFILES))
         raise OptionError(Fault("VAL009", message, None, (), hint))
     is_toml = path.suffix.lower() == ".toml"
-    table = _toml(path) if is_toml else _document(path)
-    return _levels(table, str(path))
+    table = _read_toml(path) if is_toml else _read_document(path)
+    return _parse_levels(table, str(path))
 
 
-def _document(path: Path) -> Mapping[str, Any]:
+def _read_document(path: Path) -> Mapping[str, Any]:
     try:
         return dict(read_document(path).value)
     except FormatError as error:
         raise OptionError(error.faults) from error
 
 
-def _toml(path: Path) -> Mapping[str, Any]:
+def _read_toml(path: Path) -> Mapping[str, Any]:
     """Return a TOML profile, or the severity part of project settings."""
     try:
         table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
@@ -134,11 +134,11 @@ def _toml(path: Path) -> Mapping[str, Any]:
     return table
 
 
-def _levels(table: Mapping[str, Any], path: str) -> Levels:
+def _parse_levels(table: Mapping[str, Any], path: str) -> Levels:
     for key in table:
-        if key not in _KEYS:
+        if key not in _PROFILE_KEYS:
             raise _profile_error(
-                f"unknown key {key!r}", path, f"allowed: {', '.join(_KEYS)}"
+                f"unknown key {key!r}", path, f"allowed: {', '.join(_PROFILE_KEYS)}"
             )
     version = table.get("profile", _VERSION)
     if version != _VERSION:
@@ -154,7 +154,7 @@ def _levels(table: Mapping[str, Any], path: str) -> Levels:
             f"severity is {severities!r}, not a table of codes", path, hint
         )
     levels = {
-        str(code).upper(): _level(code, value, path)
+        str(code).upper(): _parse_level(code, value, path)
         for code, value in severities.items()
     }
     _check_codes(levels, path)
@@ -169,11 +169,11 @@ def _levels(table: Mapping[str, Any], path: str) -> Levels:
     return {**base_levels, **levels}
 
 
-def _level(code: object, value: object, path: str) -> Severity | None:
-    if value is False or value == OFF:
+def _parse_level(code: object, value: object, path: str) -> Severity | None:
+    if value is False or value == OFF_WORD:
         return None
     if value not in list(Severity):
-        hint = f"allowed: {', '.join(Severity)}, {OFF}"
+        hint = f"allowed: {', '.join(Severity)}, {OFF_WORD}"
         raise _profile_error(f"severity.{code} is {value!r}", path, hint)
     return Severity(str(value))
 

@@ -67,20 +67,20 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     return list(files), unmatched_patterns
 
 
-_STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
+_LOCATION_STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
 # Keys that identify an entry of a list.
 _NAME_KEYS = ("name", "target", "joint", "effector")
 
 
 @dataclass(slots=True)
-class Ignores:
+class IgnoreEntries:
     """The ``ignore`` entries of a file, and how often each matched."""
 
     document: Document  # the file
     used: list[int]  # number of findings hidden by each entry
 
     @classmethod
-    def of(cls, document: Document) -> Ignores:
+    def of(cls, document: Document) -> IgnoreEntries:
         """Return the entries of a document; its reader refuses malformed ones."""
         return cls(document, [0] * len(_entries(document)))
 
@@ -88,7 +88,7 @@ class Ignores:
         """Return the findings that no entry matches."""
         return [fault for fault in faults if not self._hides(fault)]
 
-    def remarks(self) -> Iterator[Fault]:
+    def entry_faults(self) -> Iterator[Fault]:
         """Yield faults of the entries after all findings were matched."""
         rules, _ = all_rules()
         for i, entry in enumerate(_entries(self.document)):
@@ -114,7 +114,8 @@ class Ignores:
         for i, entry in enumerate(_entries(self.document)):
             pattern = entry.get("where")
             if fault.code in current_codes(entry["code"]) and (
-                not pattern or any(_covers(pattern, spelling) for spelling in spellings)
+                not pattern
+                or any(_matches_location(pattern, spelling) for spelling in spellings)
             ):
                 self.used[i] += 1
                 is_hidden = True
@@ -124,7 +125,7 @@ class Ignores:
         """Return a location with list entries by number, and by name."""
         node: Any = self.document.value
         text = ""
-        for key, index in _STEP.findall(where):
+        for key, index in _LOCATION_STEP.findall(where):
             if index.isdigit() and isinstance(node, list) and int(index) < len(node):
                 node = node[int(index)]
                 names = (
@@ -147,10 +148,11 @@ def _is_map(node: Any) -> bool:
     return isinstance(node, dict)
 
 
-def _covers(pattern: str, location: str) -> bool:
+def _matches_location(pattern: str, location: str) -> bool:
     """Return whether a pattern equals a location, or contains it.
 
-    >>> _covers("joints[*_l]", "joints[knee_l].limits"), _covers("joint", "joints[2]")
+    >>> location = "joints[knee_l].limits"
+    >>> _matches_location("joints[*_l]", location), _matches_location("joint", location)
     (True, False)
     """
     words = ".*".join(map(re.escape, pattern.split("*")))
@@ -277,19 +279,21 @@ def validate_files(
         if by_scene
         else [None] * len(files)
     )
-    by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
+    by_file = _findings_of_files(
+        files, settings, values, _process_count(options.jobs, len(files))
+    )
     names = {path.resolve(): str(path) for path in files}
     findings = {_with_file_name(fault, names) for faults in by_file for fault in faults}
-    return Report(files, tuple(sorted(findings, key=_order)), failed_rules)
+    return Report(files, tuple(sorted(findings, key=_sort_key)), failed_rules)
 
 
-def _processes(jobs: int | None, files: int) -> int:
+def _process_count(jobs: int | None, files: int) -> int:
     if jobs is not None:
         return max(1, min(jobs, files))
     return max(1, min(os.cpu_count() or 1, files // MIN_FILES_PER_PROCESS))
 
 
-def _all(
+def _findings_of_files(
     files: Sequence[Path],
     settings: Sequence[ValidateOptions],
     values: Sequence[SceneValues | None],
@@ -299,7 +303,7 @@ def _all(
     # Which file crashed before is known only in this process.
     if processes > 1 and not has_crashed():
         faults = _findings_in_processes(files, settings, values, processes)
-    yield from map(_check, files, settings, values) if faults is None else faults
+    yield from map(_check_file, files, settings, values) if faults is None else faults
 
 
 def _findings_in_processes(
@@ -322,14 +326,14 @@ def _findings_in_processes(
         with ProcessPoolExecutor(processes, context, follow_parent) as pool:
             with without_interrupts(), without_main():
                 results = pool.map(
-                    _check, files, settings, values, chunksize=CHUNK_FILES
+                    _check_file, files, settings, values, chunksize=CHUNK_FILES
                 )
             return list(results)
     except BrokenExecutor:
         return None
 
 
-def _check(
+def _check_file(
     path: Path, options: ValidateOptions, values: SceneValues | None
 ) -> list[Fault]:
     """Return the reported findings of one file, with values of scene variables."""
@@ -363,10 +367,10 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
             faults += _run_rule(rule, checked)
     if checked.document is None:
         return faults
-    ignores = Ignores.of(checked.document)
+    ignores = IgnoreEntries.of(checked.document)
     faults = ignores.hide(faults)
     # Refused parts may hide findings that an entry is meant for.
-    return [*faults, *(ignores.remarks() if checked.subject is not None else ())]
+    return [*faults, *(ignores.entry_faults() if checked.subject is not None else ())]
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
@@ -376,13 +380,13 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
         kinds_text = ", ".join(sorted(rule.kinds))
         message = f"is a {checked_file.kind} file, but {rule.code} checks {kinds_text}"
         raise FormatError(Fault("DOC009", message, str(path)))
-    subjects = _subjects(rule, checked_file)
+    subjects = _rule_subjects(rule, checked_file)
     if not subjects:
         raise FormatError(checked_file.faults)
     return [fault for subject in subjects for fault in _faults_of(rule, subject)]
 
 
-def _subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
+def _rule_subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
     """Return a rule's subjects in a file; none if its reader refused it."""
     if rule.takes:
         return checked_file.takes
@@ -399,7 +403,9 @@ def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
 def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
     """Return the findings of a rule; a crash is a finding, too."""
     try:
-        return [f for s in _subjects(rule, checked_file) for f in _faults_of(rule, s)]
+        return [
+            f for s in _rule_subjects(rule, checked_file) for f in _faults_of(rule, s)
+        ]
     except Exception as error:
         path = (
             None if checked_file.document is None else str(checked_file.document.path)
@@ -427,7 +433,7 @@ def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
     return replace(fault, path=names.get(path, str(shown_path)))
 
 
-def _order(fault: Fault) -> tuple[object, ...]:
+def _sort_key(fault: Fault) -> tuple[object, ...]:
     return (
         fault.path or "",
         fault.lines,

@@ -14,7 +14,7 @@ import numpy as np
 from animtool import open_source
 from animtool.capture.templates import load_template
 from animtool.maths import so3
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 HERE = Path(__file__).parent
 RIGS = HERE.parents[1] / "rigs/biped"
@@ -34,7 +34,9 @@ def markers() -> tuple[list[str], np.ndarray, np.ndarray]:
     assert stream.curve is not None
     times = 1 + 24 * np.arange(round(FPS * SECONDS) + 1) / FPS
     motion, rig = stream.curve(times), stream.rig
-    world = forward(rig, motion.translations.dense(), motion.rotations.dense())
+    world = forward_kinematics(
+        rig, motion.translations.dense(), motion.rotations.dense()
+    )
     template = load_template(RIGS / "biped.markers.yaml")
     joints = template.joints(rig)
     turned = np.einsum("fmij,mj->fmi", world.linear[:, joints], template.offsets)

@@ -22,7 +22,7 @@ from animtool.motion.take import Take
 from animtool.retarget import map_joints
 from animtool.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Rig
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def side_of(joint: str) -> str:
 def points(take: Take, frame: int) -> Array:
     """Return where joints are, seen from the side, hips at 0 ``(J, 2)`` [m]."""
     motion = take.motion
-    world = forward(
+    world = forward_kinematics(
         take.rig,
         motion.translations.dense()[frame - 1 : frame],
         motion.rotations.dense()[frame - 1 : frame],

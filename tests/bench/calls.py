@@ -40,7 +40,7 @@ from animtool.maths import so3
 from animtool.maths.curves import Curves, Extrapolation, SegmentKind
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 JOINTS, FRAMES = 60, 10_000
@@ -111,7 +111,7 @@ def ik_routes() -> list[Route]:
     def step() -> None:
         result = ik.solve(problem, start, targets)
         posed = local_from_coordinates(rig, result.coordinates)
-        forward(rig, posed.translations, posed.rotations)
+        forward_kinematics(rig, posed.translations, posed.rotations)
 
     def tick() -> None:
         session.solve(wrist_l=place, start=start).world()
@@ -163,7 +163,7 @@ def _six_goal() -> tuple[Any, tuple[Any, Any]]:
     """Return a pose of the six pins, and where its hand is."""
     arm, pose = six_pins(), np.array([0.3, -0.9, 1.2, 0.4, 0.8, -0.5])
     local = local_from_coordinates(arm, pose[None])
-    world = forward(arm, local.translations, local.rotations)
+    world = forward_kinematics(arm, local.translations, local.rotations)
     return pose, (world.positions[0, 6], so3.from_matrix(world.linear[0, 6]))
 
 
@@ -257,7 +257,7 @@ def take_routes(rng: np.random.Generator) -> list[Route]:
     section = f"a take of {JOINTS} joints, {FRAMES} frames"
     bends = [(1, 1), (FRAMES // 2, 4000), (FRAMES, FRAMES)]
     return [
-        Route(section, FORWARD, lambda: forward(rig, places, turns)),
+        Route(section, FORWARD, lambda: forward_kinematics(rig, places, turns)),
         Route(section, "take.world()", take.world, base=FORWARD, times=1.2),
         Route(section, "resampled, 60 fps", lambda: resampled(take, Fraction(60))),
         Route(section, "time_warp", lambda: time_warp(take, bends)),

@@ -19,7 +19,7 @@ from measuring import begin, on_one_thread, parser, run
 
 from animtool import ik
 from animtool.maths import so3
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -61,7 +61,10 @@ def measure(frames: int, seconds: float, limited: int) -> dict[str, float]:
     rotations = so3.exp(wander(rng, (frames, len(rig.joints), 3), 0.03))
     places = np.repeat(rig.rest_translations[None], frames, 0)
     places[:, 0] += wander(rng, (frames, 3), 0.05)
-    world, at = forward(rig, places, rotations), [rig.index(name) for name in ends]
+    world, at = (
+        forward_kinematics(rig, places, rotations),
+        [rig.index(name) for name in ends],
+    )
     points = world.positions[:, at] + rng.normal(0, 5e-4, (frames, len(at), 3))
     targets = ik.Targets(points, so3.from_matrix(world.linear[:, at]))
     problem = ik.build(rig, [ik.Goal(name, orientation=1.0) for name in ends])

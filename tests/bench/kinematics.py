@@ -33,7 +33,7 @@ from measuring import (
 from pxr import Sdf, Usd, UsdSkel, Vt
 
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 
 Array = npt.NDArray[np.float64]
@@ -135,7 +135,7 @@ def animtool_route(motion: Motion, out: WorldTransforms | None = None) -> Route:
     rig, t, r = motion.rig, motion.translations, motion.rotations
 
     def work() -> WorldTransforms:
-        return forward(rig, t, r, out=out)
+        return forward_kinematics(rig, t, r, out=out)
 
     return Route(work, lambda: work().positions[motion.sample])
 
@@ -265,15 +265,15 @@ def single_route(motion: Motion) -> Route:
         (motion.translations[f : f + 1], motion.rotations[f : f + 1])
         for f in range(len(motion.rotations))
     ]
-    kept = forward(rig, *frames[0])
+    kept = forward_kinematics(rig, *frames[0])
 
     def work() -> None:
         for t, r in frames:
-            forward(rig, t, r, out=kept)
+            forward_kinematics(rig, t, r, out=kept)
 
     def places() -> Array:
         chosen = [frames[f] for f in motion.sample.tolist()]
-        return np.array([forward(rig, t, r).positions[0] for t, r in chosen])
+        return np.array([forward_kinematics(rig, t, r).positions[0] for t, r in chosen])
 
     return Route(work, places)
 
@@ -307,7 +307,7 @@ def measure(options: argparse.Namespace, folder: Path) -> list[Row]:
     """Time every route in turn, and compare the sample with 50 digits."""
     motion = Motion.random(options.joints, options.frames, options.samples)
     truth = motion.truth()
-    kept = forward(motion.rig, motion.translations, motion.rotations)
+    kept = forward_kinematics(motion.rig, motion.translations, motion.rotations)
     batch = {OWN: animtool_route(motion), INTO: animtool_route(motion, kept)}
     libraries = floors(options.compiler, folder)
     batch |= {name: floor_route(motion, one) for name, one in libraries.items()}

@@ -25,7 +25,7 @@ from support.clouds import cloud
 from support.mocap_skeleton import rig_of, template_of
 from support.named import scores_of
 
-from animtool.capture.markers.fill import fill
+from animtool.capture.markers.fill import fill_markers
 from animtool.capture.markers.label import label
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
@@ -46,11 +46,11 @@ def main() -> None:
             for name in ("unlabelled_mm", "static_mm", "markers_mm")
         )
         labelling = best(lambda c=points, s=static: label(c, s))
-        filling = best(lambda m=named: fill(m))
+        filling = best(lambda m=named: fill_markers(m))
         subject = MarkerSubject(
             rig_of(generic, "generic"), template_of(generic), static
         )
-        solved = best(lambda m=named, s=subject: fill(m, subject=s))
+        solved = best(lambda m=named, s=subject: fill_markers(m, subject=s))
         rows.append(
             {
                 "cloud": path.stem,
@@ -86,7 +86,7 @@ def distribution(first: int, last: int) -> None:
         subject = MarkerSubject(rig, template_of(made.template), static)
         markers = made.markers()
         start = time.process_time()
-        whole, report = fill(markers, subject=subject)
+        whole, report = fill_markers(markers, subject=subject)
         seconds = time.process_time() - start
         row |= errors(whole, made.known, made.truth["markers_mm"])
         row |= {"swaps": swaps(report, made.known, markers)}

@@ -58,12 +58,12 @@ class Reference:
         from pxr import Tf
 
         import animtool
-        from animtool.rig.kinematics import forward
+        from animtool.rig.kinematics import forward_kinematics
 
         take = animtool.read_bvh(source).collect()
         motion = take.motion.map(lambda c: c.select(slice(None, None, every)))
         translations = motion.translations.dense()
-        world = forward(take.rig, translations, motion.rotations.dense())
+        world = forward_kinematics(take.rig, translations, motion.rotations.dense())
         self.names = [Tf.MakeValidIdentifier(name) for name in take.rig.names]
         self.positions = world.positions / take.rig.meters_per_unit
         self.meters_per_unit = take.rig.meters_per_unit
@@ -277,12 +277,12 @@ def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> An
     from pxr import Sdf
 
     from animtool.usd.layers.names import RigPaths
-    from animtool.usd.layers.sdf import new_layer, prim, save_layer
+    from animtool.usd.layers.sdf import new_layer, prim_spec, save_layer
     from animtool.usd.takes.joint_writer import AnimationWriter
 
     layer, paths = new_layer(path), RigPaths.below("/model")
     with Sdf.ChangeBlock():
-        prim(layer, paths.root, "SkelRoot")
+        prim_spec(layer, paths.root, "SkelRoot")
         writer = AnimationWriter(layer, paths, data.names)
         for block in data.blocks():
             writer.add(block)

@@ -17,7 +17,7 @@ from animtool import open_source
 from animtool.maths import so3
 from animtool.retarget import JointPair, map_joints
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import WorldTransforms, forward, rest_world
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics, rest_world
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -130,7 +130,7 @@ def case_of(path: Path, target: Path) -> Case:
                 aligned[j] = so3.multiply(change, theirs.rotations[0, j])
     own, others = np.sum(legs, axis=0)
     rotations, translations = motion.rotations.dense(), motion.translations.dense()
-    world = forward(source, translations, rotations)
+    world = forward_kinematics(source, translations, rotations)
     moved = so3.multiply(world.rotations, so3.conjugate(ours.rotations[0]))
     feet = [roles[f"foot_{side}"] for side in "lr"]
     toes = [roles[f"toe_{side}"] for side in "lr"]

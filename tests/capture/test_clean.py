@@ -15,8 +15,8 @@ from animtool.capture.clean import (
     CleanOptions,
     _roughness,
     clean,
-    cleaned_take,
-    scores_of,
+    clean_take,
+    noise_scores,
 )
 from animtool.core.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
@@ -42,7 +42,7 @@ def spiked(take: Take, seed: int) -> tuple[Take, set[tuple[int, int]]]:
 
 
 def removed(take: Take) -> tuple[Take, set[tuple[int, int]]]:
-    cleaned, signals = cleaned_take(take, CleanOptions(keep_noise=True))
+    cleaned, signals = clean_take(take, CleanOptions(keep_noise=True))
     index = take.rig.names.index
     return cleaned, {(f, index(s.joint)) for s in signals for f in s.spikes}
 
@@ -111,7 +111,7 @@ def test_what_was_filtered_is_told_from_the_lowest_cut_off_on() -> None:
     )
     clock = replace(take.clock, fps=Fraction(60))
     dirty = replace(take, motion=motion, clock=clock)
-    _, signals = cleaned_take(dirty, CleanOptions())
+    _, signals = clean_take(dirty, CleanOptions())
     names = [one.joint for one in sorted(signals, key=lambda one: one.cutoff or 0)]
     assert names == [rig.names[2], rig.names[0], rig.names[1]]
     cutoffs = sorted(one.cutoff or 0 for one in signals)
@@ -121,7 +121,7 @@ def test_what_was_filtered_is_told_from_the_lowest_cut_off_on() -> None:
         f"{cutoffs[2]:.3g} Hz ({rig.names[1]}); noise up to 2."
     )
     # The report has the lowest first, too, which was filtered most.
-    scores = scores_of(count, signals)
+    scores = noise_scores(count, signals)
     assert [text.split()[0] for text in scores.names["filtered"]] == names
 
 
@@ -174,7 +174,7 @@ def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
     take = small(87)
     motion = replace(take.motion, translations=Channel.from_dense(shifts))
     options = CleanOptions(spikes=4, keep_noise=True)
-    _, signals = cleaned_take(replace(take, motion=motion), options)
+    _, signals = clean_take(replace(take, motion=motion), options)
     (found,) = [one.spikes for one in signals if one.spikes and not one.rotation]
     assert found == tuple(np.flatnonzero(large).tolist())
 
@@ -193,7 +193,7 @@ def test_the_noise_of_a_rotation_is_an_angle(rate: int) -> None:
     )
     clock = replace(still.clock, fps=Fraction(rate))
     dirty = noisy(replace(still, motion=motion, clock=clock), 0.02, 0.003)
-    _, signals = cleaned_take(dirty, CleanOptions(keep_noise=True))
+    _, signals = clean_take(dirty, CleanOptions(keep_noise=True))
     for rotation, expected in ((True, 0.02), (False, 0.003)):
         found = [one.noise for one in signals if one.rotation == rotation]
         assert np.mean(found) == pytest.approx(expected, rel=0.05)

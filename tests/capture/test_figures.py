@@ -19,16 +19,16 @@ from support.stage import changed, observed, ring, walkers
 
 from animtool.capture.cameras import Observations, TriangulateOptions, triangulate
 from animtool.capture.cameras.openpose import follow_people
-from animtool.capture.clean import CleanOptions, clean, cleaned_take, scores_of
+from animtool.capture.clean import CleanOptions, clean, clean_take, noise_scores
 from animtool.capture.face import fit_face, transfer_weights
-from animtool.capture.face.model import BentShapes, FaceModel
+from animtool.capture.face.model import FaceModel, NonlinearShapes
 from animtool.capture.markers import spikes, swaps
-from animtool.capture.markers.chains import chained, evidence, likelihoods
-from animtool.capture.markers.fill import fill
-from animtool.capture.markers.geometry import MarkerDistances, distances
-from animtool.capture.markers.naming import Naming, pair_evidence, searched
+from animtool.capture.markers.chains import chain_likelihoods, chain_runs, rest_evidence
+from animtool.capture.markers.fill import fill_markers
+from animtool.capture.markers.geometry import MarkerDistances, marker_distances
+from animtool.capture.markers.naming import PointNaming, pair_evidence, search_names
 from animtool.capture.markers.predict import follow as by_skeleton
-from animtool.capture.markers.predict import predict, predict_in_parent
+from animtool.capture.markers.predict import predict_from_markers, predict_in_parent
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.markers.tracklets import follow
@@ -102,7 +102,7 @@ def test_gaps_spikes_and_swaps(options: dict[str, Any]) -> None:
     positions[20:22, 4] += [0.03, -0.05, 0.02]
     positions[80, 1] += 0.04
     positions[135:150, [3, 8]] = positions[135:150, [8, 3]]
-    whole, report = fill(made(positions), options=FillOptions(**options))
+    whole, report = fill_markers(made(positions), options=FillOptions(**options))
     keys = asdict(report)
     keys["notices"] = texts(report.notices)
     check_figures(
@@ -120,7 +120,7 @@ def test_gaps_by_a_skeleton_and_a_solve() -> None:
     a, b = column("RWRA"), column("RWRB")
     positions[60:75, [a, b]] = positions[60:75, [b, a]]
     given = replace(truth.markers, positions=positions)
-    whole, report = fill(given, subject=MarkerSubject(FIGURE, TEMPLATE))
+    whole, report = fill_markers(given, subject=MarkerSubject(FIGURE, TEMPLATE))
     keys = asdict(report)
     keys["notices"] = texts(report.notices)
     check_figures(__file__, "skeleton", {"at": whole.positions, "report": keys})
@@ -147,7 +147,7 @@ def test_weights_of_landmarks() -> None:
     moved = transfer_weights(
         fit.weights, model.shapes, other.shapes, faces=(model, other)
     )
-    actor = model.of_actor(seen[2])
+    actor = model.with_proportions(seen[2])
     camera = np.array([900.0, 880.0, 640.0, 360.0])
     predict_in_parent = so3.rotate(
         np.array([1.0, 0, 0, 0]), model.points(made_weights(14))
@@ -192,8 +192,8 @@ def test_takes_are_cleaned() -> None:
         translations=Channel.from_dense(slides + 0.1 * noise[1]),
     )
     dirty, _ = spiked(replace(take, motion=motion), 4)
-    made_, signals = cleaned_take(dirty, CleanOptions())
-    kept, spikes = cleaned_take(dirty, CleanOptions(keep_noise=True))
+    made_, signals = clean_take(dirty, CleanOptions())
+    kept, spikes = clean_take(dirty, CleanOptions(keep_noise=True))
     check_figures(
         __file__,
         "clean",
@@ -202,7 +202,7 @@ def test_takes_are_cleaned() -> None:
             "kept": list(kept.motion.dense()),
             "signals": signals,
             "spikes": spikes,
-            "scores": scores_of(110, signals),
+            "scores": noise_scores(110, signals),
             "notices": texts(clean(dirty).notices),
         },
     )
@@ -229,25 +229,25 @@ def test_what_distances_say_of_names() -> None:
     moving = blurred(4)
     seen = np.random.default_rng(5).uniform(0, 200, REST.shape)
     seen = np.floor((seen + seen.T) / 2)
-    own = Naming(moving, seen, REST)
+    own = PointNaming(moving, seen, REST)
     found: list[Any] = [own.total()]
     for point in range(6):
         own.assign(point, [1, 0, 2, 4, 3, 5][point])
         found.append(own.total())
     grown = own.copy()
     grown.grow()
-    found += [grown.names_of, grown.total(), grown.lacking()]
+    found += [grown.names_of, grown.total(), grown.scarce_markers()]
     grown.improve()
-    found += [grown.names_of, grown.total(), grown.doubt(set()) or ()]
+    found += [grown.names_of, grown.total(), grown.most_doubtful(set()) or ()]
     grown.eject(2, 5, np.arange(9) % 2 == 0)
     found += [grown.names_of, grown.total()]
-    best = searched(grown, REST, [{0: 0, 1: 1, 2: 2}, {3: 4, 4: 3, 7: 7}])
+    best = search_names(grown, REST, [{0: 0, 1: 1, 2: 2}, {3: 4, 4: 3, 7: 7}])
     found += [best.names_of, best.total()]
     a, b = np.array([0.3, 0.2, np.nan]), np.array([0.001, 0.02, 0.01])
     found += [
-        evidence(a, b, REST[0, 1:5]),
-        likelihoods(moving, seen),
-        chained(moving, np.where(REST > 0.2, 0.0, seen)),
+        rest_evidence(a, b, REST[0, 1:5]),
+        chain_likelihoods(moving, seen),
+        chain_runs(moving, np.where(REST > 0.2, 0.0, seen)),
         pair_evidence(moving, np.minimum(seen / 60, 1.0), REST),
     ]
     check_figures(__file__, "names", found)
@@ -283,9 +283,9 @@ def test_runs_of_points_and_their_costs() -> None:
     given = np.full(len(runs.first), -1)
     given[:10] = np.arange(10)
     labels = RunLabels(points, runs, 120.0, given, rest)
-    labels._relearn()
+    labels._update_distances()
     some = range(0, len(runs.first), 3)
-    costs = [labels._costs(run) for run in some]
+    costs = [labels._marker_costs(run) for run in some]
     jumps = [labels._step_costs(*_path(labels, run)) for run in some]
     labels.name_runs()
     check_figures(
@@ -320,7 +320,7 @@ def test_weights_of_a_bent_face() -> None:
     prepared = prepare_shapes(bent, plain.neutral)
     model = FaceModel(
         plain.names, ("a", "b"), plain.neutral, deltas[:2],
-        BentShapes(shapes, prepared, (0, 1)),
+        NonlinearShapes(shapes, prepared, (0, 1)),
     )  # fmt: skip
     weights = made_weights(16, 2)
     seen = spoiled(placed(model.points(weights)), 3e-4)
@@ -359,7 +359,7 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
         "positions": true + 0.01 * np.sin(t)[:, None, None],
         "above": lambda _: True,
     }
-    found = [predict(positions, seen, 0, gap, spread, 100.0)]
+    found = [predict_from_markers(positions, seen, 0, gap, spread, 100.0)]
     for mates in ([], [1], [1, 3]):
         bones: Any = SimpleNamespace(**known, mates=lambda *_, m=mates: m)
         found.append(predict_in_parent(bones, positions, seen, 0, gap, spread, 100.0))
@@ -383,19 +383,19 @@ def swapped() -> np.ndarray:
 
 def test_what_says_that_names_are_swapped() -> None:
     positions, rate = swapped(), 120.0
-    apart = distances(positions)
+    apart = marker_distances(positions)
     expected = swaps._expected_positions(positions, rate)
-    found: list[Any] = [*expected, swaps._pairs(positions, rate)]
+    found: list[Any] = [*expected, swaps._jump_pairs(positions, rate)]
     for a, b in ((2, 6), (0, 9), (3, 4), (5, 8)):
         crossed = swaps._crossed_frames(positions, a, b, rate, apart)
         both = positions[:, [a, b]]
-        found += [crossed, swaps._acceleration(both, rate)]
-        found += [swaps._spans(crossed[1], both)]
+        found += [crossed, swaps._typical_acceleration(both, rate)]
+        found += [swaps._swap_spans(crossed[1], both)]
         spans = ((0, 30), (30, 55), (60, 61), (70, 140), (100, 118))
-        found += [swaps._shape(positions, a, b, *span, apart) for span in spans]
+        found += [swaps._shape_gain(positions, a, b, *span, apart) for span in spans]
     past = [(3, [0.0, 0, 0]), (5, [0.1, 0, 0.1]), (9, [0.2, 0.1, 0.1])]
     found += [
-        swaps._off(past[:k], frame, [0.3, 0.12, 0.2], rate, acceleration)
+        swaps._position_cost(past[:k], frame, [0.3, 0.12, 0.2], rate, acceleration)
         for k in range(4)
         for frame in (10, 13)
         for acceleration in (5.0, 80.0)
@@ -409,15 +409,15 @@ def test_what_says_that_frames_are_spikes() -> None:
     for marker in (2, 4, 5, 8):
         path = np.nan_to_num(positions[:, marker])
         seen = np.isfinite(positions[:, marker, 0])
-        rough, noise = spikes._model(path, seen)
-        found += [rough, noise, spikes._round(path, seen, rough, noise)]
-        found += [spikes._spikes(positions[:, marker])]
+        rough, noise = spikes._noise_model(path, seen)
+        found += [rough, noise, spikes._clearest_spikes(path, seen, rough, noise)]
+        found += [spikes._marker_spikes(positions[:, marker])]
         for length in (1, 3, 4):
-            starts, *rest = spikes._deviation(path, seen, length, rough)
-            found += [starts, *rest, spikes._one_sided(seen, starts, length)]
+            starts, *rest = spikes._span_deviations(path, seen, length, rough)
+            found += [starts, *rest, spikes._is_one_sided(seen, starts, length)]
             found += [spikes._local_level(starts, rest[1] * 1e6, len(path))]
         found += [
-            spikes._is_upset(path, seen, first, length, rough, noise[0] ** 2)
+            spikes._is_gap_artifact(path, seen, first, length, rough, noise[0] ** 2)
             for first in range(52, 80, 3)
             for length in (2, 3)
         ]

@@ -14,24 +14,24 @@ from numpy.testing import assert_allclose, assert_array_equal
 from animtool.capture.cameras.camera import (
     Camera,
     camera_numbers,
-    distorted,
+    distort,
     nearest_rotation,
+    pixel_rays,
     project,
-    rays,
 )
 from animtool.capture.cameras.noise import (
     _camera_noise,
     _pooled_noise,
-    first_noise,
-    measured_noise,
+    initial_noise,
+    measure_noise,
 )
 from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.openpose import (
     _continue_tracks,
+    _keypoint_rays,
+    _person_size,
     _PersonTrack,
     _ray_distance,
-    _rays,
-    _size,
     _solve_person,
     _stack_tracks,
     follow_people,
@@ -40,7 +40,7 @@ from animtool.capture.cameras.stale import (
     PoseChange,
     PoseShift,
     _find_shifts,
-    _runs,
+    _outlier_runs,
     _window_sums,
     disagreements,
     pose_change,
@@ -49,36 +49,41 @@ from animtool.capture.cameras.stale import (
     truncated_error,
 )
 from animtool.capture.cameras.triangulate import _check_options, _TriangulationRun
-from animtool.capture.face.model import FaceModel, spread
+from animtool.capture.face.model import FaceModel, rms_spread
 from animtool.capture.face.poses import camera_pose, head_poses, last_good_poses
-from animtool.capture.markers.fill import _curve, _gaps, _likeliest, _run
+from animtool.capture.markers.fill import (
+    _best_prediction,
+    _polynomial_positions,
+    _sorted_gaps,
+    _visible_frames_beside,
+)
 from animtool.capture.markers.geometry import (
     MarkerDistances,
-    _quantiles,
-    distances,
-    joined,
+    _column_quantiles,
+    marker_distances,
+    merge_distances,
 )
 from animtool.capture.markers.predict import (
     Prediction,
-    _kernel,
+    _covariance,
     _nearest_markers,
     _regress,
-    _spans,
-    _towards,
+    _rotate_towards,
     _training_frames,
+    _validation_spans,
 )
-from animtool.capture.markers.runs import RunLabels, _learnt
+from animtool.capture.markers.runs import RunLabels, _learnt_distances
 from animtool.capture.markers.spikes import (
-    _deviation,
+    _is_one_sided,
     _local_level,
-    _model,
-    _one_sided,
+    _noise_model,
+    _span_deviations,
 )
 from animtool.capture.markers.tracklets import (
     Tracklets,
     _expected_positions,
-    _mutual,
-    _second,
+    _mutual_nearest,
+    _second_smallest,
     follow,
 )
 from animtool.capture.options import TriangulateOptions
@@ -116,10 +121,10 @@ def test_pixels_are_those_of_the_lens_as_opencv_has_it() -> None:
     v = y * radial + p1 * (r + 2 * y**2) + 2 * p2 * x * y
     found = project(own, point)
     assert_allclose(found, [800 * u + 5 * v + 320, 700 * v + 240])
-    assert_allclose(distorted(own, np.array([x, y])), [u, v])
+    assert_allclose(distort(own, np.array([x, y])), [u, v])
     # And back: to the place at depth 1.
-    assert_allclose(rays(own, found), [x, y], atol=1e-9)
-    assert_allclose(rays(own, np.array([[900.0, 700.0]])) @ [0, 0], 0)
+    assert_allclose(pixel_rays(own, found), [x, y], atol=1e-9)
+    assert_allclose(pixel_rays(own, np.array([[900.0, 700.0]])) @ [0, 0], 0)
     assert_allclose(own.position, -TURN.T @ [0.1, -0.2, 3.0])
     behind = project(own, own.position - TURN[2])
     assert np.isnan(behind).all()
@@ -161,8 +166,8 @@ def test_runs_of_frames_are_closed_and_last() -> None:
     off[[3, 4, 5, 8, 9]] = True  # a gap of two in a window of four
     off[15] = True
     off[22:26] = True
-    assert _runs(off, 4) == [(3, 10), (22, 26)]
-    assert _runs(off, 2) == [(3, 6), (8, 10), (15, 16), (22, 26)]
+    assert _outlier_runs(off, 4) == [(3, 10), (22, 26)]
+    assert _outlier_runs(off, 2) == [(3, 6), (8, 10), (15, 16), (22, 26)]
 
 
 def tallies(frames: int, bad: slice, share: float = 1.0) -> tuple[Any, Any]:
@@ -316,8 +321,8 @@ def test_each_camera_has_the_noise_of_its_own_median() -> None:
 
 def test_noise_that_nothing_shows_is_a_pixel() -> None:
     numbers = camera_numbers([camera(), camera()])
-    assert first_noise(np.full((3, 2, 4, 2), np.nan), numbers) == 1
-    assert first_noise(np.zeros((3, 2, 4, 2)) + 320.0, numbers) >= 0.05
+    assert initial_noise(np.full((3, 2, 4, 2), np.nan), numbers) == 1
+    assert initial_noise(np.zeros((3, 2, 4, 2)) + 320.0, numbers) >= 0.05
 
 
 @pytest.mark.parametrize(
@@ -371,9 +376,11 @@ def test_people_are_told_by_their_rays() -> None:
     person = seen_by(cameras, BODY)
     wide = person[0]
     spans = np.ptp(wide[:, :2], axis=0)
-    assert _size(wide) == pytest.approx(np.linalg.norm(spans))
-    assert _size(wide[:1]) == 1
-    lines = [_rays(each, one) for each, one in zip(cameras, person, strict=True)]
+    assert _person_size(wide) == pytest.approx(np.linalg.norm(spans))
+    assert _person_size(wide[:1]) == 1
+    lines = [
+        _keypoint_rays(each, one) for each, one in zip(cameras, person, strict=True)
+    ]
     ways = BODY - cameras[0].position
     assert_allclose(np.cross(lines[0], ways), 0, atol=1e-9)
     args = cameras[0], lines[0], cameras[1], lines[1]
@@ -385,7 +392,7 @@ def test_people_are_told_by_their_rays() -> None:
     up = person[1].copy()
     up[:, 1] += 7.0
     off = _ray_distance(
-        cameras[0], lines[0], cameras[1], _rays(cameras[1], up), 100.0, 100.0
+        cameras[0], lines[0], cameras[1], _keypoint_rays(cameras[1], up), 100.0, 100.0
     )
     assert off == pytest.approx(0.08, rel=0.25)
     points = _solve_person({0: 0, 1: 0}, [[one] for one in person], cameras, 6)
@@ -431,19 +438,19 @@ def test_people_are_followed_out_of_sight_and_mistakes_left_out() -> None:
 
 def test_quantiles_and_distances_of_what_is_seen() -> None:
     column = np.array([[4.0], [np.nan], [1.0], [3.0], [2.0], [np.nan]])
-    found = _quantiles(column)
+    found = _column_quantiles(column)
     assert_allclose(found[:, 0], [1 + 3 * 0.1587, 2.5, 1 + 3 * 0.8413])
     path = np.zeros((3000, 2, 3))
     path[:, 1, 0] = np.arange(3000) % 2  # every other frame is looked at
-    assert distances(path).mean[0, 1] == 0
+    assert marker_distances(path).mean[0, 1] == 0
     short = np.zeros((5, 2, 3))
     short[:, 1, 1] = 2.0
-    assert distances(short).mean[1, 0] == 2
+    assert marker_distances(short).mean[1, 0] == 2
     few = np.zeros((20, 2, 3))
     few[12:, 1] = np.nan
-    assert np.isfinite(distances(few).mean[0, 1])
+    assert np.isfinite(marker_distances(few).mean[0, 1])
     few[11:, 1] = np.nan
-    assert np.isnan(distances(few).mean[0, 1])
+    assert np.isnan(marker_distances(few).mean[0, 1])
     nan = np.nan
     rest = MarkerDistances(
         np.array([[nan, 1.0], [1, nan]]), np.array([[nan, 0.1], [0.1, nan]])
@@ -451,10 +458,10 @@ def test_quantiles_and_distances_of_what_is_seen() -> None:
     moving = MarkerDistances(
         np.array([[nan, 3.0], [nan, nan]]), np.array([[nan, 0.5], [7, 7]])
     )
-    both = joined(rest, moving)
+    both = merge_distances(rest, moving)
     assert_array_equal(both.mean, [[nan, 3], [1, nan]])
     assert_array_equal(both.spread, [[nan, 0.5], [0.1, nan]])
-    learnt = _learnt(np.array([[nan, 1.0], [1, nan]]), moving)
+    learnt = _learnt_distances(np.array([[nan, 1.0], [1, nan]]), moving)
     assert_array_equal(learnt.mean, both.mean)
     assert_array_equal(learnt.spread, [[nan, 0.5], [0.25, nan]])
 
@@ -466,18 +473,18 @@ def test_where_runs_go_next_and_who_is_whose_nearest() -> None:
     assert_allclose(expected[:, 0], [9, 14, 15])
     assert radius.tolist() == [2, 0.5, 0.5]
     near = np.array([[0.4, 0.9, 3.0], [0.9, 0.3, 3.0], [9.0, 9, 1.01]])
-    run, point = _mutual(near)
+    run, point = _mutual_nearest(near)
     assert (run.tolist(), point.tolist()) == ([0, 1], [0, 1])
     near[2, 2] = 1.0
-    assert _mutual(near)[0].tolist() == [0, 1, 2]
+    assert _mutual_nearest(near)[0].tolist() == [0, 1, 2]
     near[0, 1] = 0.79
-    assert _mutual(near)[0].tolist() == [1, 2]
+    assert _mutual_nearest(near)[0].tolist() == [1, 2]
     # As good as the same where both are within a twentieth.
-    assert not len(_mutual(np.array([[0.01, 0.1]]))[0])
-    assert len(_mutual(np.array([[0.01, 0.101]]))[0]) == 1
-    assert _second(np.array([[3.0, 1, 2], [5, 5, 9]])).tolist() == [2, 5]
-    assert _second(np.ones((2, 1))).tolist() == [np.inf] * 2
-    assert not len(_mutual(np.zeros((0, 3)))[0])
+    assert not len(_mutual_nearest(np.array([[0.01, 0.1]]))[0])
+    assert len(_mutual_nearest(np.array([[0.01, 0.101]]))[0]) == 1
+    assert _second_smallest(np.array([[3.0, 1, 2], [5, 5, 9]])).tolist() == [2, 5]
+    assert _second_smallest(np.ones((2, 1))).tolist() == [np.inf] * 2
+    assert not len(_mutual_nearest(np.zeros((0, 3)))[0])
 
 
 def test_points_are_followed_as_far_as_a_marker_goes() -> None:
@@ -508,13 +515,13 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     own = labels(positions, [0, 1, -1])
     assert np.isnan(own.marked[:, 2]).all()
     assert_array_equal(own.marked[:, 1], positions[:, 1])
-    own._relearn()
+    own._update_distances()
     costs = own._shape_costs(positions[:, 2], 0, 30)
     assert costs[2] == pytest.approx(0, abs=1e-12)
     assert costs[0] > 1
     assert not own._is_free(2, 0)
     assert own._is_free(2, 2)
-    assert own._costs(2)[:2].tolist() == [np.inf] * 2
+    assert own._marker_costs(2)[:2].tolist() == [np.inf] * 2
     # It stood, and two frames later is 5 mm off what noise and pull allow.
     own.marked[:10, 2] = positions[:10, 2]
     path = positions[11:, 2] + [0.006, 0, 0]
@@ -565,9 +572,9 @@ def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
     assert _nearest_markers(seen, 0, gap, spread).tolist() == [2, 1]
     assert _nearest_markers(seen, 2, gap, spread).tolist() == [1]
     assert _nearest_markers(seen, 0, slice(55, 57), spread).tolist() == [2]
-    begins = _spans(np.arange(100, 300), slice(200, 205))
+    begins = _validation_spans(np.arange(100, 300), slice(200, 205))
     assert begins == [193, 207, 186, 214, 179, 221]
-    assert _spans(np.arange(199, 209), slice(200, 205)) == [207]
+    assert _validation_spans(np.arange(199, 209), slice(200, 205)) == [207]
 
 
 def test_a_process_over_time_joins_what_it_knows() -> None:
@@ -583,11 +590,11 @@ def test_a_process_over_time_joins_what_it_knows() -> None:
         if reach:
             apart = (features - features[:3].T) ** 2
             alike = alike + np.exp(-0.5 * apart / reach**2)
-        found = _kernel(pose, times, reach, 0.02, 0.5, local)
+        found = _covariance(pose, times, reach, 0.02, 0.5, local)
         assert_allclose(found, variance * alike + over, rtol=1e-6)
     frames = np.array([*range(20), *range(24, 44), 20, 21, 22, 23])
     path = np.stack([frames[:40] * 0.001] * 3, axis=1)
-    kernel = _kernel(np.zeros((44, 0)), frames / 100.0, 0.0, 0.03, 1.0, path)
+    kernel = _covariance(np.zeros((44, 0)), frames / 100.0, 0.0, 0.03, 1.0, path)
     off, made = _regress(path, kernel, frames, slice(20, 24))
     assert_allclose(made, np.stack([frames[40:] * 0.001] * 3, axis=1), atol=5e-4)
     assert 0 < off < 1e-3
@@ -599,7 +606,7 @@ def test_a_process_over_time_joins_what_it_knows() -> None:
 def test_frames_are_turned_the_shortest_way_to_a_point() -> None:
     above = np.stack([np.eye(3)] * 2)
     arms = np.array([[0.5, 0.1, 0], [0.5, -0.1, 0]])
-    found = _towards(above, arms)
+    found = _rotate_towards(above, arms)
     angle = np.arctan2(0.1, 0.5)
     expected = so3.to_matrix(so3.exp(np.array([[0, 0, angle], [0, 0, -angle]])))
     assert_allclose(found, expected, atol=1e-9)
@@ -610,23 +617,25 @@ def test_gaps_are_curves_through_frames_around_them() -> None:
     path = np.stack([t**2, t**3 / 50, 7 - t], axis=1)
     seen = np.ones(20, bool)
     seen[8:11] = False
-    found = _curve(path, seen, slice(8, 11))
+    found = _polynomial_positions(path, seen, slice(8, 11))
     assert_allclose(found, path[8:11], atol=1e-8)
-    assert _run(seen, 7, -1) == [7, 6, 5, 4, 3, 2]
-    assert _run(seen, 11, 1) == [11, 12, 13, 14, 15, 16]
+    assert _visible_frames_beside(seen, 7, -1) == [7, 6, 5, 4, 3, 2]
+    assert _visible_frames_beside(seen, 11, 1) == [11, 12, 13, 14, 15, 16]
     seen[13] = False
-    assert _curve(path, seen, slice(8, 11)) is None
+    assert _polynomial_positions(path, seen, slice(8, 11)) is None
     seen[13], seen[14] = True, False
-    assert_allclose(_curve(path, seen, slice(8, 11)), path[8:11], atol=1e-6)
+    assert_allclose(
+        _polynomial_positions(path, seen, slice(8, 11)), path[8:11], atol=1e-6
+    )
     names: Any = SimpleNamespace(names=("a", "*0", "b", "c"))
     rows = np.ones((9, 4), bool)
     rows[2:5, 0] = rows[7:, 0] = rows[3, 2] = rows[:, 1] = rows[:, 3] = False
-    assert _gaps(names, rows) == [(1, 3, 2), (2, 7, 0), (3, 2, 0)]
+    assert _sorted_gaps(names, rows) == [(1, 3, 2), (2, 7, 0), (3, 2, 0)]
     first, second = Prediction(np.zeros((1, 3)), 1.6), Prediction(np.ones((1, 3)), 1.01)
-    assert _likeliest((first, "skeleton"), (second, "markers"))[1] == "skeleton"
+    assert _best_prediction((first, "skeleton"), (second, "markers"))[1] == "skeleton"
     second = Prediction(np.ones((1, 3)), 0.99)
     assert (
-        _likeliest((first, "skeleton"), (None, "x"), (second, "markers"))[1]
+        _best_prediction((first, "skeleton"), (None, "x"), (second, "markers"))[1]
         == "markers"
     )
 
@@ -637,16 +646,18 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     path = np.stack([t**2, 3 * t, 0 * t], axis=1) / 1000
     seen = np.ones(40, bool)
     for length in (1, 2):
-        starts, off, gain, rest = _deviation(path, seen, length, 0.01, complete=True)
+        starts, off, gain, rest = _span_deviations(
+            path, seen, length, 0.01, complete=True
+        )
         assert starts.tolist() == list(range(7, 40 - 7 - length + 1))
         assert np.abs(off).max() < 1e-9
         assert max(gain.max(), rest.max()) < 1e-15
     path[20] += [0.03, 0, 0.04]
-    starts, off, gain, _ = _deviation(path, seen, 1, 0.01)
+    starts, off, gain, _ = _span_deviations(path, seen, 1, 0.01)
     assert off[starts == 20] == pytest.approx(0.05)
     assert gain.argmax() == np.flatnonzero(starts == 20)[0]
     seen[10:20] = False
-    found = _one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
+    found = _is_one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
     level = _local_level(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
     assert (level[0], level[99]) == (1, pytest.approx(10))
@@ -660,7 +671,7 @@ def test_noise_of_a_path_is_told_by_what_is_off_its_curve(sigma: float) -> None:
     t = np.arange(600) / 100
     path = np.stack([np.sin(t), 0.3 * t, np.cos(0.7 * t)], axis=1)
     path += rng.normal(0, sigma, path.shape)
-    _, noise = _model(path, np.ones(600, bool))
+    _, noise = _noise_model(path, np.ones(600, bool))
     assert noise[0] == pytest.approx(sigma, rel=0.25)
     assert (np.diff(noise) >= 0).all()
     assert noise[-1] < 3 * sigma
@@ -705,7 +716,7 @@ def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
     deltas[1] = 3 * deltas[0]
     deltas[2] = -deltas[0]
     deltas[3, 2, 0] = 0.1
-    deltas[4, 0, 0] = 0.9e-6 * spread(BODY)
+    deltas[4, 0, 0] = 0.9e-6 * rms_spread(BODY)
     face = FaceModel(tuple("abcdef"), ("A", "B", "C", "D", "E"), BODY, deltas)
     assert face.moving().tolist() == [True, True, True, True, False]
     assert face.similar_shapes() == [(0, 1)]
@@ -713,7 +724,7 @@ def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
     assert codes == ["FAC101", "FAC102"]
     away = BODY - BODY.mean(axis=0)
     assert face.size == pytest.approx(np.sqrt((away**2).sum() / 6))
-    assert spread(BODY[:0]) == 0
+    assert rms_spread(BODY[:0]) == 0
     weights = np.array([[1.0, 0.5, 0, 2, 0]])
     expected = BODY + deltas[0] + 0.5 * deltas[1] + 2 * deltas[3]
     assert_allclose(face.points(weights), [expected])
@@ -724,7 +735,7 @@ def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
     turn = so3.exp(np.array([0.1, 0.2, 0.3]))
     captured = so3.rotate(turn, 2 * BODY) + np.array([1.0, 0, 0])
     captured[5] = np.nan
-    actor = face.of_actor(captured)
+    actor = face.with_proportions(captured)
     assert_allclose(actor.neutral, 2 * BODY, atol=1e-6)
     assert_allclose(actor.deltas, 2 * deltas)
     for keys in (
@@ -845,21 +856,21 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
     pixels += rng.normal(0, 0.5, pixels.shape)
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), 40)
     seen = Observations(tuple("abcdefgh"), clock, pixels)
-    found = measured_noise(seen, cameras, 5.0, 6600.0)
+    found = measure_noise(seen, cameras, 5.0, 6600.0)
     assert found.agree
     assert list(found.stale) == [2]
     assert found.stale[2].angle == pytest.approx(0.05, rel=0.1)
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     good = pixels.copy()
     good[:, 2] = project(cameras[2], points) + rng.normal(0, 0.5, (40, 8, 2))
-    found = measured_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
+    found = measure_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
     assert (found.agree, found.stale) == (True, {})
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     # All alike, they have one noise; one that is twice as noisy has its own.
     assert np.ptp(found.pixels) == 0
     loud = good.copy()
     loud[:, 1] += rng.normal(0, 1.0, (40, 8, 2))
-    found = measured_noise(replace(seen, stored=loud), cameras, 5.0, 6600.0)
+    found = measure_noise(replace(seen, stored=loud), cameras, 5.0, 6600.0)
     assert found.pixels[1] > 1.5 * found.pixels[0]
     assert np.ptp(np.delete(found.pixels, 1)) == 0
 
@@ -871,7 +882,7 @@ def test_a_camera_is_kept_where_the_others_are_no_better_excluded(keep: bool) ->
         options=TriangulateOptions(keep_moved=keep),
         _better_excluded=lambda camera, moved: (camera, moved.first) == (3, 9),
     )
-    found = _TriangulationRun._left_out(run, 3, ranges)
+    found = _TriangulationRun._mark_kept(run, 3, ranges)
     assert [one.kept for one in found] == ([False, False] if keep else [True, False])
     assert [(one.first, one.end) for one in found] == [(0, 5), (9, 12)]
 

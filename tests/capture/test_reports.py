@@ -15,17 +15,23 @@ from numpy.testing import assert_allclose, assert_array_equal
 from animtool.capture.cameras.camera import Camera, Cameras
 from animtool.capture.cameras.observations import (
     Observations,
-    matched,
+    match_cameras,
     read_observations,
 )
 from animtool.capture.cameras.report import (
     CameraReport,
-    Tallies,
+    ObservationCounts,
     camera_notices,
     gap_notices,
     lost_frames,
 )
-from animtool.capture.cameras.stale import Disagreement, PoseChange, PoseShift
+from animtool.capture.cameras.stale import (
+    CameraDisagreement as Disagreement,
+)
+from animtool.capture.cameras.stale import (
+    PoseChange,
+    PoseShift,
+)
 from animtool.capture.clean import (
     CleanedSignal,
     CleanOptions,
@@ -33,13 +39,13 @@ from animtool.capture.clean import (
     _check_cutoff,
     _check_spikes,
     _roughness,
-    _runs,
-    _spikes,
-    bridged,
-    notices,
-    scores_of,
+    _run_deviations,
+    _spike_frames,
+    bridge_gaps,
+    cleaning_notices,
+    noise_scores,
 )
-from animtool.capture.face.capture import FaceCapture, in_order, read_capture
+from animtool.capture.face.capture import FaceCapture, order_landmarks, read_capture
 from animtool.capture.face.model import FaceModel
 from animtool.capture.face.poses import interpolate_poses
 from animtool.capture.face.solve import (
@@ -49,7 +55,7 @@ from animtool.capture.face.solve import (
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
-from animtool.capture.solve.run import check_units, in_world_of
+from animtool.capture.solve.run import check_units, to_world_of
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.units import LengthUnit, UpAxis
@@ -73,7 +79,7 @@ def test_tallies_become_errors() -> None:
     rows = np.zeros((2, 2, 8))
     rows[0, 0] = [10, 8, 9, 1, 2, 8.0, 0.32, 3]
     rows[1, 0] = [5, 2, 3, 1, 0, 32.0, 0.08, 1]
-    own = Tallies(rows)
+    own = ObservationCounts(rows)
     made = own.report(0, "a", 0.7, ())
     assert (made.observed, made.used, made.no_ray, made.outside) == (15, 10, 2, 4)
     assert (made.outliers, made.noise_px) == (pytest.approx(2 / 12), 0.7)
@@ -177,12 +183,12 @@ def skeleton(joints: Any, parents: Any, free: Any) -> SkeletonMarkers:
 def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     own = skeleton([0, 1, 1, 1, 2, 2, -1], [-1, 0, 1], [True, True, False])
     every = np.ones(7, bool)
-    assert own.tells(0, slice(0, 3))
-    assert not own.tells(1, slice(0, 3))
-    assert not own.tells(0, slice(2, 4))
-    assert [own.above(m) for m in (0, 1, 6)] == [False, True, False]
-    assert own.mates(1, every) == [2, 3]
-    assert own.drift(1, every) == 0
+    assert own.predicts(0, slice(0, 3))
+    assert not own.predicts(1, slice(0, 3))
+    assert not own.predicts(0, slice(2, 4))
+    assert [own.has_parent(m) for m in (0, 1, 6)] == [False, True, False]
+    assert own.markers_on_joint(1, every) == [2, 3]
+    assert own.drift_speed(1, every) == 0
     for hidden, expected in (
         ([3], DRIFT_PER_SECOND[0]), ([3, 4, 5], DRIFT_PER_SECOND[1]),
         ([2, 3], DRIFT_PER_SECOND[1]),
@@ -190,11 +196,11 @@ def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     ):  # fmt: skip
         seen = every.copy()
         seen[hidden] = False
-        assert own.drift(1, seen) == expected
+        assert own.drift_speed(1, seen) == expected
     # A hinge is held by one more, on it or below.
-    assert own.drift(4, every) == 0
+    assert own.drift_speed(4, every) == 0
     every[5] = False
-    assert own.drift(4, every) == DRIFT_PER_SECOND[2]
+    assert own.drift_speed(4, every) == DRIFT_PER_SECOND[2]
     assert DRIFT_PER_SECOND == (0.004, 0.008, 0.02)
 
 
@@ -203,12 +209,17 @@ def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:
     signal[:, 0] = 0.1 * np.arange(30)
     signal[10:12, 1] = 1.0
     signal[20, 2] = -0.5
-    bad = _spikes(signal, 3, 0.2, rotation=False)
+    bad = _spike_frames(signal, 3, 0.2, rotation=False)
     assert np.flatnonzero(bad).tolist() == [10, 11, 20]
-    assert np.flatnonzero(_spikes(signal, 1, 0.2, rotation=False)).tolist() == [20]
-    assert not _spikes(signal, 0, 0.2, rotation=False).any()
-    assert np.flatnonzero(_spikes(signal, 3, 0.7, rotation=False)).tolist() == [10, 11]
-    sizes = dict(_runs(signal, 2, rotation=False))
+    assert np.flatnonzero(_spike_frames(signal, 1, 0.2, rotation=False)).tolist() == [
+        20
+    ]
+    assert not _spike_frames(signal, 0, 0.2, rotation=False).any()
+    assert np.flatnonzero(_spike_frames(signal, 3, 0.7, rotation=False)).tolist() == [
+        10,
+        11,
+    ]
+    sizes = dict(_run_deviations(signal, 2, rotation=False))
     assert sorted(sizes) == [1, 2]
     assert sizes[1][18] == pytest.approx(0.5)
     assert sizes[2][8] == pytest.approx(1.0)
@@ -216,7 +227,7 @@ def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:
     bent[4:, 0] = np.arange(5)
     assert _roughness(bent).tolist() == [0] * 9
     assert _roughness(bent[:2]).tolist() == [0, 0]
-    across = bridged(signal[:15], ~bad[:15], rotation=False)
+    across = bridge_gaps(signal[:15], ~bad[:15], rotation=False)
     assert np.abs(across[10:12, 1]).max() < 0.05
     assert_array_equal(across[~bad[:15]], signal[:15][~bad[:15]])
     turns = np.array([[0.0, 0, 0, 1], [0, 0, 0, -1]])
@@ -232,27 +243,27 @@ def test_what_was_cleaned_is_counted() -> None:
     assert [s.part for s in signals] == ["a translation", "a rotation", "b rotation"]
     assert signals[0].noise_text.endswith("mm")
     assert "1.7" in signals[2].noise_text
-    found = scores_of(10, signals)
+    found = noise_scores(10, signals)
     values = [(s.value, s.usual) for s in found.scores]
     assert values == [(0.002, 1e-3), (0.03, np.radians(0.2)), (0.2, 0.01)]
     assert found.names["spikes"] == ("a translation in 2", "a rotation in 1")
     assert [n.split(",")[0] for n in found.names["filtered"]] == [
         "b rotation at 3 Hz", "a translation at 5 Hz"
     ]  # fmt: skip
-    assert scores_of(0, []).names == {}
+    assert noise_scores(0, []).names == {}
     shaken = [CleanedSignal("a", False, (), 0.5, None), *signals]
-    assert [s.value for s in scores_of(10, shaken).scores[:2]] == [0.5, 0.03]
+    assert [s.value for s in noise_scores(10, shaken).scores[:2]] == [0.5, 0.03]
     turned = [CleanedSignal("a", True, (), 0.5, None), *signals]
-    assert [s.value for s in scores_of(10, turned).scores[:2]] == [0.002, 0.5]
+    assert [s.value for s in noise_scores(10, turned).scores[:2]] == [0.002, 0.5]
     long: Any = SimpleNamespace(clock=SimpleNamespace(count=100, rate=30))
-    (note,) = notices(long, signals, CleanOptions())
+    (note,) = cleaning_notices(long, signals, CleanOptions())
     assert note.code == "CAP101"
     assert note.message.startswith("3 frames of spikes replaced (a); 2 of 3 signals")
-    assert notices(long, [], CleanOptions()) == []
+    assert cleaning_notices(long, [], CleanOptions()) == []
     short: Any = SimpleNamespace(clock=SimpleNamespace(count=2, rate=30))
-    assert [n.code for n in notices(short, [], CleanOptions())] == ["CAP102"]
-    assert notices(short, [], CleanOptions(keep_noise=True)) == []
-    assert notices(short, [], CleanOptions(cutoff=3.0)) == []
+    assert [n.code for n in cleaning_notices(short, [], CleanOptions())] == ["CAP102"]
+    assert cleaning_notices(short, [], CleanOptions(keep_noise=True)) == []
+    assert cleaning_notices(short, [], CleanOptions(cutoff=3.0)) == []
     _check_spikes(0)
     _check_cutoff(None)
     _check_cutoff(1e-9)
@@ -280,11 +291,11 @@ def test_landmarks_go_by_their_names_or_their_number() -> None:
     own = face()
     rows = np.arange(2.0 * 6 * 3).reshape(2, 6, 3)
     plain = FaceCapture(Path("a"), None, CLOCK, rows)
-    assert in_order(plain, own) == (rows, [])
+    assert order_landmarks(plain, own) == (rows, [])
     assert not plain.pixels
     assert replace(plain, points=rows[..., :2]).pixels
     named = replace(plain, names=tuple("fexdcb"))
-    made, told = in_order(named, own)
+    made, told = order_landmarks(named, own)
     assert_array_equal(made[:, 5], rows[:, 0])
     assert_array_equal(made[:, 1], rows[:, 5])
     assert np.isnan(made[:, 0]).all()
@@ -292,13 +303,13 @@ def test_landmarks_go_by_their_names_or_their_number() -> None:
     assert told[0].message.startswith(
         "1 landmarks of the face are not in the capture: "
     )
-    assert in_order(replace(plain, names=own.names), own) == (rows, [])
+    assert order_landmarks(replace(plain, names=own.names), own) == (rows, [])
     for wrong in (
         replace(plain, points=rows[:, :5]),
         replace(plain, names=tuple("uvwxyz")),
     ):
         with pytest.raises(OptionError) as error:
-            in_order(wrong, own)
+            order_landmarks(wrong, own)
         assert error.value.code == "FAC004"
 
 
@@ -435,7 +446,7 @@ def test_pixels_are_eighths_or_floats_and_cameras_by_name(tmp_path: Path) -> Non
     assert trust is not None
     assert trust.ravel().tolist() == [6, 7, 8, 9, 10, 11]
     both = Cameras(tuple(replace(PLAIN, name=n) for n in "abc"))
-    assert matched(found, both).names == ("b", "a")
+    assert match_cameras(found, both).names == ("b", "a")
     for cameras, own, code in (
         (both, replace(found, cameras=()), "CAM011"),
         (both, replace(found, cameras=("a", "x")), "CAM011"),
@@ -445,10 +456,10 @@ def test_pixels_are_eighths_or_floats_and_cameras_by_name(tmp_path: Path) -> Non
         ),
     ):  # fmt: skip
         with pytest.raises(OptionError) as error:
-            matched(own, cameras)
+            match_cameras(own, cameras)
         assert error.value.code == code
     two = replace(both, cameras=both.cameras[:2])
-    assert matched(replace(found, cameras=()), two).names == ("a", "b")
+    assert match_cameras(replace(found, cameras=()), two).names == ("a", "b")
     assert isinstance(found, Observations)
 
 
@@ -474,7 +485,7 @@ def test_markers_in_other_units_are_told_by_how_far_they_spread() -> None:
         ("a",), replace(CLOCK, count=1), np.array([[[1.0, 2, 3]]]), UpAxis.Z
     )
     rig: Any = SimpleNamespace(up=UpAxis.Y)
-    assert_allclose(in_world_of(rig, markers), [[[1, 3, -2]]], atol=1e-12)
+    assert_allclose(to_world_of(rig, markers), [[[1, 3, -2]]], atol=1e-12)
     rig.up = UpAxis.Z
-    assert in_world_of(rig, markers) is markers.positions
+    assert to_world_of(rig, markers) is markers.positions
     assert issubclass(OptionError, AnimtoolError)

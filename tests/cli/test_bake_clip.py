@@ -15,7 +15,7 @@ from animtool import compare
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.motion.motion import Motion
-from animtool.rig.kinematics import forward, rest_size
+from animtool.rig.kinematics import forward_kinematics, rest_size
 from animtool.rig.skeleton import Rig
 
 MOVES = """\
@@ -53,7 +53,7 @@ def sampled(path: Path, rig: Rig, times: npt.ArrayLike) -> Motion:
 def assert_plays(output: Path, rig: Rig, motion: Motion, codes: npt.ArrayLike) -> None:
     """Assert that UsdSkel puts the joints where forward kinematics does."""
     stage = open_stage(output)
-    ours = forward(rig, *motion.dense()).positions / rig.meters_per_unit
+    ours = forward_kinematics(rig, *motion.dense()).positions / rig.meters_per_unit
     theirs = joint_positions(stage, codes)
     size = rest_size(rig) / rig.meters_per_unit
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-6 * size)
@@ -125,7 +125,7 @@ def test_a_split_rig_as_the_rig_layer(shot: Path, rig: Rig, tmp_path: Path) -> N
     stage = open_stage(layer)
     stage.GetRootLayer().subLayerPaths.append(str(output))
     codes = np.arange(1.0, 14.0)
-    ours = forward(rig, *sampled(shot, rig, codes).dense()).positions * 100
+    ours = forward_kinematics(rig, *sampled(shot, rig, codes).dense()).positions * 100
     np.testing.assert_allclose(joint_positions(stage, codes), ours, atol=2e-4)
 
 

@@ -16,7 +16,7 @@ from support.surfaces import shaped_rig
 from support.usd import open_stage, skeleton_query, validation_errors
 
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import surfaces_of, with_file
+from animtool.rig.surfaces import surfaces_of, with_array_file
 from animtool.rig.write import rig_text
 
 RIGS = sorted((ROOT / "rigs").glob("*/*.rig.yaml"))
@@ -27,7 +27,7 @@ def hero(tmp_path: Path) -> Path:
     """A rig file with meshes and shapes, its arrays beside it."""
     folder = tmp_path / "rig"
     folder.mkdir()
-    rig, arrays = with_file(shaped_rig(), folder / "hero.npz")
+    rig, arrays = with_array_file(shaped_rig(), folder / "hero.npz")
     np.savez_compressed(folder / "hero.npz", allow_pickle=False, **arrays)
     text = rig_text(rig)
     text += 'controls:\n- {name: grin, drives: [{shape: smile, expr: "grin"}]}\n'

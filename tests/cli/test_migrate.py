@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from support.cli import animtool
 
-from animtool.documents.versions import STEPS
+from animtool.documents.versions import MIGRATION_STEPS
 
 CLIP = "clip: animtool/0  # old\nrate: 24\n"
 
@@ -22,7 +22,7 @@ def with_fps(value: dict[str, Any]) -> dict[str, Any]:
 @pytest.fixture
 def old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a clip of a version that there never was."""
-    monkeypatch.setitem(STEPS["clip"], 0, with_fps)
+    monkeypatch.setitem(MIGRATION_STEPS["clip"], 0, with_fps)
     path = tmp_path / "a.clip.yaml"
     path.write_text(CLIP)
     return path

@@ -12,7 +12,7 @@ from support.cli import animtool
 from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool import Rig, open_source
-from animtool.capture.solve.calibration import with_bones
+from animtool.capture.solve.calibration import scale_rig_bones
 from animtool.capture.templates import load_template
 from animtool.capture.templates.template import template_text
 from animtool.formats.marker_arrays import write_marker_arrays
@@ -25,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "f.rig.yaml").write_text(rig_text(FIGURE), "utf-8")
     text = template_text(TEMPLATE, "all", "f.rig.yaml")
     (tmp_path / "f.markers.yaml").write_text(text, "utf-8")
-    larger = with_bones(FIGURE, np.array([1.0, 1.1, 1.1, 1.1, 1.1, 1.1]))
+    larger = scale_rig_bones(FIGURE, np.array([1.0, 1.1, 1.1, 1.1, 1.1, 1.1]))
     own = captured(moving(150, 100, 3, 1.2), 100, rig=larger)
     write_marker_arrays(own.markers, tmp_path / "own.npz")
     write_marker_arrays(captured(moving(60, 100, 3)).markers, tmp_path / "take.npz")

@@ -14,7 +14,7 @@ from support.gltf import write_small
 from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool import open_source
-from animtool.capture.markers.plausible import implausible
+from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.solve.run import MIN_MOVING_FRAMES, static_notices
 from animtool.capture.templates import MarkerTemplate, TemplateMarker
 from animtool.capture.templates.template import template_text
@@ -152,7 +152,10 @@ def test_markers_in_another_unit(tmp_path: Path) -> None:
         assert line.endswith("set the unit of the file with --units")
         for name in ("take.npz", "b.npz"):
             (tmp_path / name).unlink()
-    clouds = [implausible(markers), implausible(replace(markers, clock=SLOW))]
+    clouds = [
+        plausibility_warnings(markers),
+        plausibility_warnings(replace(markers, clock=SLOW)),
+    ]
     assert [[one.code for one in found] for found in clouds] == [[], ["TAKE009"]]
 
 

@@ -9,7 +9,7 @@ import pytest
 from support.data import data_files
 
 from animtool import open_source
-from animtool.capture.clean import CleanOptions, cleaned_take
+from animtool.capture.clean import CleanOptions, clean_take
 from animtool.core.array_types import FloatArray
 from animtool.edit import find_cycle
 from animtool.maths import so3
@@ -30,7 +30,7 @@ def test_jitter_is_lessened(path: Path) -> None:
     source = path.with_name(path.name.replace(".degraded.", ".source."))
     truth = open_source(source).collect().motion.rotations.dense()
     dirty = open_source(path).collect()
-    cleaned, signals = cleaned_take(dirty, CleanOptions())
+    cleaned, signals = clean_take(dirty, CleanOptions())
     assert not any(signal.spikes for signal in signals)
     before, after = (
         _steps_off(take.motion.rotations.dense(), truth) for take in (dirty, cleaned)

@@ -17,7 +17,7 @@ from animtool import open_source
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.fit import MIN_FIT, RigFit, measure_fit
-from animtool.rig.kinematics import forward, rest_size
+from animtool.rig.kinematics import forward_kinematics, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.onto_rig import map_names
 
@@ -96,7 +96,9 @@ def frame_as_rest(take: Take) -> Rig | None:
     translations, rotations, _ = take.motion.dense()
     middle = slice(len(rotations) // 2, len(rotations) // 2 + 1)
     rig = take.rig
-    world = forward(rig, translations[middle], rotations[middle]).positions[0]
+    world = forward_kinematics(rig, translations[middle], rotations[middle]).positions[
+        0
+    ]
     inner = rig.parents >= 0
     moved = rig.rest_translations.copy()
     moved[inner] = world[inner] - world[rig.parents[inner]]

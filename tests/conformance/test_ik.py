@@ -27,7 +27,7 @@ from animtool.ik import (
 )
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -98,7 +98,7 @@ HEADER = f"{'file':24} {'ok':>8} {'median us':>9} {'p95 us':>10} {'steps':>6} wo
 def _world(group: Group, coordinates: FloatArray) -> WorldTransforms:
     rig = group.problem.rig
     local = local_from_coordinates(rig, coordinates)
-    return forward(rig, local.translations, local.rotations)
+    return forward_kinematics(rig, local.translations, local.rotations)
 
 
 def _residuals(group: Group, world: WorldTransforms, b: int, part: str) -> FloatArray:
@@ -328,7 +328,7 @@ def _slides(clip: Clip, coordinates: FloatArray) -> FloatArray:
     """Return how far locked goals move from frame to frame [m]."""
     rig = clip.problem.rig
     local = local_from_coordinates(rig, coordinates)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     moves = [np.zeros(1)]
     for e, goal in enumerate(clip.problem.goals):
         j = rig.index(goal.joint)

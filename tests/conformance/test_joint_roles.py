@@ -15,9 +15,9 @@ from conftest import ROOT, data_folder
 from animtool import open_source
 from animtool.core.array_types import FloatArray
 from animtool.retarget import map_joints
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.roles import ROLES
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # By the name of the convention: the joints of each role, and those without one.
@@ -79,10 +79,12 @@ def pose_at(path: Path) -> FloatArray:
     """Return where the joints of a file are in its first frame ``(J, 3)`` [m]."""
     if path.suffix == ".bvh":
         translations, rotations, _ = open_source(path).collect().motion.dense()
-        world = forward(rig_at(path), translations[:1], rotations[:1])
+        world = forward_kinematics(rig_at(path), translations[:1], rotations[:1])
     else:
         rig = rig_at(path)
-        world = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+        world = forward_kinematics(
+            rig, rig.rest_translations[None], rig.rest_rotations[None]
+        )
     return world.positions[0]
 
 
@@ -104,7 +106,7 @@ BODIES = list(bodies())
 def test_every_joint_is_known_by_its_name(path: Path, record_property: Record) -> None:
     rig = rig_at(path)
     truth = known_roles(rig)
-    roles = own_roles(anatomy(rig).roles)
+    roles = own_roles(find_anatomy(rig).roles)
     if truth is None:
         sides = {role[:-2] for role in roles if role.endswith("_l")}
         assert sides == {role[:-2] for role in roles if role.endswith("_r")}
@@ -128,7 +130,7 @@ def scrambled(path: Path) -> list[tuple[str, str, str]]:
         for i, joint in zip(order, rig.joints, strict=True)
     ]
     nameless = Rig(rig.name, tuple(joints), up=rig.up)
-    found = own_roles(anatomy(nameless, positions=pose_at(path)).roles)
+    found = own_roles(find_anatomy(nameless, positions=pose_at(path)).roles)
     truth = known_roles(rig)
     assert truth is not None
     return [

@@ -15,7 +15,7 @@ from support.mocap_skeleton import rig_of, template_of
 from support.named import scores_of
 from support.suite import is_full, some_quick
 
-from animtool.capture.markers.fill import FillReport, fill
+from animtool.capture.markers.fill import FillReport, fill_markers
 from animtool.capture.markers.label import label
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
@@ -105,7 +105,7 @@ def test_swaps_spikes_and_gaps(
         static = open_markers(f"{path}#static_mm")
         subject = MarkerSubject(rig_of(joints, "generic"), template_of(joints), static)
         most = TARGETS | ({"short": FAST} if "fast" in path.stem else {})
-    whole, report = fill(markers, subject=subject)
+    whole, report = fill_markers(markers, subject=subject)
     known = json.loads(truth.with_suffix(".json").read_text())
     found = {"swaps": _swaps(report, known, markers), "spikes": _spikes(report, known,
              markers)}  # fmt: skip

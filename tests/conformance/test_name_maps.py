@@ -10,7 +10,7 @@ import yaml
 from conftest import data_folder
 from support.people import CENTER, DIGIT_JOINTS, LIMBS, build
 
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 
 FOLDER = data_folder("retarget")
 # Points without hips are no tree of joints.
@@ -82,7 +82,7 @@ def skeleton_of(entry: dict[str, Any], variant: int) -> Any:
 @pytest.mark.parametrize("name", CONVENTIONS)
 def test_a_convention_is_known(name: str, variant: int) -> None:
     rig, roles = skeleton_of(CONVENTIONS[name], variant)
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     wrong = [
         (joint.name, role, roles[joint.name])
         for joint, role in zip(rig.joints, found.roles, strict=True)

@@ -42,5 +42,5 @@ def test_every_left_joint_finds_its_right_one() -> None:
             for name in names
             if found[name] != wanted[name]
         ]
-        wrong += [f"{convention}: {names[i]} is a stray" for i in pairs.strays]
+        wrong += [f"{convention}: {names[i]} is a stray" for i in pairs.unpaired]
     assert not wrong

@@ -19,7 +19,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.runs import runs
 from animtool.motion.passes import PassContext
 from animtool.retarget import map_joints
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.feet_pass import FeetOptions, lock_feet
 from animtool.retarget.motion import Retargeted, retarget_take
 from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -185,7 +185,7 @@ def test_captures_go_onto_the_biped(
 ) -> None:
     path = at_night(path, beginning(path, LONG, tmp_path / path.name))
     take = open_source(path).collect()
-    if "thigh_l" not in anatomy(take.rig).roles:
+    if "thigh_l" not in find_anatomy(take.rig).roles:
         pytest.skip(f"{path.name} is no person")
     biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
     made = retarget_take(take, biped, map_joints(take.rig, biped))

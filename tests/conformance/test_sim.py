@@ -22,7 +22,7 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.integrators.integrator import Form, StepControl
+from animtool.sim.integrators.integrator import EquationForm, StepControl
 
 # Of the reference's accuracy: the data's own.
 NEAR = 10.0
@@ -78,7 +78,7 @@ def beginning(problem: Problem | None) -> Problem | None:
 
 def serves(integrator: Integrator, problem: Problem) -> bool:
     """Return whether a method can serve a problem at all."""
-    if integrator.form is Form.ACCELERATIONS:
+    if integrator.form is EquationForm.ACCELERATIONS:
         return problem.states.ndim == 3 and problem.system.state.ndim == 3
     stepped = integrator.control is StepControl.FIXED and not integrator.implicit
     return not (stepped and problem.fastest is None)

@@ -26,13 +26,19 @@ def page(root: Path) -> str:
 def test_its_limits_are_those_of_the_code(page: str) -> None:
     assert f"{MAX_TEXT_BYTES // 10**6} MB | DOC006, IO010" in page
     assert f"{yaml_values.MAX_MARKS // 10**6} million separators" in page
-    assert f"{yaml_values.LONGEST_KEY:,} and {variables.LONGEST:,} letters" in page
+    assert (
+        f"{yaml_values.MAX_KEY_LENGTH:,} and {variables.MAX_TEXT_LENGTH:,} letters"
+        in page
+    )
     assert fields.MAX_NUMBER == 1e18
     assert fields.MAX_FRAME == 1e9
     assert fields.MAX_INTEGER == 2**53
     assert "±1e18; frames ±1e9; whole numbers ±2^53" in page
     assert f"reported of a file | {MAX_FAULTS} |" in page
-    assert f"{archive.MAX_BYTES // 10**9} GB as float64; {archive.MAX_RATIO} " in page
+    assert (
+        f"{archive.DEFAULT_ARRAY_LIMIT // 10**9} GB as float64; "
+        f"{archive.MAX_COMPRESSION_RATIO} " in page
+    )
     assert f"cut lists, reports | {MAX_INPUT_BYTES // 10**9} GB" in page
     assert (MAX_TEXT_LAYER_BYTES, MAX_LAYER_BYTES) == (4 * 10**9, 10**12)
     assert "4 GB, 1 TB" in page

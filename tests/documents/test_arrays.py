@@ -13,7 +13,7 @@ from support.faults import raises
 from animtool.core.errors import FormatError
 from animtool.documents import archive as archives_module
 from animtool.documents.arrays import (
-    MAX_OPEN,
+    MAX_OPEN_ARCHIVES,
     Archives,
     ArrayHeader,
     load_array,
@@ -213,14 +213,14 @@ def test_an_archive_is_opened_once(
 
 
 def test_few_archives_are_open_at_once(tmp_path: Path) -> None:
-    paths = [tmp_path / f"{i}.npz" for i in range(MAX_OPEN + 3)]
+    paths = [tmp_path / f"{i}.npz" for i in range(MAX_OPEN_ARCHIVES + 3)]
     for i, path in enumerate(paths):
         np.savez(path, x=np.full(2, float(i)))
     with Archives() as archives:
         for _ in range(2):
             for i, path in enumerate(paths):
                 assert archives.load(path, "x").tolist() == [i, i]
-        assert len(archives._open) == MAX_OPEN
+        assert len(archives._open) == MAX_OPEN_ARCHIVES
     assert not archives._open
 
 
@@ -274,7 +274,7 @@ def test_zeros_that_expand_a_thousandfold_are_not_expanded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(archives_module, "SMALL_BYTES", 1_000_000)
-    monkeypatch.setattr(archives_module, "MAX_BYTES", 3_000_000)
+    monkeypatch.setattr(archives_module, "DEFAULT_ARRAY_LIMIT", 3_000_000)
     path = bomb(tmp_path, 250_000)
     assert array_header(path, "x").shape == (250_000,)
     with pytest.raises(ValueError, match=r"takes 3 MB .* 100 times .* max_array_mb"):
@@ -294,7 +294,7 @@ def test_zeros_that_expand_a_thousandfold_are_not_expanded(
 def test_the_arrays_of_an_archive_are_bounded_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archives_module, "MAX_BYTES", 3_000)
+    monkeypatch.setattr(archives_module, "DEFAULT_ARRAY_LIMIT", 3_000)
     path = tmp_path / "many.npz"
     np.savez(path, a=np.ones(150), b=np.ones(150), c=np.ones(150))
     with Archives() as archives:
@@ -307,7 +307,7 @@ def test_the_arrays_of_an_archive_are_bounded_together(
 def test_narrow_numbers_count_as_what_they_become(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archives_module, "MAX_BYTES", 3_000)
+    monkeypatch.setattr(archives_module, "DEFAULT_ARRAY_LIMIT", 3_000)
     np.savez(tmp_path / "n.npz", x=np.ones(1000, bool))
     with pytest.raises(ValueError, match="takes 1 MB"):
         load_array(tmp_path / "n.npz", "x")
@@ -329,7 +329,7 @@ def test_a_member_that_is_longer_than_it_says(tmp_path: Path) -> None:
 def test_a_list_of_members_is_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archives_module, "MAX_LIST_BYTES", 1_000)
+    monkeypatch.setattr(archives_module, "MAX_DIRECTORY_BYTES", 1_000)
     path = tmp_path / "many.npz"
     np.savez(path, **{f"a{i}": np.ones(1) for i in range(20)})
     with pytest.raises(ValueError, match="list of arrays"):

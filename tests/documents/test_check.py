@@ -9,9 +9,9 @@ from pydantic import Field
 
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
-from animtool.documents.forms import Forms
+from animtool.documents.forms import EntryForms
 from animtool.documents.model_faults import MAX_REPLACED
 
 
@@ -47,7 +47,7 @@ class Shown(FileModel):
 
     crate: Annotated[
         dict[str, dict[str, object]] | None,
-        Forms({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
+        EntryForms({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
     ] = key("A shape.", {"box": {"size": [2, 2, 2]}}, default=None)
     items: list[Square] = key("Squares.", [{"type": "square"}], default=[])
     take: File | None = key("A take.", {"file": "a.bvh"}, default=None)
@@ -63,7 +63,7 @@ def document(folder: Path, text: str) -> Document:
 
 def faults(folder: Path, text: str) -> list[Fault]:
     read = document(folder, "rig: x\n" + text)
-    validated(read, Box)
+    validate_document(read, Box)
     with pytest.raises(FormatError) as caught:
         read.check()
     return list(caught.value.faults)
@@ -71,7 +71,7 @@ def faults(folder: Path, text: str) -> list[Fault]:
 
 def test_a_sound_document(tmp_path: Path) -> None:
     text = "rig: x\nfrom: y\nitems:\n- {type: square, side: 1}\n"
-    box = validated(document(tmp_path, text), Box)
+    box = validate_document(document(tmp_path, text), Box)
     assert (box.source, box.items[0].type) == ("y", "square")
 
 
@@ -152,7 +152,7 @@ def test_versions(tmp_path: Path, text: str, code: str, words: str) -> None:
 
 def test_a_misspelt_key_is_not_missing_too(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x\nitems:\n- {type: round, kind: round, radus: 2}")
-    (item,) = validated(read, Box).items
+    (item,) = validate_document(read, Box).items
     assert isinstance(item, Round)
     assert item.radius == 2
     assert [fault.code for fault in read.faults] == ["DOC020"]
@@ -189,7 +189,7 @@ def test_the_variant_that_comes_farthest_is_meant(tmp_path: Path) -> None:
 
 def test_no_fault_is_noted_of_a_stand_in(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\n- 5")
-    box = validated(read, Box)
+    box = validate_document(read, Box)
     assert len(box.items) == 2
     assert read.doubts == {("items", 0, "side"), ("items", 1)}
     for place in (("items", 0, "side"), ("items", 1, "type"), ("items", 1)):
@@ -201,7 +201,7 @@ def test_no_fault_is_noted_of_a_stand_in(tmp_path: Path) -> None:
 
 def test_entries_without_a_name_that_is_known(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\nnamed: 7")
-    validated(read, Box)
+    validate_document(read, Box)
     assert not read.has_unnamed("items")
     assert read.has_unnamed("items", "name", "side")
     assert read.has_unnamed("named")
@@ -223,10 +223,10 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
         return document(tmp_path, f"rig: x\nitems:\n{rows}")
 
     most = read(MAX_REPLACED // 2)
-    assert len(validated(most, Box).items) == MAX_REPLACED // 2
+    assert len(validate_document(most, Box).items) == MAX_REPLACED // 2
     assert len(most.faults) == MAX_REPLACED // 2
     with pytest.raises(FormatError):
-        validated(read(MAX_REPLACED // 2 + 1), Box)
+        validate_document(read(MAX_REPLACED // 2 + 1), Box)
 
 
 @pytest.mark.parametrize(
@@ -245,7 +245,7 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
 )
 def test_a_wrong_form_shows_the_right_one(tmp_path: Path, text: str, form: str) -> None:
     read = document(tmp_path, text)
-    validated(read, Shown)
+    validate_document(read, Shown)
     (fault,) = read.faults
     assert fault.code == "DOC022"
     assert str(fault.hint).removeprefix("for example ").removeprefix("write ") == form

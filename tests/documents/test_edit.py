@@ -17,7 +17,7 @@ from animtool.documents.edit import (
     Remove,
     Rename,
     Replace,
-    edited,
+    apply_edits,
 )
 
 YAML, JSON = Path("a.rig.yaml"), Path("a.rig.json")
@@ -90,7 +90,7 @@ def test_only_what_is_named_changes(
         assert wanted.count(old) == 1
         wanted = wanted.replace(old, new)
     before = TEXT.replace("\n", newline)
-    assert edited(before, YAML, edits) == wanted.replace("\n", newline)
+    assert apply_edits(before, YAML, edits) == wanted.replace("\n", newline)
 
 
 @pytest.mark.parametrize("step", [0, 1, 2])
@@ -101,22 +101,22 @@ def test_json(step: int, indent: int | str | None) -> None:
         "list": [{"a": 1, "why": "x"}, {"b": 2}, {"c": None}],
     }
     text = json.dumps(value, indent=indent)
-    done = json.loads(edited(text, JSON, [Remove(("list", step))]))
+    done = json.loads(apply_edits(text, JSON, [Remove(("list", step))]))
     assert done == {
         **value,
         "list": [e for i, e in enumerate(value["list"]) if i != step],
     }
-    done = json.loads(edited(text, JSON, [Add(("list", step), "z", [0.5, 1])]))
+    done = json.loads(apply_edits(text, JSON, [Add(("list", step), "z", [0.5, 1])]))
     assert done["list"][step] == {**value["list"][step], "z": [0.5, 1]}
-    done = json.loads(edited(text, JSON, [Replace(("rig",), 'a"b')]))
+    done = json.loads(apply_edits(text, JSON, [Replace(("rig",), 'a"b')]))
     assert done == {**value, "rig": 'a"b'}
 
 
 def test_the_last_line_needs_no_end() -> None:
     text = "joints:\n- name: a"
-    after = edited(text, YAML, [Add(("joints", 0), "type", "free")])
+    after = apply_edits(text, YAML, [Add(("joints", 0), "type", "free")])
     assert after == "joints:\n- name: a\n  type: free"
-    assert edited("a: 1\nb: 2", YAML, [Remove(("b",))]) == "a: 1\n"
+    assert apply_edits("a: 1\nb: 2", YAML, [Remove(("b",))]) == "a: 1\n"
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_the_last_line_needs_no_end() -> None:
 )
 def test_what_cannot_be_done_in_place(text: str, edit: Edit) -> None:
     with pytest.raises(EditError):
-        edited(text, YAML, [edit])
+        apply_edits(text, YAML, [edit])
 
 
 names = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=8)
@@ -142,7 +142,7 @@ names = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_
 def test_any_text_is_read_as_it_was_put(new: str, quote: str) -> None:
     written = f"{quote}x{quote}"
     text = f"a: [1, {written}] # why\nb: {{x: {written}}}\n"
-    after = edited(text, YAML, [Replace(("a", 1), new), Rename(("b", "x"), new)])
+    after = apply_edits(text, YAML, [Replace(("a", 1), new), Rename(("b", "x"), new)])
     value = document_of(after, YAML).value
     assert value["a"] == [1, new]
     assert list(value["b"]) == [new]

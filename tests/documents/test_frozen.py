@@ -17,10 +17,10 @@ from animtool.capture.templates import TemplateMarker, load_template
 from animtool.clip.file import load_clip, open_clip
 from animtool.core.shot import FrameRange, Shot
 from animtool.documents.migrate import plan_migration
-from animtool.documents.versions import STEPS, newest
+from animtool.documents.versions import MIGRATION_STEPS, newest
 from animtool.ik.file import load_targets
 from animtool.retarget import TwistFraction
-from animtool.retarget.file import load_map, resolved_map
+from animtool.retarget.file import load_map, resolve_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import ShapeLink, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, Rig
@@ -31,10 +31,10 @@ from animtool.scene.solves.ik import rest_take
 FROZEN = Path(__file__).parent / "frozen"
 
 
-@pytest.mark.parametrize("kind", sorted(STEPS))
+@pytest.mark.parametrize("kind", sorted(MIGRATION_STEPS))
 def test_there_is_a_file_of_every_version(kind: str) -> None:
-    first = min(STEPS[kind], default=newest(STEPS[kind]))
-    for version in range(first, newest(STEPS[kind]) + 1):
+    first = min(MIGRATION_STEPS[kind], default=newest(MIGRATION_STEPS[kind]))
+    for version in range(first, newest(MIGRATION_STEPS[kind]) + 1):
         plan = plan_migration(FROZEN / f"{kind}-{version}.{kind}.yaml")
         assert (plan.kind, plan.version) == (kind, version)
 
@@ -95,7 +95,7 @@ def test_map_1() -> None:
     source = Rig("take", tuple(Joint(name, -1) for name in names))
     names = ["hips", "spine_1", "spine_2", "spine_3", "arm_l", "twist_l", "ik_hand_l"]
     target = Rig("rig", tuple(Joint(name, -1) for name in names))
-    found = resolved_map(load_map(FROZEN / "map-1.map.yaml"), source, target)
+    found = resolve_map(load_map(FROZEN / "map-1.map.yaml"), source, target)
     entries = [(each.source, each.target, each.role) for each in found.entries]
     assert entries == [
         ((0,), (0,), ""),

@@ -14,7 +14,7 @@ from support.suite import examples
 from animtool.core.errors import FormatError
 from animtool.documents.document import document_of
 from animtool.documents.json_values import plain_json
-from animtool.documents.yaml_values import LONGEST_KEY, MAX_DEPTH, _read_yaml
+from animtool.documents.yaml_values import MAX_DEPTH, MAX_KEY_LENGTH, _read_yaml
 
 PATH = Path("some.clip.json")
 _LEAVES = (
@@ -35,7 +35,7 @@ _VALUES = st.recursive(
 
 
 def quick(text: str) -> Any:
-    return plain_json(text, MAX_DEPTH, LONGEST_KEY)
+    return plain_json(text, MAX_DEPTH, MAX_KEY_LENGTH)
 
 
 def same(a: Any, b: Any) -> bool:
@@ -67,7 +67,7 @@ def test_values_are_those_of_yaml(value: dict[str, Any], ascii_only: bool) -> No
         '{"a": "\x7f"}',
         '{"a": "\u2028"}',
         '{"a": ' + "9" * 401 + "}",
-        '{"' + "k" * (LONGEST_KEY + 1) + '": 1}',
+        '{"' + "k" * (MAX_KEY_LENGTH + 1) + '": 1}',
         '{"a": ' + "[" * MAX_DEPTH + "]" * MAX_DEPTH + "}",
         "[1, 2]",
         "3",

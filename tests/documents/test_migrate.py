@@ -13,8 +13,8 @@ from animtool.documents.check import check_version
 from animtool.documents.document import read_document
 from animtool.documents.edit import EditError
 from animtool.documents.migrate import migrate, plan_migration
-from animtool.documents.versions import STEPS as TABLES
-from animtool.documents.versions import Steps, newest, version_of
+from animtool.documents.versions import MIGRATION_STEPS as TABLES
+from animtool.documents.versions import MigrationSteps, newest, version_of
 from animtool.scene.file.read import load_scene
 
 
@@ -30,7 +30,7 @@ def in_metres(value: dict[str, Any]) -> dict[str, Any]:
     return {**value, "units": {"length": "m"}}
 
 
-TABLE: Mapping[str, Steps] = {
+TABLE: Mapping[str, MigrationSteps] = {
     "rig": {1: with_joints, 2: in_metres},
     "clip": {1: lambda value: value},
     "scene": {},
@@ -219,7 +219,7 @@ def test_keys_that_cannot_be_renamed_are_listed(
     def refuse(*_: object) -> str:
         raise EditError("the layout cannot be kept")
 
-    monkeypatch.setattr("animtool.documents.migrate.edited", refuse)
+    monkeypatch.setattr("animtool.documents.migrate.apply_edits", refuse)
     with pytest.raises(FormatError) as caught:
         plan_migration(written(tmp_path, RENAMED, "a.scene.yaml"))
     assert caught.value.code == "DOC026"

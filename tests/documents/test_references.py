@@ -9,7 +9,7 @@ from animtool.cli.main import run
 from animtool.core.config import project_roots
 from animtool.core.files.reading import recorded_inputs
 from animtool.documents.document import document_of
-from animtool.documents.references import reference, referred, referred_input
+from animtool.documents.references import reference, resolve_input, resolve_reference
 
 
 def test_references_stay_in_the_roots(tmp_path: Path) -> None:
@@ -28,7 +28,7 @@ def refused(path: Path, name: str) -> str:
     path.parent.mkdir(parents=True, exist_ok=True)
     document = document_of(f"clip: animtool/1\nrig: {name}\n", path)
     roots = project_roots(path)
-    assert referred(document, ("rig",), name, roots) is None
+    assert resolve_reference(document, ("rig",), name, roots) is None
     (fault,) = document.faults
     assert (fault.code, fault.lines) == ("DOC014", (2,))
     return str(fault.hint)
@@ -46,7 +46,7 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
     name = "../rigs/hero.rig.yaml"
     # It does what the hint says, and so does the line for settings that exist.
     settings.touch()
-    assert referred(document, (), name, project_roots(clip)) == rig
+    assert resolve_reference(document, (), name, project_roots(clip)) == rig
     settings.unlink()
     own = clip.with_name("pyproject.toml")
     own.write_text("[tool.animtool]\n")
@@ -54,10 +54,10 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
     hint = refused(clip, name)
     assert hint.endswith(f"add {line} to {own} under [tool.animtool]")
     own.write_text(f"[tool.animtool]\n{line}\n")
-    assert referred(document, (), name, project_roots(clip)) == rig
+    assert resolve_reference(document, (), name, project_roots(clip)) == rig
     own.unlink()
     (tmp_path / "show/.git").mkdir()
-    assert referred(document, (), name, project_roots(clip)) == rig
+    assert resolve_reference(document, (), name, project_roots(clip)) == rig
     assert "copy x.rig.yaml," in refused(clip, "../../x.rig.yaml")
 
 
@@ -66,7 +66,7 @@ def test_a_file_of_a_nearly_right_name_is_named(tmp_path: Path) -> None:
     (tmp_path / "rigs/hero.rig.yaml").touch()
     document = document_of("clip: animtool/1\nrig: x\n", tmp_path / "a.clip.yaml")
     for name in ("rigs/heros.rig.yaml", "rig/hero.rig.yaml", "other.yaml"):
-        assert referred_input(document, ("rig",), name, [tmp_path]) is None
+        assert resolve_input(document, ("rig",), name, [tmp_path]) is None
     hints = [fault.hint for fault in document.faults]
     file, folder = "rigs/hero.rig.yaml", "rigs"
     assert hints == [

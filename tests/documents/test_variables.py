@@ -13,7 +13,7 @@ from pydantic import Field
 from support.faults import raises
 
 from animtool.core.errors import FormatError
-from animtool.documents.check import FileModel, validated
+from animtool.documents.check import FileModel, validate_document
 from animtool.documents.document import Document, document_of
 from animtool.documents.variables import (
     resolve_variables,
@@ -40,7 +40,7 @@ def resolved(text: str, **given: str) -> Document:
 def refused(text: str, **given: str) -> list[tuple[str, tuple[int, int]]]:
     """Return code and place of every fault, those of the schema among them."""
     document = resolved(text, **given)
-    validated(document, Model)
+    validate_document(document, Model)
     with pytest.raises(FormatError) as caught:
         document.check()
     return [(f.code, (f.lines[0], f.column or 0)) for f in caught.value.faults]
@@ -170,7 +170,7 @@ def test_what_no_text_uses_is_known() -> None:
     text = 'variables: {a: 1, b: "${a}", c: 2}\ntext: ${d}\n'
     document = document_of(HEAD + text, Path("a.scene.yaml"))
     found = resolve_variables(document, Model, {"d": "x", "e": "y"})
-    assert (found.names, found.idle) == (set("abcd"), {"b", "c"})
+    assert (found.names, found.unused) == (set("abcd"), {"b", "c"})
 
 
 @given(st.text(st.sampled_from("${}ab\\ '")))

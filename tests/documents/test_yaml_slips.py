@@ -8,7 +8,7 @@ import pytest
 
 from animtool.core.errors import FormatError
 from animtool.documents.document import read_document
-from animtool.documents.yaml_slips import MAX_SCANNED, find_slip
+from animtool.documents.yaml_slips import MAX_SCANNED_CHARACTERS, find_slip
 
 SLIPS = [
     # text, line and column, what the hint shows
@@ -72,4 +72,4 @@ def test_sound_lines_have_no_slip(text: str) -> None:
 
 
 def test_long_texts_are_not_read_again() -> None:
-    assert find_slip("a: {b}.c\n" * (MAX_SCANNED // 9 + 1), 1) is None
+    assert find_slip("a: {b}.c\n" * (MAX_SCANNED_CHARACTERS // 9 + 1), 1) is None

@@ -19,8 +19,8 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.edit.looping import PASS, LoopOptions, loop
-from animtool.edit.travel import twist
-from animtool.edit.tree import inserted
+from animtool.edit.travel import vertical_twist
+from animtool.edit.tree import insert_joint
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -131,7 +131,7 @@ def cyclic(rig: Rig, length: int, seed: int) -> Take:
 
 def below(take: Take, name: str, scale: float = 1.0) -> Take:
     """Return a take under a root that is turned, off the origin, and stands still."""
-    whole = inserted(take, name, 0)
+    whole = insert_joint(take, name, 0)
     motion = whole.motion
     places, turns, _ = motion.dense()
     places[:, 0], turns[:, 0] = [1, 2, 3], so3.exp([0.3, 0.4, -0.2])
@@ -222,7 +222,7 @@ def test_what_climbs_and_leans_comes_back_and_what_drifts_goes_on() -> None:
     found = loop(take, repeats=4, blend=3)
     ends = take.world()
     up = np.array(take.rig.up.vector)
-    turn = twist(so3.from_matrix(ends.linear[-1, 0] @ ends.linear[0, 0].T), up)
+    turn = vertical_twist(so3.from_matrix(ends.linear[-1, 0] @ ends.linear[0, 0].T), up)
     start, drift = ends.positions[0, 0], ends.positions[-1, 0] - ends.positions[0, 0]
     assert drift @ up > 0.1
     assert so3.angle_between(turn, so3.IDENTITY) > 0.5

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from support.nasty import nasty_take
 
 from animtool import Clip, Rig
-from animtool.edit.mirroring import ControlMirror, _effect, mirror
+from animtool.edit.mirroring import ControlMirror, _control_effect, mirror
 from animtool.motion.take import Take
 from animtool.rig.controls import Control, Drive
 from animtool.rig.expressions import parse_expression
@@ -161,5 +161,5 @@ def test_a_control_is_moved_by_a_tenth_of_its_range_or_of_1() -> None:
             controls=(Control("c", low=low, high=high, drives=drives),),
         )
         for way in (1.0, -1.0):
-            found, _ = _effect(rig, 0, way, rest_world(rig).linear[0])
+            found, _ = _control_effect(rig, 0, way, rest_world(rig).linear[0])
             assert_allclose(found, [[0, 0, 0, 0, 3 * way * moved, 0]], atol=1e-12)

@@ -14,14 +14,14 @@ from animtool.formats.bvh.read import read_bvh
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.parts import Shape
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, Rig
 
 
 def positions(take: Take) -> np.ndarray:
-    return forward(take.rig, *take.motion.dense()).positions
+    return forward_kinematics(take.rig, *take.motion.dense()).positions
 
 
 def test_the_world_is_mirrored(walk: Path) -> None:

@@ -19,7 +19,7 @@ from animtool.edit.resample import (
     SampleTimes,
     plan_samples,
     resampled,
-    sample,
+    sample_blocks,
 )
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -50,7 +50,7 @@ def spin(count: int, fps: Fraction) -> Take:
 def test_constant_speed_is_kept_exactly(fps: Fraction) -> None:
     take = spin(241, Fraction(120))
     times = plan_samples(take.clock, fps, Fraction(1))
-    blocks = [motion for _, motion in sample(take, times)]
+    blocks = [motion for _, motion in sample_blocks(take, times)]
     whole = Motion.concatenate(blocks)
     seconds = (times.codes - 1) / float(fps)
     truth = so3.from_axis_angle(np.array([0.0, 0.6, 0.8]), seconds)
@@ -65,7 +65,7 @@ def test_samples_that_coincide_are_the_source_exactly() -> None:
     times = plan_samples(take.clock, Fraction(24), Fraction(1001))
     assert len(times.codes) == 241
     assert not times.fractions.any()
-    found = Motion.concatenate([motion for _, motion in sample(take, times)])
+    found = Motion.concatenate([motion for _, motion in sample_blocks(take, times)])
     assert_array_equal(found.rotations.values, take.motion.rotations.values[::5])
     assert (times.first, times.last) == (1001, 1241)
 
@@ -165,7 +165,7 @@ def test_sub_frame_samples_are_ascending_and_held_at_the_ends() -> None:
     times = plan_samples(take.clock, Fraction(24), Fraction(10), offsets=offsets)
     assert times.codes.tolist() == [9.75, 10, 10.25, 10.75, 11, 11.25, 11.75, 12, 12.25]
     assert (times.first, times.last) == (10, 12)
-    found = Motion.concatenate([motion for _, motion in sample(take, times)])
+    found = Motion.concatenate([motion for _, motion in sample_blocks(take, times)])
     slide = found.translations.values[:, 0, 0] * 24
     assert_allclose(slide, [0, 0, 0.25, 0.75, 1, 1.25, 1.75, 2, 2], atol=1e-14)
 
@@ -215,7 +215,7 @@ def test_a_range_of_a_take_that_begins_within_a_frame(
     wanted = FrameRange(first, first + more, step)
     times = plan_samples(take.clock, fps, start, frame_range=wanted, hold=True)
     assert times.codes.tolist() == list(range(first, first + more + 1, step))
-    motion = Motion.concatenate([motion for _, motion in sample(take, times)])
+    motion = Motion.concatenate([motion for _, motion in sample_blocks(take, times)])
     seconds = np.clip((times.codes - float(start)) / float(fps), 0, 120 / 30)
     assert_allclose(motion.translations.dense()[:, 0, 0], seconds, atol=1e-12)
     inside = [n for n in times.codes if start <= n <= start + 120 * fps / 30]
@@ -345,7 +345,7 @@ def test_frames_of_the_take_are_left_to_the_sign_of_their_quaternions() -> None:
         take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
     )
     times = plan_samples(take.clock, Fraction(24), take.clock.start)
-    ((_, found),) = sample(take, times)
+    ((_, found),) = sample_blocks(take, times)
     assert_array_equal(found.rotations.dense(), turns)
-    ((_, found),) = sample(take, times, smooth=True)
+    ((_, found),) = sample_blocks(take, times, smooth=True)
     assert (np.sum(np.diff(found.rotations.dense(), axis=0) ** 2, axis=2) < 1).all()

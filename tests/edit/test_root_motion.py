@@ -17,7 +17,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.root_motion import extract_root, recompose_root
-from animtool.edit.tree import inserted
+from animtool.edit.tree import insert_joint
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -31,7 +31,7 @@ WITHIN = 1e-9  # [m], a thousandth of what is promised
 
 def static_root(take: Take) -> Take:
     """Return a take below a root joint that is somewhere and never moves."""
-    whole = inserted(take, "root", 0)
+    whole = insert_joint(take, "root", 0)
     root = Joint("root", -1, translation=(0.5, 0.25, -1), rotation=(0, 0.6, 0, 0.8))
     rig = replace(whole.rig, joints=(root, *whole.rig.joints[1:]))
     motion = whole.motion

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from animtool.core.clock import Clock
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp
-from animtool.edit.straight import straight_errors
+from animtool.edit.straight import interpolation_errors
 from animtool.edit.travel import even_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -35,7 +35,9 @@ def swinging(frames: int = 49, *, still: bool = False) -> Take:
 
 def test_the_estimate_is_the_error_of_a_sine() -> None:
     places = even_positions(np.arange(96), 0, Fraction(1, 2), 49)
-    errors = {e.channel: e for e in straight_errors(Between.of(swinging()), places)}
+    errors = {
+        e.channel: e for e in interpolation_errors(TakeSampler.of(swinging()), places)
+    }
     # Halfway between two frames about a peak.
     drop = 1 - np.cos(np.pi / 24)
     assert errors["translations"].size == pytest.approx(0.2 * drop, rel=0.02)

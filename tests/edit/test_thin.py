@@ -14,10 +14,10 @@ from support.suite import examples
 
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.errors import OptionError
-from animtool.edit.thin import Thinned, thin_samples
+from animtool.edit.thin import ThinnedSamples, thin_samples
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 0.4, 0.0))))
@@ -34,7 +34,7 @@ def moved(turns: Floats, slides: Floats | None = None, **others: Channel) -> Mot
     return Motion(*channels, **others)
 
 
-def errors(codes: Floats, motion: Motion, found: Thinned) -> Floats:
+def errors(codes: Floats, motion: Motion, found: ThinnedSamples) -> Floats:
     """Return the error of every joint at every sample, one sample at a time."""
     places, turns, _ = motion.dense()
     points = attached_points(ARM, SHELL_DISTANCE)
@@ -45,8 +45,8 @@ def errors(codes: Floats, motion: Motion, found: Thinned) -> Floats:
             share = (codes[i] - codes[low]) / (codes[high] - codes[low])
             place = places[low] + share * (places[high] - places[low])
             turn = so3.slerp(turns[low], turns[high], np.full(2, share))
-            here = forward(ARM, place[None], turn[None])
-            true = forward(ARM, places[i : i + 1], turns[i : i + 1])
+            here = forward_kinematics(ARM, place[None], turn[None])
+            true = forward_kinematics(ARM, places[i : i + 1], turns[i : i + 1])
             off = np.einsum("jrc,jpc->jpr", here.linear[0], points)
             off += here.positions[0][:, None]
             off -= np.einsum("jrc,jpc->jpr", true.linear[0], points)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.edit.looping import gridded
+from animtool.edit.looping import resample_track
 from animtool.maths import so3
 from animtool.motion.transforms import Attribute, Track, Transforms
 
@@ -39,7 +39,7 @@ TRACK = Track(
 @given(st.integers(2, 30), st.integers(0, 99), st.floats(-3, 40))
 def test_it_is_what_is_known_and_between(count: int, seed: int, time: float) -> None:
     given_ = known(count, seed)
-    track = gridded(TRACK, given_)
+    track = resample_track(TRACK, given_)
     whole = track.at(np.arange(count, dtype=np.float64))
     assert_array_equal(whole.matrix(), given_.matrix())
     for one, other in zip(whole.values, given_.values, strict=True):

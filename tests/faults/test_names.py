@@ -131,10 +131,10 @@ def test_states_that_a_pass_saves(show: Path) -> None:
 
 
 def test_a_key_of_weights_is_no_path(show: Path) -> None:
-    from animtool.validation.fixes.draft import NotMendedError
+    from animtool.validation.fixes.draft import NotFixedError
     from animtool.validation.fixes.texts import _unused_path
 
-    with pytest.raises(NotMendedError):
+    with pytest.raises(NotFixedError):
         _unused_path(show / "body.npz", "../../evil")
 
 

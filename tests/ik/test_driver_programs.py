@@ -21,7 +21,7 @@ from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, parse_expression
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
@@ -65,7 +65,7 @@ def poses(rig: Rig, count: int, seed: int = 0, wide: float = 0.6) -> FloatArray:
 
 def tips(rig: Rig, q: FloatArray, joint: str = "hand") -> tuple[FloatArray, FloatArray]:
     local = local_from_coordinates(rig, q)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     j = rig.index(joint)
     points = world.positions[:, j] + world.linear[:, j] @ TIP
     return points[:, None], so3.from_matrix(world.linear[:, j])[:, None]

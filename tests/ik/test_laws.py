@@ -64,7 +64,7 @@ from animtool.ik.values import (
 )
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -84,7 +84,7 @@ def test_a_pole_is_along_its_direction_as_the_joint_above_is_turned() -> None:
         ),
     )
     turns = np.stack([HALF, so3.IDENTITY, so3.IDENTITY])[None]
-    world = forward(rig, rig.rest_translations[None], turns)
+    world = forward_kinematics(rig, rig.rest_translations[None], turns)
     chain = IkChain("limb", "a", "b", "pose", (0.6, 0.0, 0.8))
     track: Any = SimpleNamespace(chain=chain)
     found = take_run._pole(rig, track, world, 0)

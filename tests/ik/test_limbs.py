@@ -25,7 +25,7 @@ from animtool.ik.goals import WEIGHT, WEIGHTS
 from animtool.ik.limbs import GoalLimb, extend
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -44,7 +44,7 @@ def tips(result: IkResult) -> FloatArray:
     """Return where the stretched joints put the first goal's point ``(B, 3)``."""
     rig, goal = result.problem.rig, result.problem.goals[0]
     local = local_from_coordinates(rig, result.coordinates)
-    world = forward(rig, result.local_translations(), local.rotations)
+    world = forward_kinematics(rig, result.local_translations(), local.rotations)
     j = rig.index(goal.joint)
     return world.positions[:, j] + world.linear[:, j] @ np.asarray(goal.offset)
 

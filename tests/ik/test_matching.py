@@ -27,7 +27,7 @@ from animtool.rig.joints import (
     coordinate_slices,
     local_from_coordinates,
 )
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, JointType
@@ -38,7 +38,7 @@ seeds = st.integers(0, 10**6)
 
 def posed(rig: Rig, q: FloatArray) -> tuple[LocalTransforms, WorldTransforms]:
     local = local_from_coordinates(rig, np.atleast_2d(q))
-    return local, forward(rig, local.translations, local.rotations)
+    return local, forward_kinematics(rig, local.translations, local.rotations)
 
 
 def limb_of(rig: Rig, chain: IkChain) -> list[int]:
@@ -306,7 +306,7 @@ def test_stretched_bones_come_back() -> None:
     q = np.array([0.0, 0, 0, 1, 0.0, 0, 0, 0, 1])
     local = local_from_coordinates(rig, q[None])
     local.translations[0, 1:] *= 1.1
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     found = match(rig, rig.chains, world)
     result = solve(build(rig, found.goals, pose=q), q[None], found.targets, EXACT)
     assert_allclose(result.local_translations()[0], local.translations[0], atol=1e-9)

@@ -16,7 +16,7 @@ from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 LIMIT = 2.0
 TIP = Goal("b5", (0.2, 0.0, 0.0))
@@ -30,7 +30,7 @@ def missing(
     """Return what the goals of a priority lack, weighted, lengths in shares."""
     rig = problem.rig
     local = local_from_coordinates(rig, q[None])
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     found = []
     for e, goal in enumerate(problem.goals):
         if goal.priority != level:

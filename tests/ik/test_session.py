@@ -13,7 +13,7 @@ from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, Session, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import JointType, Mimic, Rig
 
 NAN = float("nan")
@@ -81,7 +81,7 @@ def test_joints_are_where_forward_kinematics_has_them() -> None:
     session = rig.ik("hand")
     result = session.solve(hand=[0.4, 1.3, 0.3])
     local = local_from_coordinates(rig, result.coordinates)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     np.testing.assert_array_equal(result.world().positions, world.positions)
     np.testing.assert_array_equal(result.world().linear, world.linear)
     assert result.world() is result.world()
@@ -95,7 +95,7 @@ def test_bones_of_a_session_stretch() -> None:
     found = Session(rig, stretching).solve(elbow=[0.8, 1.2, 0.0])
     assert found.stretches[0, 0] > 1.1
     placed = found.world().positions
-    rows = forward(
+    rows = forward_kinematics(
         rig,
         found.local_translations(),
         local_from_coordinates(rig, found.coordinates).rotations,

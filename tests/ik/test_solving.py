@@ -27,7 +27,7 @@ from animtool.ik.solving import COUNT_RANGES
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 ROOT = Path(__file__).parents[2]
@@ -331,7 +331,7 @@ def test_poses_of_new_starts_stay_random_in_nothing() -> None:
     assert result.converged[0]
     assert result.descents[0] > 1
     local = local_from_coordinates(rig, result.coordinates)
-    places = forward(rig, local.translations, local.rotations).positions[0]
+    places = forward_kinematics(rig, local.translations, local.rotations).positions[0]
     for name in ("spine_4", "neck_1", "head"):
         assert abs(places[rig.index(name), 0]) < 1e-4
     left, right = (places[rig.index(f"elbow_{side}")] for side in "lr")

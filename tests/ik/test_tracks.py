@@ -22,7 +22,7 @@ from animtool.ik.tracks import FreeEffector, swung
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.solves.ik import rest_take
 
@@ -235,7 +235,7 @@ def bent_arm(bend: float) -> FreeEffector:
     tip = np.arctan2(0.25 * np.sin(angle), 0.3 + 0.25 * np.cos(angle))
     turns[0, 0] = so3.from_axis_angle([0.0, 0.0, 1.0], -tip)
     turns[0, 1] = so3.from_axis_angle([0.0, 0.0, 1.0], angle)
-    world = forward(rig, rig.rest_translations[None], turns)
+    world = forward_kinematics(rig, rig.rest_translations[None], turns)
     return FreeEffector(rig, Goal("wrist", root="shoulder"), world)
 
 

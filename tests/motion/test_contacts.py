@@ -9,7 +9,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     find_contacts,
-    gaussian_smoothed,
+    gaussian_smooth,
     noise_speed,
     without_short_runs,
 )
@@ -72,8 +72,8 @@ def test_jitter_is_that_of_the_noise() -> None:
 
 def test_smoothing_keeps_straight_ways_and_its_ends() -> None:
     way = np.outer(np.arange(40.0), [1.0, -2.0, 0.5]) + 3.0
-    assert np.abs(gaussian_smoothed(way, 3.0) - way).max() < 1e-12
-    assert gaussian_smoothed(way[:1], 3.0).tolist() == way[:1].tolist()
+    assert np.abs(gaussian_smooth(way, 3.0) - way).max() < 1e-12
+    assert gaussian_smooth(way[:1], 3.0).tolist() == way[:1].tolist()
 
 
 def test_what_the_ends_of_a_take_cut_off_is_not_too_short() -> None:

@@ -18,7 +18,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import FormatError
 from animtool.maths import so3
 from animtool.motion.driver_run import DriverRun
-from animtool.motion.driving import driven_stream, driven_take
+from animtool.motion.driving import drive_stream, drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import Take, TakeStream
@@ -82,7 +82,7 @@ def test_captured_motion_is_driven() -> None:
     elbow, twist = np.linspace(0, 1, 9), np.linspace(-1, 1.2, 9)
     own = np.zeros((9, 3, 1))
     own[:, 1] = 0.5
-    take = driven_take(take_of(rig(), elbow, twist, own))
+    take = drive_take(take_of(rig(), elbow, twist, own))
     assert rolls(take) == pytest.approx(twist / 2)
     assert weights(take)[:, 0] == pytest.approx(elbow / 2)
     assert weights(take)[:, 2] == pytest.approx(elbow / 4)
@@ -91,8 +91,8 @@ def test_captured_motion_is_driven() -> None:
 
 def test_to_drive_again_changes_nothing() -> None:
     own = np.random.default_rng(0).uniform(0, 1, (5, 3, 1))
-    once = driven_take(take_of(rig(), np.linspace(0, 1, 5), np.linspace(0, 1, 5), own))
-    twice = driven_take(once)
+    once = drive_take(take_of(rig(), np.linspace(0, 1, 5), np.linspace(0, 1, 5), own))
+    twice = drive_take(once)
     assert np.array_equal(rolls(once), rolls(twice))
     assert np.abs(weights(once) - weights(twice)).max() < 1e-15
 
@@ -102,15 +102,15 @@ def test_a_rig_without_drivers_is_left_alone() -> None:
     joints = tuple(replace(joint, driven=None) for joint in made.joints)
     plain = replace(made, joints=joints, shapes=())
     take = take_of(plain, np.zeros(3), np.ones(3))
-    assert driven_take(take) is take
+    assert drive_take(take) is take
     stream = TakeStream.of(take)
-    assert driven_stream(stream) is stream
+    assert drive_stream(stream) is stream
 
 
 @pytest.mark.parametrize("frames", [1, 4])
 def test_what_does_not_move_is_stored_once(frames: int) -> None:
     made = rig()
-    take = driven_take(take_of(made, np.full(frames, 0.4), np.full(frames, 0.6)))
+    take = drive_take(take_of(made, np.full(frames, 0.4), np.full(frames, 0.6)))
     assert not len(take.motion.rotations.animated)
     assert not len(take.motion.weights.animated)  # type: ignore[union-attr]
     assert rolls(take) == pytest.approx([0.3] * frames)
@@ -121,7 +121,7 @@ def test_the_sign_of_quaternions_has_no_say() -> None:
     flipped = take.motion.rotations.dense()
     flipped[::2] *= -1
     motion = replace(take.motion, rotations=Channel.from_dense(flipped))
-    assert rolls(driven_take(replace(take, motion=motion))) == pytest.approx(
+    assert rolls(drive_take(replace(take, motion=motion))) == pytest.approx(
         np.linspace(0, 1, 6)
     )
 
@@ -129,14 +129,14 @@ def test_the_sign_of_quaternions_has_no_say() -> None:
 def test_blocks_are_driven_as_the_whole() -> None:
     spin = np.linspace(0, 14, 60)
     made = rig("elbow.angle / 4")
-    whole = driven_take(take_of(made, spin, np.zeros(60)))
+    whole = drive_take(take_of(made, spin, np.zeros(60)))
     assert np.unwrap(rolls(whole)) == pytest.approx(spin / 4)
     # A shape reads the same angle as the joint.
     assert weights(whole)[:, 0] == pytest.approx(spin / 2)
     take = take_of(made, spin, np.zeros(60))
     blocks = [take.motion.select(slice(at, at + 7)) for at in range(0, 60, 7)]
     stream = replace(TakeStream.of(take), blocks=iter(blocks))
-    parts = driven_stream(stream).collect()
+    parts = drive_stream(stream).collect()
     for one, two in zip(
         whole.motion.dense()[:2], parts.motion.dense()[:2], strict=True
     ):
@@ -147,13 +147,13 @@ def test_blocks_are_driven_as_the_whole() -> None:
 def test_limits_hold_and_are_reported_once() -> None:
     made = rig(limits=RangeLimit(-0.2, 0.3))
     take = take_of(made, np.zeros(5), np.array([0, 0.5, 1.0, 0.6, -0.5]))
-    done = driven_take(take)
+    done = drive_take(take)
     assert rolls(done) == pytest.approx([0, 0.25, 0.3, 0.3, -0.2])
     (notice,) = done.notices
     assert notice.code == "RIG103"
     assert "frame 3" in notice.message
     assert f"{np.degrees(0.2):.4g}" in notice.message
-    assert driven_take(done).notices == done.notices
+    assert drive_take(done).notices == done.notices
 
 
 def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference() -> (
@@ -165,7 +165,7 @@ def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference
     given = replace(
         take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
     )
-    stream = driven_stream(TakeStream.of(given), report_replaced=True)
+    stream = drive_stream(TakeStream.of(given), report_replaced=True)
     done = stream.collect()
     assert rolls(done) == pytest.approx([0, 0.1, 0.2, 0.3])
     (notice,) = stream.notices
@@ -173,14 +173,14 @@ def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference
     assert f"{np.degrees(0.5):.4g}" in notice.message
     assert "frame 3" in notice.message
     # What stands at rest in a capture says nothing about the joint.
-    quiet = driven_stream(TakeStream.of(take), report_replaced=True)
+    quiet = drive_stream(TakeStream.of(take), report_replaced=True)
     quiet.collect()
     assert quiet.notices == []
 
 
 def test_a_twist_through_half_a_turn_is_reported() -> None:
     twist = np.array([3.0, 3.1, 3.3, 3.5])
-    done = driven_take(take_of(rig(), np.zeros(4), twist))
+    done = drive_take(take_of(rig(), np.zeros(4), twist))
     assert [notice.code for notice in done.notices] == ["RIG105"]
     assert "frame 3" in done.notices[0].message
     # Limits of the twist put the seam elsewhere.
@@ -188,7 +188,7 @@ def test_a_twist_through_half_a_turn_is_reported() -> None:
     limits = BallLimit(None, (1.0, 5.0), X)
     wrist = replace(made.joints[2], limits=limits)
     moved = replace(made, joints=(*made.joints[:2], wrist))
-    done = driven_take(take_of(moved, np.zeros(4), twist))
+    done = drive_take(take_of(moved, np.zeros(4), twist))
     assert not done.notices
     assert rolls(done) == pytest.approx(twist / 2)
 
@@ -198,7 +198,7 @@ def test_a_driver_without_a_value_is_an_error_with_the_frame(roll: str) -> None:
     for limits in (None, RangeLimit(-1, 1)):
         made = rig(roll, limits=limits)
         with pytest.raises(FormatError) as caught:
-            driven_take(take_of(made, np.array([0.5, 0.2, 0, 0.1]), np.zeros(4)))
+            drive_take(take_of(made, np.array([0.5, 0.2, 0, 0.1]), np.zeros(4)))
         (fault,) = caught.value.faults
         assert fault.code == "CLIP015"
         assert "'roll'" in fault.message
@@ -209,7 +209,7 @@ def test_a_driver_may_be_a_number() -> None:
     made = rig("0.25")
     shape = replace(made.shapes[0], driven=expr("1 / 2"))
     made = replace(made, shapes=(shape, *made.shapes[1:]))
-    motion = driven_take(take_of(made, np.zeros(3), np.zeros(3))).motion
+    motion = drive_take(take_of(made, np.zeros(3), np.zeros(3))).motion
     turns = so3.log(motion.rotations.dense()[:, 1])
     np.testing.assert_allclose(turns[:, 0], 0.25, atol=1e-12)
     assert motion.weights is not None
@@ -219,12 +219,12 @@ def test_a_driver_may_be_a_number() -> None:
 def test_numbers_beyond_numbers_are_an_error_too() -> None:
     made = rig("exp(elbow.angle * 1e300)")
     with pytest.raises(FormatError) as caught:
-        driven_take(take_of(made, np.array([0, 0.5]), np.zeros(2)))
+        drive_take(take_of(made, np.array([0, 0.5]), np.zeros(2)))
     assert [fault.code for fault in caught.value.faults] == ["CLIP015"]
 
 
 def test_passes_leave_what_is_driven_driven() -> None:
-    take = driven_take(take_of(rig(), np.linspace(0, 1, 12), np.linspace(0, 2, 12)))
+    take = drive_take(take_of(rig(), np.linspace(0, 1, 12), np.linspace(0, 2, 12)))
     pass_ = find_pass("time_scale")
     options = pass_.options(speed=0.7)
     context = PassContext(lambda _: take, Path())
@@ -251,7 +251,7 @@ def test_a_take_is_keyed_without_what_is_driven() -> None:
     made = rig()
     own = np.zeros((20, 3, 1))
     own[:, 1, 0] = np.linspace(0, 1, 20)
-    take = driven_take(take_of(made, np.linspace(0, 1, 20), np.linspace(0, 1, 20), own))
+    take = drive_take(take_of(made, np.linspace(0, 1, 20), np.linspace(0, 1, 20), own))
     keyed = keyed_take(take, made, "arm", 1e-5)
     targets = {channel.target for channel in keyed.clip.channels}
     assert targets == {"joint/elbow.angle", "joint/wrist.rotation", "shape/own"}

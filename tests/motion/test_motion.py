@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 
 from animtool.core.errors import AnimtoolError
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -67,6 +67,6 @@ def test_joints_are_where_the_dense_motion_has_them() -> None:
     channels = [Channel.from_dense(values) for values in dense]
     for count in (2, 3):
         found = Motion(*channels[:count]).world(rig)
-        world = forward(rig, *dense[:count])
+        world = forward_kinematics(rig, *dense[:count])
         np.testing.assert_array_equal(found.positions, world.positions)
         np.testing.assert_array_equal(found.linear, world.linear)

@@ -12,14 +12,14 @@ from animtool.core.units import UpAxis
 from animtool.formats.bvh.read import read_bvh
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.parts import Capsule, Collider, IkChain
 from animtool.rig.skeleton import Joint, Rig
 
 
 def positions(take: Take) -> np.ndarray:
     motion = take.motion
-    return forward(
+    return forward_kinematics(
         take.rig, motion.translations.dense(), motion.rotations.dense()
     ).positions
 

@@ -19,7 +19,7 @@ from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 2.0, 0.0))))
@@ -43,7 +43,9 @@ def test_the_world_of_a_take() -> None:
     take = take_of(dense_motion())
     world = take.world()
     translations, rotations, _ = take.motion.dense()
-    assert_array_equal(world.positions, forward(ARM, *take.motion.dense()).positions)
+    assert_array_equal(
+        world.positions, forward_kinematics(ARM, *take.motion.dense()).positions
+    )
     whole = so3.multiply(rotations[:, 0], rotations[:, 1])
     assert_allclose(so3.angle_between(world.rotations[:, 1], whole), 0, atol=1e-7)
     assert (np.sum(world.rotations[1:] * world.rotations[:-1], axis=-1) >= 0).all()

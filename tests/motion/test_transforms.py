@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.motion.transforms import Track, Transforms, rotated_track
+from animtool.motion.transforms import Track, Transforms, rotate_track
 
 
 def spinning(times: np.ndarray) -> Transforms:
@@ -37,7 +37,7 @@ def test_a_turned_track_is_turned_as_a_whole(time: float, sample: object) -> Non
     whole[:3, :3] = so3.to_matrix(turn)
     times = np.array([time])
     expected = whole @ track.at(times).matrix()
-    found = rotated_track(track, turn).at(times).matrix()
+    found = rotate_track(track, turn).at(times).matrix()
     assert_allclose(found, expected, atol=1e-12 * max(1, np.abs(expected).max()))
 
 

@@ -87,14 +87,14 @@ def test_few_files_are_open_at_a_time(
 ) -> None:
     write_pair(tmp_path)
     most = 0
-    closing = chunks.Chunks._close
+    closing = chunks.ChunkedWriter._close
 
-    def close(self: chunks.Chunks, number: int) -> None:
+    def close(self: chunks.ChunkedWriter, number: int) -> None:
         nonlocal most
         most = max(most, len(self._open))
         closing(self, number)
 
-    monkeypatch.setattr(chunks.Chunks, "_close", close)
+    monkeypatch.setattr(chunks.ChunkedWriter, "_close", close)
     monkeypatch.setattr("animtool.scene.bake.deformed_character.PIECE_FRAMES", 3)
     bake(tmp_path, "many.usdc", "--chunk", 3)
     assert most == 2

@@ -16,7 +16,7 @@ from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.maths import so3
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import forward, rest_size
+from animtool.rig.kinematics import forward_kinematics, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.rig.write import rig_text
 
@@ -102,7 +102,7 @@ def test_every_kind_of_target_plays_in_usd(folder: Path, rig: Rig) -> None:
     assert validation_errors(stage) == []
     clip = load_clip(open_clip(folder / "shot.clip.yaml"), rig)
     motion = sample_channels(clip.channels, rig, CODES).motion
-    world = forward(rig, *motion.dense())
+    world = forward_kinematics(rig, *motion.dense())
     np.testing.assert_allclose(
         joint_positions(stage, CODES), world.positions, atol=1e-6 * rest_size(rig)
     )

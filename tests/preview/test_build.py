@@ -19,7 +19,7 @@ from animtool.preview.build import make_page, write_page
 from animtool.preview.open_file import rest_take
 from animtool.preview.options import PreviewOptions
 from animtool.preview.show import show
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
@@ -41,7 +41,9 @@ def test_a_page_holds_the_take_within_the_error_that_it_states(
     take = reorient(read_bvh(walk, up=up), UpAxis.Y).collect()
     t, r = page.locals()
     errors = page.manifest["errors"]
-    places = forward(take.rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True))
+    places = forward_kinematics(
+        take.rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True)
+    )
     apart = np.linalg.norm(places.positions - take.world().positions, axis=-1)
     assert 0 < apart.max() * 1000 <= errors["position_mm"] < 0.2
     assert 0 < errors["rotation_deg"] < 0.01
@@ -83,7 +85,9 @@ def test_one_motion_makes_equal_pages_whatever_its_format(
     assert animtool("convert", walk, keyed).code == 0
     rig = read_bvh(walk).rig
     one, other = (
-        forward(rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True)).positions
+        forward_kinematics(
+            rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True)
+        ).positions
         for t, r in (page_of(path).locals() for path in (walk, keyed))
     )
     assert np.linalg.norm(one - other, axis=-1).max() < 1e-3
@@ -236,7 +240,7 @@ def test_skins_and_shapes_give_the_points_of_the_mesh(tmp_path: Path) -> None:
     )
     t, r = page.locals()
     rig = open_source(clip).rig
-    world = forward(rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True))
+    world = forward_kinematics(rig, t, r / np.linalg.norm(r, axis=-1, keepdims=True))
     for frame in (0, len(t) - 1):
         shaped = points.copy()
         for shape in mesh["shapes"]:

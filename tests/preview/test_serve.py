@@ -98,14 +98,14 @@ def test_a_page_is_made_again_when_its_file_changes(take: Path) -> None:
 def test_an_error_stays_on_the_page_until_it_is_mended(take: Path) -> None:
     watched = WatchedPage(lambda: make_page([take], PLAIN))
     watched.build()
-    before = watched.body()
+    before = watched.response_body()
     take.write_text("HIERARCHY\nnonsense")
     with pytest.raises(AnimtoolError):
         watched.build()
-    state = json.loads(watched.state())
+    state = json.loads(watched.polled_state())
     assert state["version"] == 1
     assert "BVH" in state["error"]
-    assert watched.body() == before
+    assert watched.response_body() == before
     assert not watched.changed()
     take.unlink()
     assert watched.changed()

@@ -10,7 +10,7 @@ from support.small_takes import small
 
 import animtool
 from animtool.core.errors import AnimtoolError
-from animtool.preview.page import compact, json_text, viewer_modules
+from animtool.preview.page import compact_code, json_text, viewer_modules
 from animtool.preview.show import show
 
 
@@ -46,6 +46,6 @@ def test_modules_follow_those_that_they_import() -> None:
 def test_json_has_no_letter_that_ends_a_script() -> None:
     text = json_text({"a": "<!--</script>\u2028\u2029&\ud800"})
     assert not set(text) & set("<>&\u2028\u2029\ud800")
-    assert compact("a /* kept */\n  /* b\n c */\n  d // kept\n") == (
+    assert compact_code("a /* kept */\n  /* b\n c */\n  d // kept\n") == (
         "a /* kept */\nd // kept\n"
     )

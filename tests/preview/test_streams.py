@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from preview.pages import ReadPage
 
-from animtool.preview.draft import rounded_up
+from animtool.preview.draft import round_up_error
 from animtool.preview.page import page_parts
 from animtool.preview.streams import (
     BLOCK_SAMPLES,
-    Packer,
     Quantized,
-    quantized_range,
-    quantized_units,
+    StreamPacker,
+    quantize_range,
+    quantize_units,
 )
 
 
-def read(packer: Packer) -> ReadPage:
+def read(packer: StreamPacker) -> ReadPage:
     streams, blocks = packer.finish()
     manifest = {"title": "t", "streams": streams}
     return ReadPage(b"".join(page_parts(manifest, blocks)).decode())
@@ -27,8 +27,8 @@ def test_values_come_back_within_their_error(frames: int) -> None:
     units = rng.uniform(-1, 1, (frames, 8))
     places = rng.normal(0, 1, (frames, 6))
     far = places * 1000
-    packer = Packer()
-    stored = [quantized_units(units), quantized_range(places), quantized_range(far)]
+    packer = StreamPacker()
+    stored = [quantize_units(units), quantize_range(places), quantize_range(far)]
     numbers = [packer.add(data) for data in stored]
     faces = packer.static([[0, 1, 2], [70000, 3, 1]], "u32")
     page = read(packer)
@@ -47,9 +47,9 @@ def test_values_come_back_within_their_error(frames: int) -> None:
 def test_large_streams_have_blocks_of_their_own() -> None:
     rng = np.random.default_rng(4)
     values = rng.normal(0, 1, (40, 60_000)).astype(np.float32)
-    packer = Packer()
-    small = packer.add(quantized_range(values[:, :3]))
-    large = packer.add(quantized_range(values, period=3))
+    packer = StreamPacker()
+    small = packer.add(quantize_range(values[:, :3]))
+    large = packer.add(quantize_range(values, period=3))
     page = read(packer)
     streams = page.manifest["streams"]
     assert len(streams[large]["block"]) > 1
@@ -60,13 +60,13 @@ def test_large_streams_have_blocks_of_their_own() -> None:
 
 def test_gaps_are_nan() -> None:
     values = np.array([[0.0, 1, 2, np.nan, np.nan, np.nan], [3.0, 4, 5, 6, 7, 8]])
-    packer = Packer()
-    number = packer.add(quantized_range(values, period=3))
+    packer = StreamPacker()
+    number = packer.add(quantize_range(values, period=3))
     np.testing.assert_allclose(read(packer).values(number), values, atol=1e-4)
 
 
 def test_equal_static_arrays_are_stored_once() -> None:
-    packer = Packer()
+    packer = StreamPacker()
     points = np.arange(30.0).reshape(10, 3)
     first = packer.static_range(points)
     assert packer.static_range(points.copy()) == first
@@ -77,4 +77,4 @@ def test_equal_static_arrays_are_stored_once() -> None:
 
 @pytest.mark.parametrize("error", [0.0123, 9.99e-5, 1.0, 0.0999, 123.4])
 def test_errors_are_never_rounded_down(error: float) -> None:
-    assert error <= rounded_up(error) <= error * 1.1
+    assert error <= round_up_error(error) <= error * 1.1

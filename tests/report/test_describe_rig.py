@@ -10,7 +10,7 @@ from support.cli import animtool
 from support.surfaces import shaped_rig
 
 from animtool.report.describe_rig import describe_rig
-from animtool.rig.surfaces import with_file
+from animtool.rig.surfaces import with_array_file
 from animtool.rig.write import rig_text
 
 
@@ -26,7 +26,7 @@ def test_a_rig_in_numbers() -> None:
 
 
 def test_info_of_rig_files(tmp_path: Path) -> None:
-    rig, arrays = with_file(shaped_rig(), tmp_path / "hero.npz")
+    rig, arrays = with_array_file(shaped_rig(), tmp_path / "hero.npz")
     np.savez(tmp_path / "hero.npz", allow_pickle=False, **arrays)
     path = tmp_path / "hero.rig.yaml"
     path.write_text(rig_text(rig).replace("name: smile", "name: jaw_open"))

@@ -17,16 +17,16 @@ from support.suite import some_quick
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.retarget import map_joints
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.roles import (
     CONTROL,
     END,
-    FINGERS,
+    FINGER_ROLES,
     ROLES,
     TWIST,
     RoleSource,
 )
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -41,7 +41,7 @@ def nameless(rig: Rig, seed: int = 3) -> Rig:
 
 def known(rig: Rig, true: Rig, roles: dict[str, str]) -> float:
     """Return the share of joints whose role is right."""
-    found = anatomy(rig).roles
+    found = find_anatomy(rig).roles
     right = [roles[name] for name in true.names]
     return float(np.mean([a == b for a, b in zip(found, right, strict=True)]))
 
@@ -77,17 +77,17 @@ def test_a_role_is_as_sure_as_what_it_was_found_by() -> None:
     names = named("mixamo")
     odd = {"shin_l": "odd"}
     rig, _ = person(lambda role: odd.get(role, names(role)))
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     pairs = zip(found.evidence, found.confidence, strict=True)
     sure = dict(zip(rig.names, pairs, strict=True))
     assert sure["mixamorig:LeftArm"] == (RoleSource.PRESET, 1.0)
     assert sure["odd"] == (RoleSource.STRUCTURE, 0.7)
     plain, _ = person()
-    found = anatomy(plain)
+    found = find_anatomy(plain)
     by_name = set(zip(found.evidence, found.confidence, strict=True))
     assert by_name == {(RoleSource.PRESET, 1.0), (RoleSource.NAME, 0.9)}
     tail = replace(rig.joints[0], name="prop", parent=0, translation=(0.0, 0.0, -0.3))
-    tailed = anatomy(replace(rig, joints=(*rig.joints, tail)))
+    tailed = find_anatomy(replace(rig, joints=(*rig.joints, tail)))
     assert (tailed.evidence[-1], tailed.confidence[-1]) == (RoleSource.NONE, 0.0)
 
 
@@ -145,7 +145,7 @@ def test_twist_joints_are_no_fingers_and_no_bones() -> None:
             rig, names = with_bones(rig, f"{below}_{side}", 2, "twist")
             roles |= dict.fromkeys(names, TWIST)
     assert known(rig, rig, roles) == 1.0
-    found = anatomy(nameless(rig)).roles
+    found = find_anatomy(nameless(rig)).roles
     wrong = [
         (name, role)
         for name, role in zip(rig.names, found, strict=True)
@@ -157,7 +157,7 @@ def test_twist_joints_are_no_fingers_and_no_bones() -> None:
 @pytest.mark.parametrize("preset", FULL_RIGS)
 def test_whole_rigs_are_known_with_what_is_none_of_a_body(preset: str) -> None:
     rig, roles = full_rig(*FULL_RIGS[preset])
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     wrong = [
         (name, role, right)
         for name, role, right in zip(rig.names, found.roles, roles, strict=True)
@@ -184,16 +184,18 @@ def test_any_convention_goes_onto_any_other(source: str) -> None:
 
 def test_a_rest_pose_that_is_none_needs_a_pose() -> None:
     rig, roles = person()
-    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    rest = forward_kinematics(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
     lengths = np.linalg.norm(rig.rest_translations, axis=1)
     joints = [
         replace(joint, translation=(float(length), 0.0, 0.0))
         for joint, length in zip(rig.joints, lengths, strict=True)
     ]
     along_x = nameless(replace(rig, joints=tuple(joints)))
-    blind = anatomy(along_x)
+    blind = find_anatomy(along_x)
     assert [fault.code for fault in blind.notices] == ["MAP105"]
-    seen = anatomy(along_x, positions=rest.positions[0])
+    seen = find_anatomy(along_x, positions=rest.positions[0])
     assert list(seen.roles) == [roles[name] for name in rig.names]
     assert seen.notices == ()
     assert set(seen.evidence) == {RoleSource.STRUCTURE}
@@ -209,7 +211,7 @@ def test_a_rest_pose_that_is_none_needs_a_pose() -> None:
 )
 def test_legs_that_are_missing_are_said(missing: set[str], said: str) -> None:
     rig, roles = person(lambda role: "" if {role, role[:-2]} & missing else role)
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     assert [fault.code for fault in found.notices] == ["MAP101"]
     assert said in found.notices[0].message
     assert list(found.roles) == [roles[name] for name in rig.names]
@@ -219,7 +221,7 @@ def test_a_skeleton_without_offsets_is_known_by_its_names() -> None:
     rig, roles = person(named("mixamo"))
     joints = [replace(joint, translation=(0.0, 0.0, 0.0)) for joint in rig.joints]
     flat = replace(rig, joints=tuple(joints))
-    found = anatomy(flat)
+    found = find_anatomy(flat)
     assert [fault.code for fault in found.notices] == ["MAP102"]
     assert list(found.roles) == [roles[name] for name in rig.names]
 
@@ -236,7 +238,7 @@ def test_the_larger_of_two_skeletons_is_taken(rooted: bool) -> None:
             for j in one.joints
         ]
     both = replace(rig, joints=tuple(joints))
-    found = anatomy(both)
+    found = find_anatomy(both)
     assert [fault.code for fault in found.notices] == ["MAP103"]
     assert "'b:hips'" in found.notices[0].message
     begin, end = int(rooted), len(rig.joints) + rooted
@@ -246,7 +248,7 @@ def test_the_larger_of_two_skeletons_is_taken(rooted: bool) -> None:
 
 def test_a_hand_without_an_end_is_said() -> None:
     rig, _ = person(fingers=False)
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     assert [fault.code for fault in found.notices] == ["MAP104"]
     assert "hand_l" in found.notices[0].message
 
@@ -291,9 +293,9 @@ def test_any_tree_has_roles_and_any_two_map_or_are_refused(
         name, above = f"{word}.{i:03}", parent % (i + 1) - 1
         joints.append(Joint(name, above, translation=(x, y, 0.0), tips=tips))
     rig = Rig("any", tuple(joints))
-    found = anatomy(rig, by_names=by_names)
+    found = find_anatomy(rig, by_names=by_names)
     assert set(found.roles) <= {*ROLES, TWIST, END, CONTROL, ""}
-    singles = ["hips", "head", *(f"{role}_{s}" for role in FINGERS for s in "lr")]
+    singles = ["hips", "head", *(f"{role}_{s}" for role in FINGER_ROLES for s in "lr")]
     assert all(found.roles.count(role) <= 1 for role in singles)
     with suppress(OptionError):
         map_joints(rig, PERSON)
@@ -301,6 +303,6 @@ def test_any_tree_has_roles_and_any_two_map_or_are_refused(
 
 
 def test_nobody_is_no_error() -> None:
-    assert anatomy(Rig("empty", ())).roles == ()
-    found = anatomy(Rig("one", (Joint("a", -1),)))
+    assert find_anatomy(Rig("empty", ())).roles == ()
+    found = find_anatomy(Rig("one", (Joint("a", -1),)))
     assert found.roles == ("",)

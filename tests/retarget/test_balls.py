@@ -15,7 +15,7 @@ from animtool import Channel, Rig, Take, open_source
 from animtool.core.array_types import FloatArray
 from animtool.motion.motion import Motion
 from animtool.retarget import map_joints
-from animtool.retarget.balls import _roll, _Shape, _toeless
+from animtool.retarget.balls import _ankle_to_ball, _FootShape, _toeless_ball
 from animtool.retarget.motion import Retargeted, retarget_take
 from animtool.retarget.transfer import middle_of_hips
 from animtool.rig.skeleton import Joint
@@ -184,10 +184,12 @@ def test_a_foot_rolls_over_the_foremost_of_its_toes_in_their_middle() -> None:
         positions=np.array([[0.0, 0, 0], *toes]) + np.array([1.0, 0.1, 2.0]),
         facing=np.eye(3),
     )
-    assert_allclose(_roll(person, 0, [1, 2, 3]), [0.02, -0.06, 0.14], atol=1e-12)
-    assert_allclose(_roll(person, 0, [3]), toes[2], atol=1e-12)
+    assert_allclose(
+        _ankle_to_ball(person, 0, [1, 2, 3]), [0.02, -0.06, 0.14], atol=1e-12
+    )
+    assert_allclose(_ankle_to_ball(person, 0, [3]), toes[2], atol=1e-12)
     person.facing = None
-    assert_allclose(_roll(person, 0, [1, 3]), [0.04, -0.05, 0.11], atol=1e-12)
+    assert_allclose(_ankle_to_ball(person, 0, [1, 3]), [0.04, -0.05, 0.11], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -213,6 +215,6 @@ def test_a_foot_without_toes_ends_as_what_it_is_nearer_to(
         facing=np.eye(3),
         leg=lambda _: (0, 1, 2, -1),
     )
-    other = _Shape(np.array([0.0, 0, 0.1]), np.array([0.0, 0, 0.2]))
-    found = _toeless(person, "l", other, size)
+    other = _FootShape(np.array([0.0, 0, 0.1]), np.array([0.0, 0, 0.2]))
+    found = _toeless_ball(person, "l", other, size)
     assert_allclose(found, [0, 0, size * ball])

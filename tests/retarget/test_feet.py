@@ -10,11 +10,11 @@ from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.bending import bend_at_pin
 from animtool.retarget.feet import (
+    _foot_load,
     _locked_path,
     _planted_rotations,
-    _weight,
-    covering,
-    upper,
+    smoothest_cover,
+    upper_envelope,
 )
 from animtool.rig.limits import RangeLimit
 
@@ -22,19 +22,21 @@ from animtool.rig.limits import RangeLimit
 def test_what_covers_bends_less_than_a_window_of_the_most() -> None:
     rng = np.random.default_rng(3)
     values = np.where(rng.random(200) < 0.05, rng.random(200), -1.0)
-    made = covering(values, 4.0)
+    made = smoothest_cover(values, 4.0)
     assert (made >= values - 1e-4).all()
-    bends = [np.abs(np.diff(each, 2)).max() for each in (made, upper(values, 8.0))]
+    bends = [
+        np.abs(np.diff(each, 2)).max() for each in (made, upper_envelope(values, 8.0))
+    ]
     assert bends[0] < 0.5 * bends[1]
-    assert not covering(-np.ones(9), 4.0).any()
+    assert not smoothest_cover(-np.ones(9), 4.0).any()
 
 
 def test_what_covers_depends_on_what_is_near() -> None:
     values = np.full(200, -1.0)
     values[20] = 1.0
-    assert np.abs(covering(values, 4.0)[100:]).max() < 1e-5
+    assert np.abs(smoothest_cover(values, 4.0)[100:]).max() < 1e-5
     values[150] = 0.5
-    whole, part = covering(values, 4.0), covering(values[100:], 4.0)
+    whole, part = smoothest_cover(values, 4.0), smoothest_cover(values[100:], 4.0)
     np.testing.assert_allclose(part[30:], whole[130:], atol=1e-5)
 
 
@@ -59,17 +61,17 @@ def test_a_foot_carries_all_where_the_take_cuts_its_stance_off() -> None:
     third, more = 17 / 81, 64 / 81  # of t³ (10 - 15 t + 6 t²)
     stands = np.zeros(40, np.bool_)
     stands[:8] = stands[14:24] = stands[33:] = True
-    found = _weight(stands, 20.0)
+    found = _foot_load(stands, 20.0)
     np.testing.assert_allclose(found[5:9], [more, third, 0, 0])
     np.testing.assert_allclose(found[:5], 1)
     inside = [0, third, more, 1, 1, 1, 1, more, third, 0]
     np.testing.assert_allclose(found[14:24], inside)
     np.testing.assert_allclose(found[33:36], [0, third, more])
     np.testing.assert_allclose(found[36:], 1)
-    np.testing.assert_allclose(_weight(np.ones(9, np.bool_), 20.0), 1)
+    np.testing.assert_allclose(_foot_load(np.ones(9, np.bool_), 20.0), 1)
     # A stance of four frames has two of them to come and two to go.
     stands = np.array([0, 0, 1, 1, 1, 1, 0, 0], np.bool_)
-    np.testing.assert_allclose(_weight(stands, 20.0)[2:6], [0, 0.5, 0.5, 0])
+    np.testing.assert_allclose(_foot_load(stands, 20.0)[2:6], [0, 0.5, 0.5, 0])
 
 
 @pytest.mark.parametrize(("lean", "kept"), [(10.0, 0.0), (-19.0, 0.0), (25.0, 25.0)])

@@ -21,14 +21,14 @@ from animtool.maths import so3
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.facts import capture_facts
 from animtool.retarget.fingers import _digits_by_position
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import scores_of
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.standing import body_axes, stance, stands_along
-from animtool.retarget.take_pass import onto_rig
+from animtool.retarget.standing import body_axes, measure_stance, standing_axis
+from animtool.retarget.take_pass import retarget_stream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Joint
 
@@ -125,7 +125,9 @@ def test_what_is_said_of_a_take_frame_by_frame() -> None:
     turns[12:20] = so3.multiply(turns[12:20], shakes)
     rotations = Channel.from_dense(so3.align_signs(turns))
     take = replace(take, motion=replace(take.motion, rotations=rotations))
-    made, _, notices = onto_rig(TakeStream.of(take), odd_biped(), RetargetOptions())
+    made, _, notices = retarget_stream(
+        TakeStream.of(take), odd_biped(), RetargetOptions()
+    )
     blocks = list(made.blocks())
     assert sum(block.frames for block in blocks) == 40
     verdict = made.verdict()
@@ -242,7 +244,7 @@ def test_maps_of_conventions(preset: str) -> None:
     rig, _ = person(named(preset) if preset else str, metacarpals=True)
     rig = reordered(rig)
     target = odd_biped()
-    known = anatomy(rig)
+    known = find_anatomy(rig)
     found = map_joints(rig, target)
     check_figures(
         __file__,
@@ -294,7 +296,7 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
     if not named_:
         joints = [replace(one, name=f"j{i}") for i, one in enumerate(rig.joints)]
         rig = replace(rig, joints=tuple(joints))
-    known = anatomy(rig)
+    known = find_anatomy(rig)
     body = RoledSkeleton.of(rig, known.roles)
     facing = body.facing
     shown = {
@@ -333,7 +335,7 @@ def test_nobody_stands_nowhere() -> None:
     empty = Motion(
         Channel.from_dense(np.zeros((3, 0, 3))), Channel.from_dense(np.zeros((3, 0, 4)))
     )
-    assert stands_along(none, empty, ()) is None
+    assert standing_axis(none, empty, ()) is None
 
 
 @pytest.mark.parametrize("name", ["kick", "run"])
@@ -341,7 +343,7 @@ def test_facts_of_takes(name: str) -> None:
     take = uneven(taken(name))
     facts = capture_facts(take)
     assert facts is not None
-    roles = anatomy(take.rig).roles
+    roles = find_anatomy(take.rig).roles
     positions = take.world().positions
     lying = so3.rotate(np.array(up_from_up(UpAxis.Z, UpAxis.Y)), positions)
     check_figures(
@@ -350,9 +352,9 @@ def test_facts_of_takes(name: str) -> None:
         {
             "facts": asdict(facts),
             "axes": body_axes(roles, positions),
-            "stands": str(stands_along(take.rig, take.motion, roles)),
+            "stands": str(standing_axis(take.rig, take.motion, roles)),
             "stance": [
-                stance(roles, where, UpAxis.Y, rest)
+                measure_stance(roles, where, UpAxis.Y, rest)
                 for where in (positions, lying, -positions)
                 for rest in (None, positions[0], lying[0])
             ],

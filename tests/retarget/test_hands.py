@@ -19,13 +19,13 @@ from animtool.motion.take import TakeStream
 from animtool.motion.transforms import Track, Transforms
 from animtool.retarget import Retargeted, map_joints, retarget_take
 from animtool.retarget.hands import (
+    AnkleHeights,
     ArmTracks,
-    Floor,
+    _arm_length,
     _bent_wrist,
-    _length,
+    _hands_joined,
+    _shift_into_reach,
     _soften_heights,
-    _together,
-    _within_reach,
     arm_of,
     hinge_of,
 )
@@ -201,13 +201,13 @@ def test_both_hands_come_nearer_by_what_one_of_them_lacks() -> None:
     """The first is 0.5 beyond; the other, near its shoulder, goes along."""
     starts = [np.zeros((2, 3)), np.array([[0.0, 1, 0]] * 2)]
     goals = [np.array([[1.5, 0, 0], [0.5, 0, 0]]), np.array([[0.5, 1.0, 0]] * 2)]
-    found = _within_reach(goals, starts, [1.0, 2.0])
+    found = _shift_into_reach(goals, starts, [1.0, 2.0])
     assert_allclose(found[0], [[1, 0, 0], [0.5, 0, 0]])
     assert_allclose(found[1], [[0, 1, 0], [0.5, 1, 0]], atol=1e-12)
     # Where both pull, what they hold stays as wide: 0.3 of the shoulders' 2.4 apart.
     starts = [np.zeros((1, 3)), np.array([[2.4, 0.0, 0]])]
     pair = [np.array([[1.3, 0, 0]]), np.array([[1.6, 0.0, 0]])]
-    first, last = _within_reach(pair, starts, [1.1, 1.1])
+    first, last = _shift_into_reach(pair, starts, [1.1, 1.1])
     assert_allclose(last - first, [[0.3, 0, 0]], atol=1e-9)
     assert first[0, 0] == pytest.approx(1.1, abs=1e-5)
 
@@ -222,10 +222,10 @@ def test_hands_hold_each_other_who_are_near_and_go_one_way(
     """Nearer than 0.4 of an arm of half a metre, slower than 0.25 of it a second."""
     frames = np.arange(60) - 30
     ways = np.stack([np.full(60, apart), speed * frames / 60, 0.0 * frames], axis=1)
-    found = _together(ways, 0.5, 60.0)
+    found = _hands_joined(ways, 0.5, 60.0)
     assert found[25:35].all() == held
-    assert not _together(ways[:2], 0.5, 60.0).any()
-    assert not _together(ways, 0.0, 60.0).any()
+    assert not _hands_joined(ways[:2], 0.5, 60.0).any()
+    assert not _hands_joined(ways, 0.0, 60.0).any()
 
 
 def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
@@ -243,8 +243,8 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
     person: Any = arm
     assert arm_of(person, "l") == [0, 1, 2]
     assert arm_of(person, "r") is None
-    assert _length(person, "l") == pytest.approx(0.7)
-    assert _length(person, "r") == 0
+    assert _arm_length(person, "l") == pytest.approx(0.7)
+    assert _arm_length(person, "r") == 0
     axis = so3.rotate(turn, hinge_of(person, [0, 1, 2]))
     assert_allclose(axis, [0, 0, -1], atol=1e-12)
     tracks = ArmTracks(places[None], np.tile(so3.IDENTITY, (1, 2, 1)), places[None, 2])
@@ -253,6 +253,6 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
 
 
 def test_what_is_scaled_is_lifted_to_the_ground_along_the_up_axis() -> None:
-    floor = Floor(source=0.08, target=0.1)
-    assert_allclose(Floor.lift(floor, 0.5, 2), [0, 0, 0.06])
-    assert not Floor.lift(None, 0.5, 2).any()
+    floor = AnkleHeights(source=0.08, target=0.1)
+    assert_allclose(AnkleHeights.lift(floor, 0.5, 2), [0, 0, 0.06])
+    assert not AnkleHeights.lift(None, 0.5, 2).any()

@@ -114,7 +114,7 @@ def test_frames_whose_goals_stay_are_not_solved_again(
 ) -> None:
     """An ankle gives way for its toe only where a limit stops the foot."""
     rows: list[int] = []
-    solved = motion.Retargeting._solved
+    solved = motion.Retargeting._solve_ankles
 
     def counted(self: motion.Retargeting, *given: Any) -> Any:
         rows.append(len(given[-1]))

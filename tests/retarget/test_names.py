@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from support.people import named, person
 
 from animtool.core.errors import OptionError
-from animtool.retarget.anatomy import anatomy
-from animtool.retarget.names import best_preset, find_preset, presets, read_names
+from animtool.retarget.anatomy import find_anatomy
+from animtool.retarget.names import best_preset, find_preset, parse_names, presets
 from animtool.retarget.roles import ROLES, base_role
 
 PREFIXES = ["", "mixamorig1:", "mixamorig9:", "a:b:", "|root|x:", "Bip001 ", "hero_"]
@@ -58,7 +58,7 @@ def test_spellings_of_a_convention_are_known(
         return f"{prefix}{name}{suffix}"
 
     rig, roles = person(rename)
-    found = dict(zip(rig.names, anatomy(rig).roles, strict=True))
+    found = dict(zip(rig.names, find_anatomy(rig).roles, strict=True))
     assert found == roles
 
 
@@ -81,13 +81,13 @@ def test_spellings_of_a_convention_are_known(
     ],
 )
 def test_a_name_is_taken_apart(name: str, other: str, side: str, key: str) -> None:
-    read = read_names([name, other], np.array([-1, -1]))
+    read = parse_names([name, other], np.array([-1, -1]))
     assert (read[0].side, read[0].key) == (side, key)
 
 
 def test_a_start_that_all_share_is_no_prefix_where_it_says_the_side() -> None:
     names = ["puppet_L_shoulder", "puppet_L_elbow", "puppet_L_wrist"]
-    read = read_names(names, np.array([-1, 0, 1]))
+    read = parse_names(names, np.array([-1, 0, 1]))
     assert [(one.side, one.key) for one in read] == [
         ("l", "shoulder"), ("l", "elbow"), ("l", "wrist")
     ]  # fmt: skip
@@ -121,7 +121,7 @@ def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
 @pytest.mark.parametrize("thumbs", ["vrm0", "vrm1", "unity_humanoid", "godot_humanoid"])
 def test_thumbs_are_not_shifted(thumbs: str) -> None:
     rig, roles = person(named(thumbs))
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     assert dict(zip(rig.names, found.roles, strict=True)) == roles
     middle = {"vrm0": "leftThumbIntermediate", "vrm1": "leftThumbProximal"}
     if thumbs in middle:
@@ -131,7 +131,7 @@ def test_thumbs_are_not_shifted(thumbs: str) -> None:
 @pytest.mark.parametrize("preset", ["mixamo", "smpl", "biovision", "advanced_skeleton"])
 def test_a_left_shoulder_is_what_its_convention_says(preset: str) -> None:
     rig, roles = person(named(preset), fingers=preset != "biovision")
-    found = dict(zip(rig.names, anatomy(rig).roles, strict=True))
+    found = dict(zip(rig.names, find_anatomy(rig).roles, strict=True))
     assert found == roles
 
 
@@ -153,7 +153,7 @@ def test_a_left_shoulder_is_what_is_around_it(
         return name.replace("Left", "Right") if each.endswith("_r") else name
 
     rig, _ = person(rename, fingers=False)
-    found = dict(zip(rig.names, anatomy(rig).roles, strict=True))
+    found = dict(zip(rig.names, find_anatomy(rig).roles, strict=True))
     assert found["LeftShoulder"] == role
     assert found["RightShoulder"] == f"{base_role(role)}_r"
 
@@ -169,9 +169,9 @@ def test_a_convention_is_known_by_six_of_its_names(count: int, known: bool) -> N
     preset = presets()["mixamo"]
     texts: dict[str, str] = {}
     for text in sorted(preset.texts):
-        (name,) = read_names([text], np.array([-1]))
+        (name,) = parse_names([text], np.array([-1]))
         if name.key in preset.keys:
             texts.setdefault(name.key, text)
     chosen = list(texts.values())[:count]
-    found = best_preset(chosen, read_names(chosen, np.arange(count) - 1))
+    found = best_preset(chosen, parse_names(chosen, np.arange(count) - 1))
     assert (found is not None) == known

@@ -11,7 +11,12 @@ from support.people import named, person
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.retarget import JointMap, map_joints, map_text
-from animtool.retarget.pairing import _bone, _chain_fractions, _distance, _nearest
+from animtool.retarget.pairing import (
+    _bone_length,
+    _chain_fractions,
+    _last_before,
+    _path_length,
+)
 from animtool.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Joint, Rig
 
@@ -338,16 +343,16 @@ def test_places_along_a_chain_are_shares_of_its_length() -> None:
         Joint("end", 3, translation=(0.0, 3.0, 0.0)),
     )
     rig = Rig("chain", joints)
-    assert _distance(rig, 0, 3) == pytest.approx(7)
-    assert _distance(rig, 1, 3) == pytest.approx(2)
-    assert _distance(rig, 3, 1) == pytest.approx(5)
+    assert _path_length(rig, 0, 3) == pytest.approx(7)
+    assert _path_length(rig, 1, 3) == pytest.approx(2)
+    assert _path_length(rig, 3, 1) == pytest.approx(5)
     none = (RoleSource.NONE,) * 5
     known = Anatomy(("spine", "spine", "", "spine", ""), none, (1.0,) * 5)
-    assert _bone(rig, known, 3) == pytest.approx(3)
-    assert _bone(rig, known, 4) == 0
+    assert _bone_length(rig, known, 3) == pytest.approx(3)
+    assert _bone_length(rig, known, 4) == 0
     assert _chain_fractions(rig, known, [0, 1, 3]) == pytest.approx([0, 0.5, 0.7])
     headed = Anatomy(("spine", "spine", "", "neck", "head"), none, (1.0,) * 5)
-    assert _bone(rig, headed, 1) == pytest.approx(2)
+    assert _bone_length(rig, headed, 1) == pytest.approx(2)
     assert _chain_fractions(rig, known, [4]) == [0]
-    assert _nearest([0.0, 0.5, 0.7], 0.59) == 1
-    assert _nearest([0.0, 0.5, 0.7], 0.61) == 2
+    assert _last_before([0.0, 0.5, 0.7], 0.59) == 1
+    assert _last_before([0.0, 0.5, 0.7], 0.61) == 2

@@ -15,37 +15,37 @@ from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.bending import bend_limb, shortest
 from animtool.retarget.feet import (
-    _above_ground,
     _ankle_rise,
-    _bone,
+    _ankle_to_toe,
     _heading_rotation,
+    _hip_lift,
     _hip_shifts,
     _level_bone,
-    _lift,
     _peaks,
-    _rolls,
+    _raise_above_ground,
     _smooth_step,
-    _smoothest,
-    between,
+    _smoothest_path,
+    _toe_roll,
+    fill_between,
     plant_feet,
-    upper,
+    upper_envelope,
 )
 from animtool.retarget.hands import (
-    Floor,
-    _length,
+    AnkleHeights,
+    _arm_length,
+    _hands_joined,
+    _shift_into_reach,
     _soften_heights,
-    _together,
-    _within_reach,
     arm_of,
     hinge_of,
 )
 from animtool.retarget.legs import (
-    _reach,
+    _leg_reach,
     _standing_height,
     ball_of_foot,
     leg_of,
     limb_rotations,
-    swivelled,
+    swivel_leg,
     up_index,
 )
 from animtool.retarget.props import PropMotion
@@ -66,11 +66,11 @@ def test_the_way_that_is_best_at_once_solves_its_equations() -> None:
     draw, places = rng.random(7), rng.normal(size=(7, 2))
     bends = np.diff(np.eye(7), 2, axis=0)
     system = np.diag(draw + 1e-6) + 3.0 * bends.T @ bends
-    assert_allclose(_smoothest(draw, places, 3.0), np.linalg.solve(system, places))
-    assert not _smoothest(0 * draw, places, 3.0).any()
-    assert not _smoothest(draw[:2], places[:2], 3.0).any()
+    assert_allclose(_smoothest_path(draw, places, 3.0), np.linalg.solve(system, places))
+    assert not _smoothest_path(0 * draw, places, 3.0).any()
+    assert not _smoothest_path(draw[:2], places[:2], 3.0).any()
     three = np.diag(draw[:3] + 1e-6) + 3.0 * np.outer([1, -2, 1], [1, -2, 1])
-    found = _smoothest(draw[:3], places[:3], 3.0)
+    found = _smoothest_path(draw[:3], places[:3], 3.0)
     assert_allclose(found, np.linalg.solve(three, places[:3]))
 
 
@@ -79,7 +79,7 @@ def test_what_is_not_known_fades_to_nothing_from_what_is() -> None:
     known = np.zeros(60, np.bool_)
     known[[0, 1, 30]] = True
     values[known, 0] = [1.0, 1.0, -2.0]
-    between(values, known, 30.0)
+    fill_between(values, known, 30.0)
     assert_allclose(values[known, 0], [1, 1, -2])
     draw = np.where(known, 1e9, 1.0)
     bends = np.diff(np.eye(60), 2, axis=0)
@@ -88,8 +88,8 @@ def test_what_is_not_known_fades_to_nothing_from_what_is() -> None:
     full[known] = np.array([1, 1, -2]) * 1e9
     assert_allclose(values[:, 0], np.linalg.solve(system, full), atol=1e-6)
     same = np.arange(5.0)[:, None]
-    between(same, np.ones(5, np.bool_), 30.0)
-    between(same, np.zeros(5, np.bool_), 30.0)
+    fill_between(same, np.ones(5, np.bool_), 30.0)
+    fill_between(same, np.zeros(5, np.bool_), 30.0)
     assert_array_equal(same[:, 0], np.arange(5))
 
 
@@ -99,9 +99,9 @@ def test_steps_and_peaks_and_what_is_above_a_window() -> None:
     rows = np.array([3.0, 1, 2, 2, 1, -1, -0.5, -2, 0, 4])
     expected = [True, False, True, True, False, False, False, False, False, True]
     assert _peaks(rows).tolist() == expected
-    found = upper(np.array([0.0, 0, 0, 1, 0, 0, 0]), 1.5, 0.0)
+    found = upper_envelope(np.array([0.0, 0, 0, 1, 0, 0, 0]), 1.5, 0.0)
     assert found.tolist() == [0, 1, 1, 1, 1, 1, 0]
-    rolls = _rolls(np.array([0] * 30 + [1] * 4 + [0] * 30, np.bool_), 30.0)
+    rolls = _toe_roll(np.array([0] * 30 + [1] * 4 + [0] * 30, np.bool_), 30.0)
     assert_allclose(rolls[30:34], 1)
     assert rolls[29] == pytest.approx(rolls[34])
     assert 0.3 < rolls[29] < 1
@@ -125,7 +125,7 @@ def test_a_toe_goes_with_its_foot_and_raises_the_ankle_where_it_stands_alone() -
     tips = np.tile([0.1, -0.98, 0.15], (4, 1))
     own = foot(4, FootContacts(heel, toe, 0.08), toe=tips)
     turns = np.tile(turn(X, 90), (4, 1))
-    bone = _bone(own, turns)
+    bone = _ankle_to_toe(own, turns)
     # From 8 cm below and 15 cm ahead, pitched down by a quarter.
     assert_allclose(bone, np.tile([0, -0.15, -0.08], (4, 1)), atol=1e-12)
     assert _level_bone(own, 1) == pytest.approx(-0.08)
@@ -138,7 +138,7 @@ def test_a_toe_goes_with_its_foot_and_raises_the_ankle_where_it_stands_alone() -
     assert _level_bone(free, 1) == pytest.approx(-0.07)
     none = FootContacts(heel & ~heel, toe & ~toe, 0.08)
     assert _level_bone(foot(4, none, toe=tips, level=None), 1) == pytest.approx(-0.025)
-    assert not _bone(foot(4), turns).any()
+    assert not _ankle_to_toe(foot(4), turns).any()
     assert _level_bone(foot(4), 1) == 0
 
 
@@ -148,11 +148,11 @@ def test_feet_that_stand_lift_the_hips_by_the_mean_of_what_they_ask() -> None:
     one, other = foot(40, height=0.10), foot(40, height=0.04)
     held = [one.ankle, other.ankle]
     none = [np.zeros(40)] * 2
-    found = _lift(hips, [one, other], held, none, 30.0, 1)
+    found = _hip_lift(hips, [one, other], held, none, 30.0, 1)
     assert_allclose(found, 0.07, atol=1e-6)
-    found = _lift(hips, [one, other], held, [np.full(40, 0.02)] * 2, 30.0, 1)
+    found = _hip_lift(hips, [one, other], held, [np.full(40, 0.02)] * 2, 30.0, 1)
     assert_allclose(found, 0.09, atol=1e-6)
-    assert_allclose(_lift(hips, [one], held[:1], none[:1], 30.0, 1), 0.1, atol=1e-6)
+    assert_allclose(_hip_lift(hips, [one], held[:1], none[:1], 30.0, 1), 0.1, atol=1e-6)
 
 
 def test_no_toe_is_below_the_ground_in_the_air() -> None:
@@ -161,16 +161,16 @@ def test_no_toe_is_below_the_ground_in_the_air() -> None:
     stands = np.zeros(20, np.bool_)
     stands[:4] = stands[16:] = True
     made = np.zeros(20)
-    _above_ground(made, toe, 0.02, stands, 30.0)
+    _raise_above_ground(made, toe, 0.02, stands, 30.0)
     assert_allclose(made[stands], 0)
     assert ((toe + made)[~stands] > 0.02 - 2e-4).all()
     assert (toe + made)[8:12] == pytest.approx(0.02, abs=5e-3)
     fine = np.zeros(20)
-    _above_ground(fine, toe, -0.0301, stands, 30.0)
+    _raise_above_ground(fine, toe, -0.0301, stands, 30.0)
     assert not fine.any()
-    _above_ground(fine, toe, -0.02991, stands, 30.0)
+    _raise_above_ground(fine, toe, -0.02991, stands, 30.0)
     assert not fine.any()
-    _above_ground(fine, toe, 0.02, stands & ~stands, 30.0)
+    _raise_above_ground(fine, toe, 0.02, stands & ~stands, 30.0)
     assert not fine.any()
 
 
@@ -314,7 +314,7 @@ def test_how_near_and_far_an_ankle_can_be(
 ) -> None:
     own = None if limits is None else RangeLimit(*np.radians(limits))
     person = leg(kind, own)
-    found = _reach(person, leg_of(person, "l"))
+    found = _leg_reach(person, leg_of(person, "l"))
     assert found == pytest.approx(expected, abs=1e-9)
 
 
@@ -329,7 +329,7 @@ def test_a_limb_is_put_and_goes_round(kind: JointType) -> None:
     found = so3.rotate(thigh, [0, -0.5, 0]) + so3.rotate(shin, [0, -0.4, 0])
     assert_allclose(joints[:, 0] + found, goal, atol=1e-9)
     way = goal - joints[:, 0]
-    round_about = swivelled((thigh, shin), 3 * way, np.array([0.3]))
+    round_about = swivel_leg((thigh, shin), 3 * way, np.array([0.3]))
     turned = so3.from_axis_angle(way[0] / np.linalg.norm(way), 0.3)
     assert_allclose(round_about[0][0], so3.multiply(turned, thigh[0]), atol=1e-12)
     assert_allclose(round_about[1][0], so3.multiply(turned, shin[0]), atol=1e-12)
@@ -397,8 +397,8 @@ def test_arms_are_told_by_three_joints() -> None:
     person = arms()
     assert arm_of(person, "l") == [2, 3, 4]
     assert arm_of(person, "r") is None
-    assert _length(person, "l") == pytest.approx(0.5)
-    assert _length(person, "r") == 0
+    assert _arm_length(person, "l") == pytest.approx(0.5)
+    assert _arm_length(person, "r") == 0
     # Across an arm along x and as level as can be, seen from the forearm.
     found = so3.rotate(turn(X, 40), hinge_of(person, [2, 3, 4]))
     assert_allclose(found, [0, 0, -1], atol=1e-12)
@@ -407,18 +407,18 @@ def test_arms_are_told_by_three_joints() -> None:
 def test_both_hands_come_nearer_as_one() -> None:
     goals = [np.array([[1.2, 0.0, 0]]), np.array([[1.0, 0.0, 0.5]])]
     starts = [np.zeros((1, 3)), np.array([[0.5, 0, 0.5]])]
-    found = _within_reach(goals, starts, [1.0, 0.9])
+    found = _shift_into_reach(goals, starts, [1.0, 0.9])
     assert_allclose(found[0], [[1.0, 0, 0]], atol=1e-6)
     assert_allclose(found[1] - found[0], goals[1] - goals[0], atol=1e-12)
-    near = _within_reach(goals, starts, [1.2, 0.9])
+    near = _shift_into_reach(goals, starts, [1.2, 0.9])
     assert near[0] is goals[0]
 
 
 def test_heights_are_softened_from_a_share_of_the_arm_on() -> None:
     found = _soften_heights(np.array([-0.3, -0.2, 0.0, 0.1, 0.2]), 0.2)
     assert_allclose(found, [0, 0, 0.05, 0.09 / 0.8, 0.2])
-    assert_array_equal(Floor.lift(None, 2.0, 1), [0, 0, 0])
-    assert_allclose(Floor.lift(Floor(0.1, 0.5), 2.0, 2), [0, 0, 0.3])
+    assert_array_equal(AnkleHeights.lift(None, 2.0, 1), [0, 0, 0])
+    assert_allclose(AnkleHeights.lift(AnkleHeights(0.1, 0.5), 2.0, 2), [0, 0, 0.3])
 
 
 @pytest.mark.parametrize(
@@ -432,9 +432,9 @@ def test_hands_hold_each_other_that_are_near_and_go_together(
     ways = np.zeros((12, 3))
     ways[:, 1] = apart
     ways[:, 2] = speed * (np.arange(12) - 5.5) / 30.0
-    assert _together(ways, 1.0, 30.0).tolist() == [held] * 12
-    assert not _together(ways, 0.0, 30.0).any()
-    assert not _together(ways[:2], 1.0, 30.0).any()
+    assert _hands_joined(ways, 1.0, 30.0).tolist() == [held] * 12
+    assert not _hands_joined(ways, 0.0, 30.0).any()
+    assert not _hands_joined(ways[:2], 1.0, 30.0).any()
 
 
 @pytest.mark.parametrize(

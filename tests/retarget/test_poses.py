@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.retarget.poses import _within_limits
+from animtool.retarget.poses import _clamp_to_limits
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType
 
@@ -35,7 +35,7 @@ def test_a_pin_is_stopped_a_millionth_beyond_its_limits(
         so3.from_axis_angle(np.array([1.0, 0, 0]), np.array([0.4])),
         so3.from_axis_angle(axis, np.array([angle])),
     )
-    found, free = _within_limits(joint, REST, so3.multiply(REST, off))
+    found, free = _clamp_to_limits(joint, REST, so3.multiply(REST, off))
     wanted = so3.multiply(REST, so3.from_axis_angle(axis, np.array([kept])))
     assert_allclose(so3.align_signs(found, wanted[0]), wanted, atol=1e-12)
     assert free.tolist() == [stopped]
@@ -44,9 +44,9 @@ def test_a_pin_is_stopped_a_millionth_beyond_its_limits(
 def test_what_is_free_or_fixed_is_left_or_held() -> None:
     local = so3.exp(np.array([[0.5, -1.0, 0.2]]))
     for kind in (JointType.FREE, JointType.BALL):
-        found, free = _within_limits(Joint("a", 0, kind), REST, local)
+        found, free = _clamp_to_limits(Joint("a", 0, kind), REST, local)
         assert found is local
         assert not free.any()
-    found, free = _within_limits(Joint("a", 0, JointType.FIXED), REST, local)
+    found, free = _clamp_to_limits(Joint("a", 0, JointType.FIXED), REST, local)
     assert_allclose(found, REST[None], atol=1e-12)
     assert not free.any()

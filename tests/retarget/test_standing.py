@@ -13,13 +13,13 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.formats.bvh.write import write_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import (
     _feet_on_ground,
-    _moves_over,
     _on_one_level,
+    _travels_across,
     body_axes,
-    stands_along,
+    standing_axis,
 )
 from animtool.scene.sources.open import open_source
 
@@ -61,7 +61,7 @@ def nameless(take: Take) -> Take:
 
 
 def found(take: Take) -> UpAxis | None:
-    return stands_along(take.rig, take.motion, anatomy(take.rig).roles)
+    return standing_axis(take.rig, take.motion, find_anatomy(take.rig).roles)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_rigs_that_are_no_person_stand_nowhere(root: Path) -> None:
         rig = Rig.load(path)
         still = Channel.static(rig.rest_translations, 9)
         motion = Motion(still, Channel.static(rig.rest_rotations, 9))
-        assert stands_along(rig, motion, anatomy(rig).roles) is None, path
+        assert standing_axis(rig, motion, find_anatomy(rig).roles) is None, path
 
 
 @pytest.mark.parametrize("command", ["info", "bake"])
@@ -196,7 +196,7 @@ def test_who_walks_goes_far_and_hardly_up_and_down(
     """Of 2 m it goes over 1.2 m across, and less than 0.5 m along its own axis."""
     tall = np.array([[0.0, 0, 0], [0.0, 0, 2.0]])
     path = np.linspace([0.0, 0, 0], [0.0, far, high], 9)
-    found = _moves_over(path[:, None] + tall, UpAxis.Z, UpAxis.Y)
+    found = _travels_across(path[:, None] + tall, UpAxis.Z, UpAxis.Y)
     assert found == walks
 
 

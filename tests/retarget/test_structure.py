@@ -8,7 +8,12 @@ from numpy.testing import assert_allclose
 
 from animtool.core.units import UpAxis
 from animtool.retarget.roles import CONTROL, END, TWIST
-from animtool.retarget.structure import SkeletonTree, _pairs, left_of, upright
+from animtool.retarget.structure import (
+    SkeletonTree,
+    _similar_subtrees,
+    left_direction,
+    up_direction,
+)
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -49,7 +54,7 @@ def test_lengths_and_ways_of_a_skeleton() -> None:
     # What lies along the bone to a sibling, nearer than that, twists it.
     assert own.limb_children(4) == [5]
     assert own.limb_children(1) == [2, 4, 7]
-    assert own.heaviest(1) == [1, 2, 3]
+    assert own.longest_path(1) == [1, 2, 3]
     assert own.branches([1, 2, 3]) == (1, 3)
 
 
@@ -85,20 +90,26 @@ TIPS = {"leg_l": 4, "leg_r": 7, "arm_l": 8, "arm_r": 9}
 
 def test_who_stands_has_a_way_up_and_a_left() -> None:
     own = standing(0.2)
-    up = upright(own, TIPS)
+    up = up_direction(own, TIPS)
     assert up is not None
     assert_allclose(up / np.linalg.norm(up), [0, 1, 0], atol=0.1)
-    assert upright(own, {"leg_l": 4, "leg_r": 7}) is None
-    assert_allclose(left_of(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12)
+    assert up_direction(own, {"leg_l": 4, "leg_r": 7}) is None
+    assert_allclose(left_direction(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12)
     back = standing(-0.2)
-    assert_allclose(left_of(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12)
+    assert_allclose(
+        left_direction(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12
+    )
     # Who hangs head down has the left on the other side.
     down = np.array([0.1, -1.0, 0.2])
-    assert_allclose(left_of(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12)
+    assert_allclose(
+        left_direction(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12
+    )
     # Feet that only hang say nothing: then it is z that is ahead.
     none = standing(0.0)
-    assert_allclose(left_of(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12)
-    lying = left_of(standing(0.0, UpAxis.Z), {}, None, at_rest=True)
+    assert_allclose(
+        left_direction(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12
+    )
+    lying = left_direction(standing(0.0, UpAxis.Z), {}, None, at_rest=True)
     assert_allclose(lying, [1, 0, 0], atol=1e-12)
 
 
@@ -141,7 +152,9 @@ def test_branches_alike_within_a_sixth_of_their_length_are_a_pair(
             joints.append(Joint(f"{k}{side}", first + k, translation=way))
     rig = Rig("two", tuple(joints))
     own = SkeletonTree.of(rig, [{} for _ in joints], [""] * len(joints))
-    assert [sorted(pair) for pair in _pairs(own)] == ([[1, 5]] if alike else [])
+    assert [sorted(pair) for pair in _similar_subtrees(own)] == (
+        [[1, 5]] if alike else []
+    )
 
 
 @pytest.mark.parametrize(
@@ -162,4 +175,4 @@ def test_branches_of_a_pair_have_about_as_many_joints(
     rig = Rig("two", tuple(made))
     own = SkeletonTree.of(rig, [{} for _ in made], [""] * len(made))
     assert [own.counts[1], own.counts[1 + joints[0]]] == [*joints]
-    assert bool(_pairs(own)) == alike
+    assert bool(_similar_subtrees(own)) == alike

@@ -22,17 +22,17 @@ from animtool.maths import so3
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, retarget_take
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.take_pass import (
     RetargetPassOptions,
-    _body,
-    _limbs,
+    _body_joints,
+    _complete_limbs,
     _scale_warnings,
     insufficient_pairs,
-    onto_rig,
+    retarget_stream,
 )
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 
 def turned(take: Take, turn: np.ndarray) -> Take:
@@ -50,10 +50,12 @@ def test_a_take_that_stands_along_z_in_a_file_that_does_not_say_so(root: Path) -
     tall = turned(walk, np.array(up_from_up(UpAxis.Z, UpAxis.Y)))
     places = []
     for take, codes in ((walk, []), (tall, ["MAP009"])):
-        made, _, notices = onto_rig(TakeStream.of(take), biped, RetargetOptions())
+        made, _, notices = retarget_stream(
+            TakeStream.of(take), biped, RetargetOptions()
+        )
         assert [n.code for n in notices if n.code == "MAP009"] == codes
         motion = Motion.concatenate(list(made.blocks()))
-        places.append(forward(biped, *motion.dense()).positions)
+        places.append(forward_kinematics(biped, *motion.dense()).positions)
         assert made.report().sole_error < 1e-6
     # Its rest pose lies then, and faces the target as a whole, with how it leans.
     assert_allclose(places[1], places[0], atol=0.02)
@@ -71,7 +73,7 @@ def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
     turns = {}
     for rest in (None, "rig"):
         options = RetargetOptions(rest=rest)  # type: ignore[arg-type]
-        made, _, _ = onto_rig(TakeStream.of(take), walk.rig, options)
+        made, _, _ = retarget_stream(TakeStream.of(take), walk.rig, options)
         turns[rest] = Motion.concatenate(list(made.blocks())).rotations.dense()
     arm = walk.rig.index("LeftArm")
     source = walk.motion.rotations.dense()
@@ -84,7 +86,9 @@ def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
 def test_a_convention_of_either_skeleton_can_be_said(root: Path, key: str) -> None:
     walk = open_source(root / "samples/walk/walk.bvh").collect()
     with raises(OptionError, "MAP003"):
-        onto_rig(TakeStream.of(walk), walk.rig, RetargetOptions(**{key: "mixamoo"}))
+        retarget_stream(
+            TakeStream.of(walk), walk.rig, RetargetOptions(**{key: "mixamoo"})
+        )
 
 
 @pytest.mark.parametrize(("frames", "codes"), [(2, ["MAP007"]), (40, [])])
@@ -96,7 +100,7 @@ def test_a_take_in_which_no_foot_stands_says_so(
     clock = replace(walk.clock, count=frames)
     short = replace(walk, clock=clock, motion=walk.motion.select(slice(frames)))
     biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
-    _, _, notices = onto_rig(TakeStream.of(short), biped, RetargetOptions())
+    _, _, notices = retarget_stream(TakeStream.of(short), biped, RetargetOptions())
     assert [n.code for n in notices if n.code == "MAP007"] == codes
     context = PassContext(open_source, root)
     options = RetargetPassOptions(rig=str(root / "rigs/biped/biped.rig.yaml"))
@@ -119,7 +123,7 @@ def test_frames_a_second_are_those_that_the_take_has(
     take = open_source(root / "samples/walk/walk.bvh").collect()
     slow = replace(take, clock=replace(take.clock, step=Fraction(2)))
     with pytest.raises(Stop) as caught:
-        onto_rig(TakeStream.of(slow), take.rig, RetargetOptions())
+        retarget_stream(TakeStream.of(slow), take.rig, RetargetOptions())
     assert caught.value.args == (float(take.clock.fps) / 2,)
 
 
@@ -130,18 +134,18 @@ def test_a_body_is_without_fingers_and_what_hangs_on_hands() -> None:
         rig.joints[0], name="sword", parent=rig.index("hand_l"), translation=(0, 0, 1.0)
     )
     rig = replace(rig, joints=(*rig.joints, held))
-    found = [rig.names[j] for j in _body(rig, anatomy(rig).roles)]
+    found = [rig.names[j] for j in _body_joints(rig, find_anatomy(rig).roles)]
     sides = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
     trunk = ("hips", "spine", "spine_2", "spine_3", "neck", "head")
     assert {*found} == {*trunk, *(f"{bone}_{side}" for bone in sides for side in "lr")}
-    roles = anatomy(rig).roles
-    limbs = _limbs(roles)
+    roles = find_anatomy(rig).roles
+    limbs = _complete_limbs(roles)
     assert list(limbs) == ["left arm", "right arm", "left leg", "right leg"]
     names = [[rig.names[j] for j in own] for own in limbs.values()]
     assert names[1] == ["upper_arm_r", "forearm_r", "hand_r"]
     assert names[2] == ["thigh_l", "shin_l", "foot_l"]
     without = tuple("" if role == "foot_l" else role for role in roles)
-    assert list(_limbs(without)) == ["left arm", "right arm", "right leg"]
+    assert list(_complete_limbs(without)) == ["left arm", "right arm", "right leg"]
 
 
 def test_rigs_of_another_order_of_size_are_pointed_out() -> None:
@@ -192,8 +196,8 @@ def test_a_take_fits_by_a_third_of_its_joints_and_a_whole_limb(
 ) -> None:
     """Of a person's twenty joints without fingers seven are a third."""
     rig, _ = person()
-    roles = anatomy(rig).roles
-    assert len(_body(rig, roles)) == 20
+    roles = find_anatomy(rig).roles
+    assert len(_body_joints(rig, roles)) == 20
     found: Any = SimpleNamespace(
         source=SimpleNamespace(roles=roles),
         pairs=[SimpleNamespace(source=rig.index(name)) for name in paired],

@@ -16,28 +16,28 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.drift import (
-    _angle,
-    _integral,
-    _medians,
+    _angle_about_up,
+    _integrate,
+    _least_squares_rate,
     _root_correction,
-    _slope,
     _StanceTracks,
+    _windowed_medians,
 )
 from animtool.retarget.map import JointMap, JointPair
 from animtool.retarget.poses import (
     LocalRotations,
+    _clamp_to_limits,
+    _normalized,
     _twist_joint,
-    _unit,
-    _within_limits,
-    about_hips,
-    hinged,
+    bend_hinges,
+    relative_to_hips,
     root_translations,
     world_rotations,
 )
 from animtool.retarget.report import (
+    ContactFrames,
     FitMeter,
-    Standing,
-    _drift,
+    _contact_drift,
     _mean_clamped,
     _reach_errors,
     scores_of,
@@ -46,14 +46,14 @@ from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import RoleSource
 from animtool.retarget.transfer import (
     Transfer,
+    _fraction_middles,
     _heading_alignment,
-    _middles,
-    _scale,
+    _leg_ratio,
     _twist_source,
+    equal_name_pairs,
     middle_of_hips,
-    namesakes,
 )
-from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
+from animtool.retarget.verdict import FrameNumbers, TakeStatus, assess_take
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -128,24 +128,24 @@ NONE = np.full(13, -1)
 
 
 def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
-    assert _scale(body(), body(2.0), NONE) == pytest.approx(2)
-    assert _scale(body(), body(1.0, 0.6), NONE) == pytest.approx(1.05 / 0.85)
+    assert _leg_ratio(body(), body(2.0), NONE) == pytest.approx(2)
+    assert _leg_ratio(body(), body(1.0, 0.6), NONE) == pytest.approx(1.05 / 0.85)
 
     def armed(person: RoledSkeleton) -> RoledSkeleton:
         roles = tuple("" if "_" in r and r != "upper_arm_l" else r for r in ROLES)
         return replace(person, roles=roles)
 
     longer = armed(body(3.0))
-    assert _scale(armed(body()), longer, NONE) == pytest.approx(3)
+    assert _leg_ratio(armed(body()), longer, NONE) == pytest.approx(3)
     nothing = replace(body(), roles=("",) * 13)
-    assert _scale(nothing, nothing, NONE) == 1
+    assert _leg_ratio(nothing, nothing, NONE) == 1
     larger = replace(body(2.0), roles=("",) * 13)
-    assert _scale(nothing, larger, NONE) == 1
-    assert _scale(nothing, larger, np.arange(13)) == pytest.approx(2)
+    assert _leg_ratio(nothing, larger, NONE) == 1
+    assert _leg_ratio(nothing, larger, np.arange(13)) == pytest.approx(2)
 
 
 def test_middles_and_what_hangs_below() -> None:
-    assert_allclose(_middles([0.0, 0.2, 0.6]), [0.1, 0.4, 0.8])
+    assert_allclose(_fraction_middles([0.0, 0.2, 0.6]), [0.1, 0.4, 0.8])
     own = body()
     assert (
         _twist_source(own, 9),
@@ -164,12 +164,12 @@ def test_middles_and_what_hangs_below() -> None:
     rigs = own.rig, own.rig
     follows = np.full(13, -1)
     follows[:4] = np.arange(4)
-    assert namesakes(*rigs, follows)[0] == (4, 4)
+    assert equal_name_pairs(*rigs, follows)[0] == (4, 4)
     follows[:] = np.arange(13)
     follows[12] = -1
-    assert namesakes(*rigs, follows) == [(12, 12)]
+    assert equal_name_pairs(*rigs, follows) == [(12, 12)]
     follows[3] = 12
-    assert namesakes(*rigs, follows) == []
+    assert equal_name_pairs(*rigs, follows) == []
 
 
 def test_who_faces_another_way_is_turned_about_the_vertical() -> None:
@@ -278,7 +278,7 @@ def test_places_about_the_hips_and_those_of_the_root() -> None:
     bones = own.rig.rest_translations[None]
     turns = np.tile(so3.IDENTITY, (1, 13, 1))
     turns[0, 3] = turn(X, 90)
-    found = about_hips(own, turns, bones, [5, 3, 6])
+    found = relative_to_hips(own, turns, bones, [5, 3, 6])
     expected = own.positions - [0, 0.95, 0]
     assert_allclose(found[0, [0, 3, 6]], expected[[0, 3, 6]], atol=1e-12)
     assert_allclose(found[0, 4], expected[3] + [0, 0, -0.45], atol=1e-12)
@@ -332,14 +332,16 @@ def test_what_bends_at_a_pin_is_twisted_so_that_it_can(
 ) -> None:
     """The forearm is bent by 60 degrees about z, and its pin is along y."""
     turns = np.array([[so3.IDENTITY, turn(Z, 60), turn(Z, 60)]])
-    made = hinged(pinned((0.0, 1.0, 0.0), limits), turns)
+    made = bend_hinges(pinned((0.0, 1.0, 0.0), limits), turns)
     twist = turn(X, 90 * side)
     assert so3.angle_between(made[0, 0], twist) == pytest.approx(0, abs=1e-9)
     slight = np.array([[so3.IDENTITY, turn(Z, 2), so3.IDENTITY]])
-    assert_allclose(hinged(pinned((0.0, 1.0, 0.0), limits), slight)[0, 0], so3.IDENTITY)
+    assert_allclose(
+        bend_hinges(pinned((0.0, 1.0, 0.0), limits), slight)[0, 0], so3.IDENTITY
+    )
     half = np.degrees(np.arcsin(0.125))
     between = np.array([[so3.IDENTITY, turn(Z, half), so3.IDENTITY]])
-    found = hinged(pinned((0.0, 1.0, 0.0), limits), between)
+    found = bend_hinges(pinned((0.0, 1.0, 0.0), limits), between)
     assert so3.angle_between(found[0, 0], so3.IDENTITY) == pytest.approx(np.pi / 4)
 
 
@@ -354,8 +356,8 @@ def test_pins_along_a_bone_twist_as_what_is_below_them() -> None:
     assert told((1.0, 0.0, 0.0), roles=("upper_arm_l", "forearm_l", "twist")) == -1
     assert told((1.0, 0.0, 0.0), roles=("upper_arm_l", "hand_l", "hand_l")) == -1
     assert _twist_joint(pinned((1.0, 0.0, 0.0)).target, 0) == -1
-    assert_array_equal(_unit(np.zeros(3)), Y)
-    assert_allclose(_unit(np.array([0, 0, 4.0])), Z)
+    assert_array_equal(_normalized(np.zeros(3)), Y)
+    assert_allclose(_normalized(np.array([0, 0, 4.0])), Z)
 
 
 def test_what_joints_of_each_type_can_have() -> None:
@@ -366,7 +368,7 @@ def test_what_joints_of_each_type_can_have() -> None:
         (JointType.PIN, local),
     ):  # fmt: skip
         joint = Joint("j", -1, kind, axis=(1.0, 0.0, 0.0))
-        found, held = _within_limits(joint, rest, local)
+        found, held = _clamp_to_limits(joint, rest, local)
         assert so3.angle_between(found, np.array(expected)).max() < 1e-9
         assert held.tolist() == [False] * 2
 
@@ -390,9 +392,9 @@ def test_rows_of_turns_are_taken_and_put_with_who_was_held() -> None:
 def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
     points = np.array([[0.0, 9, 0], [4, 5, 0], [2, 1, 3], [7, 7, 7], [1, 2, 3]])
     stands = np.array([1, 1, 0, 0, 1], bool)
-    found = _drift(points, stands, 1)
+    found = _contact_drift(points, stands, 1)
     assert_allclose(found, [2, 2, np.nan, np.nan, 0])
-    assert_allclose(_drift(points, stands, 2)[:2], np.hypot(2, 2))
+    assert_allclose(_contact_drift(points, stands, 2)[:2], np.hypot(2, 2))
     own = body()
     straight, bent = own.positions[None].copy(), 2 * own.positions[None].copy()
     bent[0, 11] = bent[0, 10] + [0, 0, 0.5]
@@ -408,7 +410,7 @@ def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
 
 def meter(target: RoledSkeleton, sides: str = "") -> FitMeter:
     made = Transfer.of(body(), target, mapped(WHOLE))
-    return FitMeter(made, mapped(WHOLE), Standing(sides, (), None))
+    return FitMeter(made, mapped(WHOLE), ContactFrames(sides, (), None))
 
 
 def world_of(positions: Any) -> Any:
@@ -478,12 +480,12 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
         )
         own = np.zeros(20)
         own[[0, 4, 9, 19]] = 1.8
-        found = verdict_of(scores, {"acceleration": own}, {})
+        found = assess_take(scores, {"acceleration": own}, {})
         assert found.status is status
         if found.reasons:
             assert found.reasons[0].frames == ((0, 4), (9, 9), (19, 19))
     limbs = [Score("limbs", np.radians(d), ScoreUnit.ANGLE, 9.0) for d in (29.9, 30.1)]
-    statuses = [verdict_of(PassScores((one,)), {}, {}).status for one in limbs]
+    statuses = [assess_take(PassScores((one,)), {}, {}).status for one in limbs]
     assert statuses == [TakeStatus.GOOD, TakeStatus.UNUSABLE]
     assert FrameNumbers().run(0, 3) == (1, 4)
     assert FrameNumbers(frames=FrameRange(5, 9)).run(0, 3) is None
@@ -492,16 +494,16 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
 
 
 def test_integrals_slopes_and_medians_of_drift() -> None:
-    assert_allclose(_integral(np.array([2.0, 4, 0]), 2.0), [0, 1.5, 2.5])
+    assert_allclose(_integrate(np.array([2.0, 4, 0]), 2.0), [0, 1.5, 2.5])
     values = np.stack([3.0 * np.arange(5), 7 - np.arange(5.0)], axis=1)
-    assert_allclose(_slope(values, 10.0), [30, -10])
+    assert_allclose(_least_squares_rate(values, 10.0), [30, -10])
     turns = np.array([turn(Y, a) for a in (0, 90, -170, 190)])
-    assert_allclose(np.degrees(_angle(turns, 1)), [0, 90, -170, -170])
-    assert_allclose(_angle(turns, 2), 0, atol=1e-12)
+    assert_allclose(np.degrees(_angle_about_up(turns, 1)), [0, 90, -170, -170])
+    assert_allclose(_angle_about_up(turns, 2), 0, atol=1e-12)
     rows = np.array([[0.0, 1, 5], [10, 1, 7], [20, 3, 9], [31, 1, -4]])
     # Of those within ten frames, by how long they are.
-    assert _medians(rows, 2, 10.0).tolist() == [5, 9, 9, -4]
-    assert _medians(rows, 2, 11.0).tolist() == [5, 9, 9, 9]
+    assert _windowed_medians(rows, 2, 10.0).tolist() == [5, 9, 9, -4]
+    assert _windowed_medians(rows, 2, 11.0).tolist() == [5, 9, 9, 9]
 
 
 @pytest.mark.parametrize("place", [True, False])

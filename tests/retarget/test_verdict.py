@@ -11,7 +11,7 @@ import pytest
 from animtool.core.errors import Fault
 from animtool.core.shot import FrameRange
 from animtool.motion.scores import PassScores, Score, ScoreUnit
-from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
+from animtool.retarget.verdict import FrameNumbers, TakeStatus, assess_take
 
 
 def scores(drift: float = 0.0, limbs: float = 0.0) -> PassScores:
@@ -25,23 +25,23 @@ def scores(drift: float = 0.0, limbs: float = 0.0) -> PassScores:
 
 def test_a_good_take_is_good() -> None:
     for own in (scores(), scores(0.002, 0.1), scores(math.nan, math.nan)):
-        assert verdict_of(own, {}, {}).status is TakeStatus.GOOD
+        assert assess_take(own, {}, {}).status is TakeStatus.GOOD
 
 
 def test_frames_to_look_at_are_in_runs() -> None:
     drift = np.zeros(60)
     drift[[10, 11, 13, 40]] = 0.02
-    found = verdict_of(scores(0.02), {"drift": drift}, {})
+    found = assess_take(scores(0.02), {"drift": drift}, {})
     assert found.status is TakeStatus.LOOK
     (reason,) = found.reasons
     assert (reason.what, reason.frames) == ("drift", ((10, 13), (40, 40)))
     # As much as the source itself drifts is no fault of the retargeting.
-    assert verdict_of(scores(0.02), {}, {"drift": 0.03}).status is TakeStatus.GOOD
+    assert assess_take(scores(0.02), {}, {"drift": 0.03}).status is TakeStatus.GOOD
 
 
 def test_what_is_not_the_motion_is_not_usable() -> None:
-    assert verdict_of(scores(limbs=1.0), {}, {}).status is TakeStatus.UNUSABLE
-    forced = verdict_of(scores(), {}, {}, [Fault("MAP010", "too little")])
+    assert assess_take(scores(limbs=1.0), {}, {}).status is TakeStatus.UNUSABLE
+    forced = assess_take(scores(), {}, {}, [Fault("MAP010", "too little")])
     assert (forced.status, forced.reasons[0].what) == (
         TakeStatus.UNUSABLE,
         "too little",
@@ -62,9 +62,9 @@ def test_frames_are_numbered_as_in_the_output(
     drift = np.zeros(60)
     drift[[10, 13, 40]] = 0.02
     drift[11:13] = 0.02
-    found = verdict_of(scores(0.02), {"drift": drift}, {}).numbered(numbers)
+    found = assess_take(scores(0.02), {"drift": drift}, {}).numbered(numbers)
     assert found.reasons[0].frames == runs
-    outside = verdict_of(scores(0.02), {"drift": drift}, {}).numbered(
+    outside = assess_take(scores(0.02), {"drift": drift}, {}).numbered(
         FrameNumbers(frames=FrameRange(100, 120))
     )
     assert outside.status is TakeStatus.GOOD

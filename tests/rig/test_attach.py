@@ -16,10 +16,10 @@ from support.surfaces import held, shaped_rig
 
 from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import document_of
-from animtool.rig.file import load_rig, rig_of_document
+from animtool.rig.file import load_rig, parse_rig
 from animtool.rig.parts import Attachment, LoadedArray
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import with_file
+from animtool.rig.surfaces import with_array_file
 from animtool.rig.write import rig_text
 
 RIG = """\
@@ -66,7 +66,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def load(yard: Path, text: str) -> Rig:
-    return rig_of_document(document_of(text, yard / "hero.rig.yaml"))
+    return parse_rig(document_of(text, yard / "hero.rig.yaml"))
 
 
 def faults(yard: Path, text: str) -> list[Fault]:
@@ -176,7 +176,7 @@ def test_arrays_in_memory_go_to_a_file(
     rig = replace(shaped_rig(), attach=attach)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "hero.rig.yaml"
-        stored, arrays = with_file(rig, path.with_name("hero.npz"))
+        stored, arrays = with_array_file(rig, path.with_name("hero.npz"))
         np.savez(path.with_name("hero.npz"), allow_pickle=False, **arrays)
         path.write_text(rig_text(stored), "utf-8")
         back = load_rig(path)
@@ -199,7 +199,7 @@ def test_arrays_in_memory_go_to_a_file(
     [("spring_chian", "spring_chain"), ("spring-chain", "spring_chain"), ("soft", "")],
 )
 def test_a_slip_in_a_kind_is_pointed_out(yard: Path, kind: str, near: str) -> None:
-    rig = rig_of_document(
+    rig = parse_rig(
         document_of(RIG.replace("kind: soft", f"kind: {kind}"), yard / "x.rig.yaml")
     )
     assert rig.attach[-1].kind == kind

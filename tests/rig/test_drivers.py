@@ -181,7 +181,7 @@ def test_drivers_run_in_the_order_that_they_read_each_other() -> None:
         [7, 6, 3, 70]
     ]
     assert plan_of(rig).sources(3) == [2]
-    assert plan_of(rig).followers(["a"]) == ["c", "b", "m"]
+    assert plan_of(rig).dependent_joints(["a"]) == ["c", "b", "m"]
 
 
 def test_a_circle_has_its_code() -> None:
@@ -230,7 +230,7 @@ def test_driven_controls_drive_shapes_and_controls() -> None:
     )
     plan = plan_of(rig)
     assert (plan.controls, plan.shapes) == (("bend", "more"), ("a", "b"))
-    assert plan.combined == ("c",)
+    assert plan.combined_shapes == ("c",)
     done = evaluate_drivers(plan, lambda _: np.array([0.25]), {"more": np.array([9.0])})
     assert done.controls["more"].tolist() == [1.0]
     assert done.shapes["b"].tolist() == [1.0]

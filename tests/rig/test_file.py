@@ -21,9 +21,9 @@ from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import Document, read_document
 from animtool.documents.yaml_values import Marks
 from animtool.maths import so3
-from animtool.rig.file import load_rig, rig_of_document
+from animtool.rig.file import load_rig, parse_rig
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Mesh, Shape
 from animtool.rig.sides import reflect_rotation
@@ -358,7 +358,7 @@ def test_a_mirrored_bind_pose_below_a_parent_that_turns_only_at_bind(
 ) -> None:
     rig = load(yard, BOUND + "  hips: {rotate: [1, 0, 0, 0.4]}\n")
     posed = [rig.bind.get(j.name, Pose(j.translation, j.rotation)) for j in rig.joints]
-    world = forward(
+    world = forward_kinematics(
         rig,
         np.array([[pose.translation for pose in posed]]),
         np.array([[pose.rotation for pose in posed]]),
@@ -555,7 +555,7 @@ def test_any_edits_give_a_rig_or_faults(
     faults: list[Any] = []
     try:
         with patch("animtool.usd.rigs.stored.read_rig", lambda _: BASE):
-            joints = list(rig_of_document(edited).joints)
+            joints = list(parse_rig(edited).joints)
     except FormatError as error:
         faults = list(error.faults)
     assert joints or faults
@@ -600,7 +600,7 @@ def test_equal_coordinates_are_mirror_images(yard: Path, seed: int) -> None:
         if joint.type is JointType.FREE:
             other[:, :3] = own[:, :3] * [-1, 1, 1]
     local = local_from_coordinates(rig, q)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     flip = np.diag([-1.0, 1.0, 1.0])
     for name, joint in joints.items():
         if joint.mirror:

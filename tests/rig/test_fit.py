@@ -50,7 +50,7 @@ def kept(names: set[str]) -> Rig:
 def test_a_rig_fits_itself() -> None:
     found = fit(BODY)
     assert found.score == pytest.approx(1.0)
-    assert found.differing == []
+    assert found.differing_joints == []
 
 
 def test_roots_may_stand_and_turn_anywhere_with_the_pose() -> None:
@@ -92,7 +92,11 @@ def test_few_joints_of_many_do_not_fit() -> None:
 def test_one_limb_at_another_angle_does_not_fit() -> None:
     found = fit(bent(BODY, "arm_l", so3.from_axis_angle([0, 0, 1], np.pi / 4)))
     assert found.score < MIN_FIT
-    assert {BODY.names[j] for j in found.differing} == {"arm_l", "hand_l", "thumb_l"}
+    assert {BODY.names[j] for j in found.differing_joints} == {
+        "arm_l",
+        "hand_l",
+        "thumb_l",
+    }
 
 
 def test_other_poses_of_the_same_frames_fit() -> None:
@@ -114,7 +118,7 @@ def test_a_twist_is_found_where_the_pose_is_the_same() -> None:
     joints[hand] = replace(joints[hand], rotation=(0.5**0.5, 0.0, 0.0, 0.5**0.5))
     found = fit(replace(BODY, joints=tuple(joints)))
     assert found.score < PERFECT_FIT
-    assert found.differing == [hand]
+    assert found.differing_joints == [hand]
     assert fit(replace(BODY, joints=tuple(joints)), posed=False).score == pytest.approx(
         1.0
     )
@@ -130,7 +134,7 @@ def test_another_size_does_not_fit(factor: float) -> None:
     assert found.size == pytest.approx(factor)
     assert found.score < MIN_FIT
     assert found.parts["lengths"] == pytest.approx(1.0)
-    assert found.differing == []
+    assert found.differing_joints == []
 
 
 def test_other_proportions_score_by_their_difference() -> None:

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms, forward, rest_world
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics, rest_world
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -50,7 +50,7 @@ def test_against_matrices(scaled: bool) -> None:
     rig, rng = tree(30), np.random.default_rng(1)
     t, r = rng.normal(size=(7, 30, 3)), so3.normalize(rng.normal(size=(7, 30, 4)))
     s = rng.uniform(0.5, 2, (7, 30, 3)) if scaled else None
-    world, truth = forward(rig, t, r, s), by_matrices(rig, t, r, s)
+    world, truth = forward_kinematics(rig, t, r, s), by_matrices(rig, t, r, s)
     assert_allclose(world.positions, truth[..., :3, 3], rtol=1e-12, atol=1e-12)
     assert_allclose(world.linear, truth[..., :3, :3], rtol=1e-12, atol=1e-12)
 
@@ -58,13 +58,13 @@ def test_against_matrices(scaled: bool) -> None:
 def test_results_into_given_arrays() -> None:
     rig, rng = tree(9), np.random.default_rng(3)
     t, r = rng.normal(size=(5, 9, 3)), so3.normalize(rng.normal(size=(5, 9, 4)))
-    fresh = forward(rig, t, r)
+    fresh = forward_kinematics(rig, t, r)
     kept = WorldTransforms(np.full((5, 9, 3), np.nan), np.full((5, 9, 3, 3), np.nan))
-    assert forward(rig, t, r, out=kept) is kept
+    assert forward_kinematics(rig, t, r, out=kept) is kept
     np.testing.assert_array_equal(kept.positions, fresh.positions)
     np.testing.assert_array_equal(kept.linear, fresh.linear)
     with pytest.raises(ValueError, match=r"\(3, 9, 3\), not \(5, 9, 3\)"):
-        forward(rig, t, r, out=forward(rig, t[:3], r[:3]))
+        forward_kinematics(rig, t, r, out=forward_kinematics(rig, t[:3], r[:3]))
 
 
 def test_a_chain_of_a_thousand_joints() -> None:
@@ -75,7 +75,9 @@ def test_a_chain_of_a_thousand_joints() -> None:
     ]
     rig = Rig("chain", tuple(joints))
     turn = so3.from_axis_angle([0.0, 0.0, 1.0], angle)
-    world = forward(rig, rig.rest_translations[None], np.tile(turn, (1, count, 1)))
+    world = forward_kinematics(
+        rig, rig.rest_translations[None], np.tile(turn, (1, count, 1))
+    )
     steps = np.cumsum(np.exp(1j * angle * np.arange(1, count)))
     found = world.positions[0, 1:, 0] + 1j * world.positions[0, 1:, 1]
     assert np.abs(found - steps).max() < 1e-12 * count
@@ -85,7 +87,7 @@ def test_a_chain_of_a_thousand_joints() -> None:
 def test_rest_and_frames() -> None:
     rig = tree(5)
     rest = rest_world(rig)
-    many = forward(
+    many = forward_kinematics(
         rig,
         np.tile(rig.rest_translations, (3, 1, 1)),
         np.tile(rig.rest_rotations, (3, 1, 1)),
@@ -95,4 +97,4 @@ def test_rest_and_frames() -> None:
 
 def test_shapes_are_checked() -> None:
     with pytest.raises(ValueError, match="rotations must have shape"):
-        forward(tree(2), np.zeros((1, 2, 3)), np.zeros((1, 3, 4)))
+        forward_kinematics(tree(2), np.zeros((1, 2, 3)), np.zeros((1, 3, 4)))

@@ -21,7 +21,7 @@ def test_paths_and_roots() -> None:
 def test_paths_of_a_very_long_chain_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(skeleton, "MAX_PATHS", 9)
+    monkeypatch.setattr(skeleton, "MAX_PATH_CHARACTERS", 9)
     joints = (Joint("a", -1), Joint("b", 0), Joint("c", 1))
     assert Rig("three", joints).paths() == ["a", "a/b", "a/b/c"]
     with pytest.raises(FormatError) as caught:

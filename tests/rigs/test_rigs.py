@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.file import load_rig
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 
@@ -96,7 +96,7 @@ def test_slider_crank_closes(root: Path) -> None:
         place = coordinate_slices(rig)[rig.index(target.split(".")[0])]
         q[:, place.start] = targets[f"joint/{target}"]
     local = local_from_coordinates(rig, q)
-    world = forward(rig, local.translations, local.rotations).positions
+    world = forward_kinematics(rig, local.translations, local.rotations).positions
     gap = world[:, rig.index("rod_end")] - world[:, rig.index("piston")]
     assert np.abs(gap).max() < 1e-12
     assert np.ptp(world[:, rig.index("piston"), 1]) == pytest.approx(0.24)

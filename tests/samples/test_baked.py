@@ -15,7 +15,7 @@ from support.usd import joint_transforms, open_stage, skeleton_query, validation
 
 from animtool import open_source
 from animtool.motion.take import Take
-from animtool.rig.kinematics import forward, rest_size
+from animtool.rig.kinematics import forward_kinematics, rest_size
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(
@@ -87,7 +87,7 @@ def test_usdskel_puts_joints_where_we_do(baked: Baked, form: str) -> None:
     if scales is not None:
         # UsdSkel has them as halves, of three digits.
         scales = scales.astype(np.float16).astype(np.float64)
-    ours = forward(take.rig, translations, rotations, scales)
+    ours = forward_kinematics(take.rig, translations, rotations, scales)
     theirs = joint_transforms(stage, codes)
     order = [
         str(name).rsplit("/", 1)[-1] for name in skeleton_query(stage).GetJointOrder()

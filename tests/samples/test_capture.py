@@ -12,7 +12,7 @@ from support.cli import animtool
 from support.printed import Printed
 
 from animtool import open_source
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 FOLDER = Path(__file__).parents[2] / "samples/capture"
 
@@ -46,7 +46,9 @@ def test_the_walk_comes_back(printed: Printed) -> None:
     stride = open_source(FOLDER.parent / "stride/stride.clip.yaml")
     assert stride.curve is not None
     motion = stride.curve(1 + np.arange(37.0))
-    truth = forward(stride.rig, motion.translations.dense(), motion.rotations.dense())
+    truth = forward_kinematics(
+        stride.rig, motion.translations.dense(), motion.rotations.dense()
+    )
     names = take.rig.names
     for joint in ("hips", "wrist_l", "wrist_r", "ankle_l", "ankle_r", "toe_l"):
         own = take.world().positions[:, names.index(joint)]

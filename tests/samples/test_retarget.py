@@ -16,7 +16,7 @@ from animtool import open_source
 from animtool.retarget import map_joints
 from animtool.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward_kinematics, rest_world
 
 FOLDER = Path(__file__).parents[2] / "samples/retarget"
 TAKES = sorted((FOLDER / "takes").iterdir())
@@ -40,7 +40,9 @@ def test_the_script_makes_the_files(
 def test_feet_stay_where_they_stand(path: Path) -> None:
     take = open_source(path).collect()
     motion = take.motion
-    world = forward(take.rig, motion.translations.dense(), motion.rotations.dense())
+    world = forward_kinematics(
+        take.rig, motion.translations.dense(), motion.rotations.dense()
+    )
     stands = []
     for side in ("Left", "Right"):
         ball = world.positions[:, take.rig.index(f"{side}ToeBase")]
@@ -77,7 +79,9 @@ def test_rigs_stand_on_the_ground_with_bones_of_their_own(path: Path) -> None:
 def test_the_foot_under_a_kick_stays_on_each_rig(path: Path) -> None:
     take, rig = open_source(FOLDER / "takes/kick.bvh").collect(), load_rig(path)
     motion = retarget_take(take, rig, map_joints(take.rig, rig)).take.motion
-    world = forward(rig, motion.translations.dense(), motion.rotations.dense())
+    world = forward_kinematics(
+        rig, motion.translations.dense(), motion.rotations.dense()
+    )
     for joint in ("ankle_l", "toe_l"):
         places = world.positions[:, rig.index(joint)]
         assert np.ptp(places, axis=0).max() < 1e-4

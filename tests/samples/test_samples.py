@@ -17,7 +17,7 @@ from animtool.clip.sample import sample_channels
 from animtool.core.files.reading import matching_files
 from animtool.motion.motion import Channel
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 from animtool.validation.run import SUFFIXES
 
@@ -43,7 +43,7 @@ def world(clip: Clip, rig: Rig, times: np.ndarray) -> WorldTransforms:
     assert not sampled.notices
     motion = sampled.motion
     scales = None if motion.scales is None else dense(motion.scales, len(times))
-    return forward(
+    return forward_kinematics(
         rig,
         dense(motion.translations, len(times)),
         dense(motion.rotations, len(times)),

@@ -7,11 +7,11 @@ import pytest
 from support.motions import oscillator
 
 from animtool.sim import IntegrateOptions, find_integrator, integrate
-from animtool.sim.adaptive_steps import _error_ratio, _first_trial
+from animtool.sim.adaptive_steps import _error_ratio, _initial_step
 from animtool.sim.checks import EnergyWatch
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Step
-from animtool.sim.run import Run
+from animtool.sim.integrators.integrator import StepResult
+from animtool.sim.run import IntegrationRun
 
 
 def test_an_error_is_allowed_by_the_size_of_what_it_is_in() -> None:
@@ -24,7 +24,7 @@ def test_an_error_is_allowed_by_the_size_of_what_it_is_in() -> None:
         ([0.0, 0.0, 5e-3], 1.0),
         ([24e-3, 6e-3, 5e-3], 3.0),
     ):
-        step = Step(after, error=np.array(error))
+        step = StepResult(after, error=np.array(error))
         assert _error_ratio(step, before, options) == pytest.approx(ratio)
 
 
@@ -34,7 +34,7 @@ def test_the_first_step_that_is_tried_is_that_of_any_unit() -> None:
     for size in (1.0, 1e6):
         system = oscillator(start=(size, size / 2)).system
         options = IntegrateOptions("rk45", tolerance=1e-6, absolute=0.0)
-        run = Run(
+        run = IntegrationRun(
             find_integrator("rk45"),
             Equations(system),
             options,
@@ -43,7 +43,7 @@ def test_the_first_step_that_is_tried_is_that_of_any_unit() -> None:
             0.0,
             system.state,
         )
-        found.append(_first_trial(run))
+        found.append(_initial_step(run))
     assert found[0] == pytest.approx(found[1])
     assert 1e-3 < found[0] < 1.0
 

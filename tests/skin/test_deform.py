@@ -12,12 +12,12 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import (
-    Deformed,
+    DeformedFrames,
     DeformedMesh,
     deform,
     deform_blocks,
-    displaced_points,
     extents,
+    replace_points,
     vertex_normals,
 )
 from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
@@ -189,11 +189,11 @@ def test_only_frames_that_differ_get_other_normals() -> None:
     surface = square()
     kept = np.tile([0.6, 0.0, 0.8], (3, 5, 1))
     still = np.repeat(surface.points[None], 3, axis=0)
-    made = Deformed(still, extents(still), kept)
+    made = DeformedFrames(still, extents(still), kept)
     values = still.copy()
     values[1, :, 2] += 1.0
     moved = Channel(values[0], np.arange(5), values)
-    found = displaced_points(made, moved, slice(0, 3), surface, None)
+    found = replace_points(made, moved, slice(0, 3), surface, None)
     assert found.normals is not None
     assert_array_equal(found.normals[[0, 2]], kept[[0, 2]])
     assert_allclose(found.normals[1], surface.normals)
@@ -206,6 +206,6 @@ def test_velocities_look_beyond_the_block() -> None:
     moved = Channel(values[0], np.arange(2), values)
     whole = np.gradient(values, times, axis=0)
     zero = np.zeros((2, 2, 3))
-    made = Deformed(zero, extents(zero), None, zero)
-    found = displaced_points(made, moved, slice(2, 4), None, times)
+    made = DeformedFrames(zero, extents(zero), None, zero)
+    found = replace_points(made, moved, slice(2, 4), None, times)
     assert_allclose(found.velocities, whole[2:4])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from animtool.motion.motion import Motion
-from animtool.rig.kinematics import bind_world, forward
+from animtool.rig.kinematics import bind_world, forward_kinematics
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import deform
 from animtool.systems.attach.strands import depth
@@ -20,7 +20,7 @@ def skin_of(rig: Rig, motion: Motion, name: str) -> tuple[Array, Array]:
     """Return points of a mesh and its normals, in each frame ``(F, V, 3)``."""
     (surface,) = [one for one in surfaces_of(rig) if one.name == name]
     (mesh,) = character_meshes([surface], rig.names, of_world(bind_world(rig))[0], [])
-    points = deform(mesh.mesh, None, forward(rig, *motion.dense())).points
+    points = deform(mesh.mesh, None, forward_kinematics(rig, *motion.dense())).points
     corners = points[:, surface.indices.reshape(-1, 4)]
     across = np.cross(
         corners[:, :, 2] - corners[:, :, 0], corners[:, :, 3] - corners[:, :, 1]
@@ -45,8 +45,8 @@ def out_of_skin(points: Array, skin: Array, normals: Array) -> Array:
 
 def out_of_capsules(rig: Rig, motion: Motion, points: Array) -> Array:
     """Return how far points ``(F, N, 3)`` are outside the rig's capsules [m]."""
-    capsules = Capsules.of(rig)
-    placed = capsules.world_ends(forward(rig, *motion.dense()))
+    capsules = JointCapsules.of(rig)
+    placed = capsules.world_ends(forward_kinematics(rig, *motion.dense()))
     radii = capsules.radii.tolist()
     return np.array(
         [

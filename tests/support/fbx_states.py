@@ -16,10 +16,10 @@ from animtool.formats.fbx.poses import NodeTransforms
 from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import FbxSampler
 from animtool.formats.fbx.scene import FbxScene, open_fbx
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.fbx.takes import AnimTake
 from animtool.motion.motion import Motion
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.skin.character import CharacterMesh
 from animtool.skin.deform import deform
 from support.gltf_states import skinned_meshes
@@ -61,9 +61,9 @@ class FbxCharacter:
         """Return the state at a time of a take; of None as it was saved."""
         if id(take) not in self._samplers:
             self._samplers[id(take)] = FbxSampler(self.scene, self.made, take)
-        ticks = np.array([round(seconds * TICKS)], np.int64)
+        ticks = np.array([round(seconds * TICKS_PER_SECOND)], np.int64)
         motion = self._samplers[id(take)].at(ticks)
-        return Posed(motion, forward(self.made.rig, *motion.dense()))
+        return Posed(motion, forward_kinematics(self.made.rig, *motion.dense()))
 
     def matrix(self, posed: Posed, node: int) -> Array | None:
         """Return the world matrix of a node in the file's unit and axes ``(3, 4)``."""
@@ -155,7 +155,7 @@ def compare(
         take = takes[0 if sample["take"] is None else sample["take"] + 1]
         posed = character.pose(take, sample["t"] or 0.0)
         old = expected["version"] < 7000 and sample["at"] != "saved"
-        keys = np.zeros(0) if take is None else take.key_times() / TICKS
+        keys = np.zeros(0) if take is None else take.key_times() / TICKS_PER_SECOND
         near = len(keys) and np.abs(keys - sample["t"]).min() < 1e-6
         kind = "resampled " if old and not near else ""
         _nodes(character, posed, sample, ours, size, kind, apart)
@@ -288,7 +288,7 @@ def _with_node(
     scene = character.scene
     if scene.nodes[node].skin < 0:
         return own
-    ticks = np.array([round(seconds * TICKS)], np.int64)
+    ticks = np.array([round(seconds * TICKS_PER_SECOND)], np.int64)
     world = NodeTransforms(scene, take, ticks).world(node)[0]
     step = world @ np.linalg.inv(scene.bind[scene.nodes[node].skin])
     return np.asarray(own @ step[:3, :3].T + step[:3, 3])

@@ -16,7 +16,7 @@ from animtool.formats.gltf.rig import GltfRig, build_rig
 from animtool.formats.gltf.sampling import sampler_of
 from animtool.formats.gltf.surfaces import mesh_names, vertex_offset
 from animtool.motion.motion import Motion
-from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
+from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward_kinematics
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes
@@ -76,7 +76,7 @@ def compare(character: Character, expected: dict[str, Any], apart: Apart) -> Non
     for animation, clip in clips:
         moving = sampler_of(character.gltf, character.made, animation)
         motion = moving.at(np.array(clip["times_s"], np.float64))
-        world = forward(character.made.rig, *motion.dense())
+        world = forward_kinematics(character.made.rig, *motion.dense())
         for k, state in enumerate(clip["at"]):
             _state(character, expected, state, motion.select(slice(k, k + 1)), apart)
             _places(character, expected, state, world, k, apart)
@@ -117,7 +117,7 @@ def _state(
         assert len(rows) == len(values)
         assert weights is not None
         apart.add("weight", weights[0, rows] - values)
-    world = forward(made.rig, *motion.dense())
+    world = forward_kinematics(made.rig, *motion.dense())
     posed: dict[str, npt.NDArray[np.float64]] = {}
     ids = expected["point_ids"] if state.get("points") else ()
     for (node, _, primitive, vertex), point in zip(ids, state["points"], strict=True):

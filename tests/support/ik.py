@@ -8,7 +8,7 @@ from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -114,7 +114,7 @@ def reached_by(problem: Problem, coordinates: FloatArray) -> Targets:
     """Return targets that poses reach exactly, aims and poles included."""
     rig = problem.rig
     local = local_from_coordinates(rig, coordinates)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     positions, rotations, aims, poles = [], [], [], []
     for goal in problem.goals:
         j = rig.index(goal.joint)

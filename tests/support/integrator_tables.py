@@ -22,7 +22,7 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.integrators.integrator import Form, StepControl
+from animtool.sim.integrators.integrator import EquationForm, StepControl
 from support.motions import Motion, kepler, pendulum, pendulum_period
 
 PAGE = Path(__file__).parents[2] / "animtool/docs/reference/integrators.md"
@@ -92,7 +92,7 @@ def _kind(integrator: Integrator) -> str:
         kind,
         "implicit" if integrator.implicit else "",
         "symplectic" if integrator.symplectic else "",
-        "accelerations" if integrator.form is Form.ACCELERATIONS else "",
+        "accelerations" if integrator.form is EquationForm.ACCELERATIONS else "",
     ]
     return ", ".join(word for word in words if word)
 

@@ -12,7 +12,7 @@ from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.motion.markers import Markers
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -107,7 +107,7 @@ def captured(
 ) -> Captured:
     """Return what markers show of poses ``(F, Q)``."""
     local = local_from_coordinates(rig, q)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     joints = template.joints(rig)
     turned = np.einsum("fmij,mj->fmi", world.linear[:, joints], template.offsets)
     points = world.positions[:, joints] + turned
@@ -124,5 +124,5 @@ def column(name: str) -> int:
 def joint_errors(coordinates: FloatArray, truth: Captured, rig: Rig) -> FloatArray:
     """Return how far joints are off ``(F, J)`` [m]."""
     local = local_from_coordinates(rig, coordinates)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     return np.asarray(np.linalg.norm(world.positions - truth.positions, axis=2))

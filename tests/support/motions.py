@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.sim import Energy, ForceSystem, RateSystem
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Form, Integrator
+from animtool.sim.integrators.integrator import EquationForm, Integrator
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def step_matrix(integrator: Integrator, motion: Motion, h: float) -> FloatArray:
 
 def serves(integrator: Integrator, motion: Motion) -> bool:
     """Return whether a method has steps for a motion."""
-    apart = integrator.form is Form.ACCELERATIONS
+    apart = integrator.form is EquationForm.ACCELERATIONS
     fits = not apart or isinstance(motion.system, ForceSystem)
     return fits and integrator.step is not None
 

@@ -13,11 +13,11 @@ import numpy.typing as npt
 from animtool.maths import so3
 from animtool.preview.page import page_parts
 from animtool.preview.streams import (
-    Packer,
     Quantized,
+    StreamPacker,
     json_numbers,
-    quantized_range,
-    quantized_units,
+    quantize_range,
+    quantize_units,
 )
 
 Array = npt.NDArray[Any]
@@ -82,7 +82,7 @@ class PageDraft:
     first: float = 1001
     rate: tuple[int, int] = (24, 1)
     title: str = "sway.bvh"
-    packer: Packer = field(default_factory=Packer)
+    packer: StreamPacker = field(default_factory=StreamPacker)
     parts: dict[str, Any] = field(default_factory=dict)
 
     def add(self, kind: str, **entry: Any) -> dict[str, Any]:
@@ -123,10 +123,10 @@ class PageDraft:
         }
         if len(moving):
             values = chain.translations[:, moving].reshape(frames, -1)
-            entry["t"] = self.packer.add(quantized_range(values))
+            entry["t"] = self.packer.add(quantize_range(values))
         if joints and frames > 1:
             turns = so3.align_signs(chain.rotations).reshape(frames, -1)
-            entry["r"] = self.packer.add(quantized_units(turns))
+            entry["r"] = self.packer.add(quantize_units(turns))
         return self.add("takes", **(entry | more))
 
     def channels(self, names: Sequence[str], values: Array, **more: Any) -> None:

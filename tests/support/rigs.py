@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas
 from animtool.skin.skinning import Binding, SkinMethod
@@ -53,7 +53,7 @@ def read_oracle(path: Path) -> OracleRig:
     joints = [Joint(f"j{i}", joint["parent"]) for i, joint in enumerate(data["joints"])]
     rotations = np.array([frame["rotations_wxyz"] for frame in frames])
     rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
-    world = forward(
+    world = forward_kinematics(
         Rig("rig", tuple(joints)),
         np.array([frame["translations"] for frame in frames]),
         np.roll(rotations, -1, axis=-1),

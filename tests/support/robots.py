@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import JointType, Rig
 
 Matrix = np.ndarray
@@ -227,7 +227,7 @@ def rig_matrices(rig: Rig, values: dict[str, Any]) -> dict[str, Matrix]:
         if joint.name in values and place.stop > place.start:
             q[0, slices[j]] = values[joint.name]
     local = local_from_coordinates(rig, q)
-    world = forward(rig, local.translations, local.rotations)
+    world = forward_kinematics(rig, local.translations, local.rotations)
     return {
         name: placed(world.linear[0, j], world.positions[0, j])
         for j, name in enumerate(rig.names)

@@ -21,7 +21,7 @@ from animtool.maths import so3
 from animtool.motion.reorient import reorient
 from animtool.motion.take import TakeStream
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import bind_world, forward
+from animtool.rig.kinematics import bind_world, forward_kinematics
 from animtool.rig.parts import ArraySource, Attachment, LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.usd.rigs.layer import write_rig_layer
@@ -95,7 +95,7 @@ def test_usdskel_carries_them_with_their_joint(tmp_path: Path) -> None:
     assert query.IsRigidlyDeformed()
     turned = so3.multiply(so3.exp(np.array([0.3, -0.5, 0.2])), rig.rest_rotations)
     world, bind = (
-        forward(rig, rig.rest_translations[None], turned[None]),
+        forward_kinematics(rig, rig.rest_translations[None], turned[None]),
         bind_world(rig),
     )
     rows = [

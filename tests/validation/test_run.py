@@ -18,7 +18,7 @@ from animtool.core.errors import (
 from animtool.core.rules import Rule, builtin_rules
 from animtool.documents.document import read_document
 from animtool.validation.options import ValidateOptions
-from animtool.validation.run import Ignores, find_files, validate, validate_files
+from animtool.validation.run import IgnoreEntries, find_files, validate, validate_files
 from animtool.validation.testing import check_rule
 
 KNEE = """\
@@ -202,9 +202,9 @@ def test_an_entry_may_have_the_code_of_an_earlier_version(tmp_path: Path) -> Non
     path = tmp_path / "a.clip.yaml"
     path.write_text("clip: animtool/1\nignore: [{code: CLIP203, why: a cut}]\n")
     faults = [Fault(code, "odd", str(path)) for code in ("MOT202", "MOT203", "MOT208")]
-    ignores = Ignores.of(read_document(path))
+    ignores = IgnoreEntries.of(read_document(path))
     assert ignores.hide(faults) == faults[2:]
-    assert list(ignores.remarks()) == []
+    assert list(ignores.entry_faults()) == []
 
 
 def test_strict_takes_no_notes_for_errors(leg: Path) -> None:
@@ -291,7 +291,9 @@ def _fails(_: object) -> list[object]:
 
 
 def test_a_rule_that_fails(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("animtool.validation.rules.rig_joints.motionless", _fails)
+    monkeypatch.setattr(
+        "animtool.validation.rules.rig_joints.motionless_joints", _fails
+    )
     found = validate(leg)
     assert [fault.code for fault in found] == ["VAL003", "RIG201"]
     assert "RIG202 failed: ZeroDivisionError" in found[0].message

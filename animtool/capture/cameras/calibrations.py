@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from animtool.capture.cameras.camera import (
-    UNNAMED,
+    DEFAULT_CAMERA_NAME,
     Camera,
     Cameras,
     nearest_rotation,
@@ -32,7 +32,7 @@ from animtool.documents.yaml_values import Marks
 from animtool.maths.so3 import exp, to_matrix
 
 # Names of a value in other programs, in order of preference.
-_KEYS = {
+_QUANTITY_KEYS = {
     "matrix": ("K", "camera_matrix", "cameraMatrix", "matrix", "intrinsics"),
     "distortion": (
         "dist",
@@ -53,10 +53,10 @@ _SIZE_KEYS = (("width", "height"), ("image_width", "image_height"))
 _COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)
 MODELLED_COEFFICIENTS = 8
 MAX_NODES = 1_000_000
-_TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
+_TOML_TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
 
-def read_any(path: Path) -> Document:
+def read_camera_document(path: Path) -> Document:
     """Return a camera file as a document: YAML, JSON, TOML or OpenCV storage.
 
     Raises:
@@ -64,7 +64,7 @@ def read_any(path: Path) -> Document:
     """
     text = read_text(path)
     if path.suffix.lower() == ".toml":
-        return _toml(text, path)
+        return _parse_toml(text, path)
     if "opencv-matrix" in text and not text.lstrip().startswith("{"):
         # OpenCV writes a YAML 1.0 header; its matrix tag repeats what rows and cols
         # say.
@@ -73,7 +73,7 @@ def read_any(path: Path) -> Document:
     return document_of(text, path)
 
 
-def _toml(text: str, path: Path) -> Document:
+def _parse_toml(text: str, path: Path) -> Document:
     try:
         value = parse_toml(text)
     except ValueError as error:
@@ -83,26 +83,26 @@ def _toml(text: str, path: Path) -> Document:
         raise FormatError(Fault("CAM003", message, str(path), lines)) from error
     starts: dict[str, int] = {}
     for number, row in enumerate(text.splitlines(), 1):
-        table = _TABLE.match(row)
+        table = _TOML_TABLE.match(row)
         if table is not None:
             starts.setdefault(table[1], number)
     positions = [(1, 1)]
     for key, inner in value.items():
         line = starts.get(key, 1)
-        positions += [(line, 1)] * (1 + _nodes(inner))
+        positions += [(line, 1)] * (1 + _node_count(inner))
     return Document(path, value, lambda: Marks(positions, {}))
 
 
-def _nodes(value: Any) -> int:
+def _node_count(value: Any) -> int:
     """Return the number of source locations that a value takes in a document."""
     if isinstance(value, dict):
-        return 1 + sum(1 + _nodes(inner) for inner in value.values())
+        return 1 + sum(1 + _node_count(inner) for inner in value.values())
     if isinstance(value, list):
-        return 1 + sum(map(_nodes, value))
+        return 1 + sum(map(_node_count, value))
     return 1
 
 
-def calibration_of(
+def parse_calibration(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
     """Return another program's calibration document as cameras.
@@ -112,8 +112,8 @@ def calibration_of(
             missing or wrong (CAM003), a rotation is invalid (CAM001), or a name is
             used twice (CAM002).
     """
-    scale = (unit or _unit(document)).meters
-    entries = list(_entries(document.value))
+    scale = (unit or _stated_unit(document)).meters
+    entries = list(_camera_entries(document.value))
     if not entries:
         message = "holds no cameras"
         hint = "animtool reads cameras: animtool/1, OpenCV, Pose2Sim and anipose"
@@ -132,7 +132,7 @@ def calibration_of(
     return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 
 
-def _unit(document: Document) -> LengthUnit:
+def _stated_unit(document: Document) -> LengthUnit:
     """Return the unit that a document states; report an unknown one."""
     location: Location = ("units",)
     stated_unit = document.value.get("units")
@@ -147,7 +147,9 @@ def _unit(document: Document) -> LengthUnit:
     return LengthUnit.M
 
 
-def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, Any]]]:
+def _camera_entries(
+    value: dict[str, Any],
+) -> Iterator[tuple[Location, str, dict[str, Any]]]:
     """Yield the cameras of a calibration: locations, names and values."""
     listed_ = value.get("cameras")
     if isinstance(listed_, list):
@@ -155,7 +157,7 @@ def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, A
             if isinstance(entry, dict):
                 yield ("cameras", i), f"cam{i:02d}", entry
     elif _is_camera(value):
-        yield (), UNNAMED, value
+        yield (), DEFAULT_CAMERA_NAME, value
     else:
         tables = listed_ if isinstance(listed_, dict) else value
         prefix: Location = ("cameras",) if isinstance(listed_, dict) else ()
@@ -165,7 +167,7 @@ def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, A
 
 
 def _is_camera(value: Mapping[str, Any]) -> bool:
-    return any(key in value for key in _KEYS["matrix"])
+    return any(key in value for key in _QUANTITY_KEYS["matrix"])
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +214,9 @@ class _CalibrationEntry:
         )
 
     def _key(self, quantity: str) -> str | None:
-        return next((key for key in _KEYS[quantity] if key in self.value), None)
+        return next(
+            (key for key in _QUANTITY_KEYS[quantity] if key in self.value), None
+        )
 
     def _numbers(
         self, quantity: str, shape: tuple[int, ...] | None
@@ -222,7 +226,7 @@ class _CalibrationEntry:
             if quantity == "distortion":
                 return np.zeros(0)
             message = f"the camera has no {quantity}"
-            hint = f"write it as {listed(_KEYS[quantity])}"
+            hint = f"write it as {listed(_QUANTITY_KEYS[quantity])}"
             if quantity in {"rotation", "translation"}:
                 hint = f"only its lens is calibrated; {hint}"
             self.document.add("CAM003", self.location, message, hint)

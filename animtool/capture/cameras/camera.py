@@ -17,7 +17,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
 # Name of a single unnamed camera.
-UNNAMED = "cam00"
+DEFAULT_CAMERA_NAME = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.
 ROTATION_TOLERANCE = 5e-3
 _NEWTON_STEPS = 20
@@ -109,7 +109,7 @@ def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
     return np.array([camera.numbers for camera in cameras]).reshape(-1, 27)
 
 
-def distorted(camera: Camera, points: FloatArray) -> FloatArray:
+def distort(camera: Camera, points: FloatArray) -> FloatArray:
     """Return image plane points at depth 1 with lens distortion applied ``(…, 2)``."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = points[..., 0], points[..., 1]
@@ -134,7 +134,7 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
         in_camera = points @ camera.rotation.T + camera.translation
         depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
         x, y = np.moveaxis(
-            distorted(camera, in_camera[..., :2] / depth[..., None]), -1, 0
+            distort(camera, in_camera[..., :2] / depth[..., None]), -1, 0
         )
         pixel_x = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         pixel_y = camera.focal[1] * y + camera.centre[1]
@@ -143,7 +143,7 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     return pixels
 
 
-def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
+def pixel_rays(camera: Camera, pixels: FloatArray) -> FloatArray:
     """Return ray directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
 
     NaN where no direction near a pixel projects to it.
@@ -164,9 +164,9 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
     for _ in range(_NEWTON_STEPS if any(camera.distortion) else 0):
         # Finite differences are exact enough for the slopes of the lens: every step is
         # checked with the lens model itself.
-        step, projected = 1e-6, distorted(camera, estimate)
-        by_x = (distorted(camera, estimate + np.array([step, 0])) - projected) / step
-        by_y = (distorted(camera, estimate + np.array([0, step])) - projected) / step
+        step, projected = 1e-6, distort(camera, estimate)
+        by_x = (distort(camera, estimate + np.array([step, 0])) - projected) / step
+        by_y = (distort(camera, estimate + np.array([0, step])) - projected) / step
         error = projected - target
         det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
         det = np.where(det > 0, det, np.nan)

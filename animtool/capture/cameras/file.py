@@ -12,7 +12,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.capture.cameras.camera import (
-    UNNAMED,
+    DEFAULT_CAMERA_NAME,
     Camera,
     Cameras,
     nearest_rotation,
@@ -21,17 +21,17 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document
 from animtool.documents.fields import IgnoreModel, Name, Quaternion, Real, Vector
 from animtool.maths.so3 import to_matrix
 
 # Largest side of an image [px].
-MAX_SIDE = 100_000
+MAX_IMAGE_SIDE = 100_000
 MAX_CAMERAS = 256
 
 Focal = Annotated[Real, Field(gt=0)]
-Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+ImageSide = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE)]
 
 
 class CameraUnitsModel(FileModel):
@@ -48,7 +48,7 @@ class CameraModel(FileModel):
     """A calibrated camera: `x_camera = rotation * x_world + translation`."""
 
     name: Name = key("Unique name of the camera.", "cam01")
-    size: Annotated[list[Side], Len(2, 2)] | None = key(
+    size: Annotated[list[ImageSide], Len(2, 2)] | None = key(
         "Width and height of its images in pixels. Pixels outside are reported.",
         [1920, 1080],
         default=None,
@@ -103,7 +103,7 @@ class CamerasModel(FileModel):
     )
 
 
-def cameras_of_document(document: Document) -> Cameras:
+def parse_cameras(document: Document) -> Cameras:
     """Return a document as cameras.
 
     Raises:
@@ -111,7 +111,7 @@ def cameras_of_document(document: Document) -> Cameras:
             duplicate name (CAM002).
     """
     check_version(document, "cameras")
-    model = validated(document, CamerasModel)
+    model = validate_document(document, CamerasModel)
     scale = LengthUnit(model.units.length).meters
     cameras: list[Camera] = []
     names: dict[str, int] = {}
@@ -121,7 +121,7 @@ def cameras_of_document(document: Document) -> Cameras:
             hint = f"the first is views[{names[view.name]}]"
             document.add("CAM002", ("views", i, "name"), message, hint)
         names.setdefault(view.name, i)
-        rotation = _rotation(view.rotation)
+        rotation = _rotation_of(view.rotation)
         if rotation is None:
             message = "is not a rotation"
             hint = "write orthogonal, right-handed rows of length 1, or [w, x, y, z]"
@@ -144,7 +144,7 @@ def cameras_of_document(document: Document) -> Cameras:
     return Cameras(tuple(cameras), UpAxis(model.up), str(document.path), notices)
 
 
-def _rotation(value: list[list[float]] | list[float]) -> FloatArray | None:
+def _rotation_of(value: list[list[float]] | list[float]) -> FloatArray | None:
     """Return the rotation of a matrix or quaternion (w, x, y, z); None for neither."""
     numbers = np.array(value, np.float64)
     if numbers.ndim == 2:
@@ -170,12 +170,15 @@ def load_cameras(
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
     """
-    from animtool.capture.cameras.calibrations import calibration_of, read_any
+    from animtool.capture.cameras.calibrations import (
+        parse_calibration,
+        read_camera_document,
+    )
 
-    document = read_any(Path(path))
+    document = read_camera_document(Path(path))
     if isinstance(document.value.get("cameras"), str):
-        return cameras_of_document(document)
-    return calibration_of(document, unit, up)
+        return parse_cameras(document)
+    return parse_calibration(document, unit, up)
 
 
 def load_all_cameras(
@@ -200,7 +203,7 @@ def load_all_cameras(
             hint = "calibrate all cameras in one world, and write its `up` in each file"
             raise FormatError(Fault("CAM003", message, str(path), hint=hint))
         for camera in camera_set.cameras:
-            is_unnamed = len(camera_set) == 1 and camera.name == UNNAMED
+            is_unnamed = len(camera_set) == 1 and camera.name == DEFAULT_CAMERA_NAME
             name = path.name.partition(".")[0] if is_unnamed else camera.name
             if name in cameras:
                 message = f"two cameras are called {name!r}"

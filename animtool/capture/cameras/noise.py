@@ -28,7 +28,7 @@ PAIRWISE_POINTS = 400
 MEDIAN_LENGTH_2D = 1.1774100225154747
 # Expected least median of residuals over pairs of rays, relative to the noise, by the
 # number of cameras that see a point, from 2 on. Measured with cameras around a volume.
-_LEAST_MEDIANS = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
+_LEAST_MEDIAN_FACTORS = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
 # With less, a gate would follow the rounding of pixels [px].
 MIN_NOISE = 0.05
 # Cameras share one noise unless a camera's differs by this factor.
@@ -40,14 +40,14 @@ _SUSPECT_NOISE_RATIO = 1.1
 _MAX_SUSPECTS = 4
 # Minimum fraction of triangulated points for cameras to agree [1].
 MIN_TRIANGULATED = 0.5
-_ROUNDS = 2
-_OPEN_GATE = 1e6  # a gate that accepts everything
+_NOISE_ROUNDS = 2
+_UNLIMITED_GATE = 1e6  # a gate that accepts everything
 # The kernel's state of an observation.
 USED, _REJECTED, _INACTIVE = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class ObservationNoise:
     """Noise of each camera's observations.
 
     Attributes:
@@ -61,20 +61,20 @@ class Noise:
     agree: bool = True
 
 
-def measured_noise(
+def measure_noise(
     observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
-) -> Noise:
+) -> ObservationNoise:
     """Return the noise of observations, measured on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
     step = max(1, frames * markers // SAMPLE_POINTS)
     pixels = observations.pixels(0, frames, step)
     trust = observations.trust(0, frames, step)
     camera_parameters = camera_numbers(cameras)
-    noise = np.full(views, first_noise(pixels, camera_parameters))
+    noise = np.full(views, initial_noise(pixels, camera_parameters))
     active = np.ones(pixels.shape[:2], bool)
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
-    for round_ in range(_ROUNDS + views):
+    for round_ in range(_NOISE_ROUNDS + views):
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, camera_parameters, active, noise, *settings, detailed=True
         )
@@ -95,10 +95,10 @@ def measured_noise(
             worst, stale[worst] = left_out[0], left_out[1]
             active[:, worst] = False
             active_frame = active[0]
-            noise[:] = first_noise(
+            noise[:] = initial_noise(
                 pixels[:, active_frame], camera_parameters[active_frame]
             )
-        elif round_ >= _ROUNDS - 1:
+        elif round_ >= _NOISE_ROUNDS - 1:
             break
     points, *_ = _kernels.triangulate_points(
         pixels, trust, camera_parameters, active, noise, *settings, detailed=False
@@ -114,15 +114,15 @@ def measured_noise(
             camera_parameters,
             active,
             noise,
-            _OPEN_GATE,
+            _UNLIMITED_GATE,
             condition,
             detailed=True,
         )
         overall = _pooled_noise(_lengths(residuals), states == USED)
         noise[:] = noise if overall is None else max(overall, MIN_NOISE)
-        return Noise(noise, stale, agree=False)
+        return ObservationNoise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
-    return Noise(noise, stale)
+    return ObservationNoise(noise, stale)
 
 
 def _lengths(residuals: Float32Array) -> Any:
@@ -143,7 +143,7 @@ def _stale_camera(
     trust: FloatArray | None,
     noise: FloatArray,
     active_cameras: BoolArray,
-    ratios: FloatArray,
+    noise_ratios: FloatArray,
     settings: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
     """Return the camera that a change of pose fits best to the others' points.
@@ -152,10 +152,10 @@ def _stale_camera(
     """
     if active_cameras[0].sum() < 3:
         return None
-    suspects = np.argsort(-ratios, kind="stable")
+    suspects = np.argsort(-noise_ratios, kind="stable")
     candidates: list[tuple[float, int, PoseChange]] = []
     for camera in suspects[:_MAX_SUSPECTS].tolist():
-        if not active_cameras[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
+        if not active_cameras[0, camera] or noise_ratios[camera] < _SUSPECT_NOISE_RATIO:
             continue
         without_camera = active_cameras.copy()
         without_camera[:, camera] = False
@@ -177,7 +177,7 @@ def _stale_camera(
     return camera, change
 
 
-def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
+def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     """Return the noise estimated from least medians of squared residuals [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
@@ -187,8 +187,8 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     has_estimate = np.isfinite(least_medians) & (counts > 1)
     if not has_estimate.any():
         return 1.0
-    factors = np.array([*_LEAST_MEDIANS, 1.0])[
-        np.clip(counts - 2, 0, len(_LEAST_MEDIANS))
+    factors = np.array([*_LEAST_MEDIAN_FACTORS, 1.0])[
+        np.clip(counts - 2, 0, len(_LEAST_MEDIAN_FACTORS))
     ]
     return max(
         float(np.median(least_medians[has_estimate] / factors[has_estimate])), MIN_NOISE
@@ -198,13 +198,13 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
 def _pooled_noise(lengths: FloatArray, used: BoolArray) -> float | None:
     """Estimate the noise from the points' sums of squares [px]."""
     counts = used.sum(axis=1)
-    sums = np.where(used, lengths, 0.0)
-    sums = (sums * sums).sum(axis=1)[counts > 1]
+    square_sums = np.where(used, lengths, 0.0)
+    square_sums = (square_sums * square_sums).sum(axis=1)[counts > 1]
     degrees_of_freedom = 2.0 * counts[counts > 1] - 3
-    if not len(sums):
+    if not len(square_sums):
         return None
     middle = degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
-    return float(np.sqrt(np.median(sums / middle)))
+    return float(np.sqrt(np.median(square_sums / middle)))
 
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:

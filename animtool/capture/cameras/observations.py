@@ -23,7 +23,7 @@ from animtool.documents.arrays import Archives
 
 # Pixel arrays by key: unit of a stored number [px], and the number that marks invisible
 # points.
-_ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
+_PIXEL_ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
 MAX_CAMERAS = 256
 # Hint for a file that has no observations.
 LAYOUT_HINT = (
@@ -32,9 +32,9 @@ LAYOUT_HINT = (
     "stage.cameras.yaml -o markers.npz"
 )
 # Bytes read to identify another file type.
-HEAD = 4096
+HEAD_BYTES = 4096
 # Valid rates of a capture [Hz].
-_RATES = (0.1, 100_000.0)
+_RATE_RANGE = (0.1, 100_000.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,17 +102,17 @@ def read_observations(
     open_input(path, None).close()
     try:
         with Archives() as archives:
-            return _read(archives, path, fps)
+            return _read_arrays(archives, path, fps)
     except ValueError as error:
         message = str(error).removeprefix(path.name).lstrip("# ")
-        message, hint = _other_kind(path, message)
+        message, hint = _not_npz_error(path, message)
         raise FormatError(Fault("CAM010", message, str(path), hint=hint)) from error
 
 
-def _other_kind(path: Path, message: str) -> tuple[str, str]:
+def _not_npz_error(path: Path, message: str) -> tuple[str, str]:
     """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
-        first_bytes = file.read(HEAD)
+        first_bytes = file.read(HEAD_BYTES)
     if first_bytes[:2] == b"PK":
         return message, LAYOUT_HINT
     text = first_bytes.lstrip(b"\xef\xbb\xbf \r\n\t")
@@ -135,15 +135,17 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
     return kind, LAYOUT_HINT
 
 
-def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observations:
+def _read_arrays(
+    archives: Archives, path: Path, fps: FractionLike | None
+) -> Observations:
     array_names = archives.names(path)
-    key = next((name for name in _ARRAYS if name in array_names), None)
+    key = next((name for name in _PIXEL_ARRAYS if name in array_names), None)
     if key is None:
         arrays = listed(array_names) or "nothing"
         raise ValueError(
             f"has no array 'uv' or 'uv8' of pixels; its arrays are {arrays}"
         )
-    unit, missing = _ARRAYS[key]
+    unit, missing = _PIXEL_ARRAYS[key]
     header = archives.header(path, key)
     if len(header.shape) != 4 or header.shape[3] != 2:
         message = f"{key!r} has shape {header.shape}, not (frames, cameras, markers, 2)"
@@ -174,7 +176,7 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
             raise ValueError(
                 f"{label!r} has {length}, but {key!r} has {expected_length}"
             )
-    rate = _rate(archives, path, array_names, fps)
+    rate = _observation_rate(archives, path, array_names, fps)
     confidences = None
     if "confidence" in array_names:
         confidences = archives.load(path, "confidence")
@@ -187,7 +189,7 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
     )
 
 
-def _rate(
+def _observation_rate(
     archives: Archives, path: Path, array_names: list[str], fps: FractionLike | None
 ) -> Fraction:
     if fps is not None:
@@ -197,7 +199,7 @@ def _rate(
             f"has no number 'fs', the frame rate; set it with {argument('fps')}"
         )
     stored_rates = archives.stored(path, "fs").ravel()
-    low, high = _RATES
+    low, high = _RATE_RANGE
     if stored_rates.size != 1 or not low <= float(stored_rates[0]) <= high:
         rates = listed(stored_rates.tolist())
         raise ValueError(
@@ -206,7 +208,7 @@ def _rate(
     return rate_from_float(float(stored_rates[0]))
 
 
-def matched(observations: Observations, cameras: Cameras) -> Cameras:
+def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
     """Return the cameras in the order of the observations.
 
     Raises:

@@ -23,10 +23,10 @@ from animtool.capture.cameras.camera import (
     Camera,
     Cameras,
     camera_numbers,
+    pixel_rays,
     project,
-    rays,
 )
-from animtool.capture.cameras.observations import Observations, matched
+from animtool.capture.cameras.observations import Observations, match_cameras
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -44,11 +44,11 @@ MAX_PEOPLE = 100
 # rays.
 _MAX_SHIFT, _MAX_RAY_GAP = 0.3, 0.06
 # Longest absence of a tracked person [s].
-LOST_SECONDS = 0.5
+MAX_LOST_SECONDS = 0.5
 # People visible for less than this are false detections [s].
-MIN_SECONDS = 0.25
+MIN_TRACK_SECONDS = 0.25
 # Minimum number of shared keypoints for comparing two images.
-MIN_SHARED = 3
+MIN_SHARED_KEYPOINTS = 3
 # Noise of detectors relative to the diagonal of a person [1], its outlier gate and
 # largest condition number.
 _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
@@ -82,7 +82,7 @@ def follow_people(
             all.
     """
     tracks: list[_PersonTrack] = []
-    lost_after = max(1, round(LOST_SECONDS * rate))
+    lost_after = max(1, round(MAX_LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
         live = [t for t in tracks if frame - t.last_frame <= lost_after]
         unassigned_detections = {
@@ -103,7 +103,7 @@ def follow_people(
             track.points = np.where(is_triangulated, points, track.points)
             track.last_frame = frame
             track.detections.update({(frame, camera): i for camera, i in group.items()})
-    min_frames = min(len(detections), max(1, round(MIN_SECONDS * rate)))
+    min_frames = min(len(detections), max(1, round(MIN_TRACK_SECONDS * rate)))
     long_tracks = [
         t for t in tracks if len({f for f, _ in t.detections}) >= min_frames
     ] or tracks
@@ -131,7 +131,7 @@ def _stack_tracks(
     return gathered.reshape(shape[0], cameras, -1, 3)
 
 
-def _size(keypoints: FloatArray) -> float:
+def _person_size(keypoints: FloatArray) -> float:
     """Return the diagonal of a person's visible keypoints [px]."""
     spread = np.nanmax(keypoints[:, :2], axis=0) - np.nanmin(keypoints[:, :2], axis=0)
     return max(float(np.linalg.norm(spread)), 1.0)
@@ -156,8 +156,10 @@ def _continue_tracks(
             for i, keypoints in enumerate(people[c]):
                 distances = np.linalg.norm(projected - keypoints[:, :2], axis=-1)
                 is_visible = np.isfinite(distances)
-                if is_visible.sum() >= MIN_SHARED:
-                    cost = float(np.median(distances[is_visible])) / _size(keypoints)
+                if is_visible.sum() >= MIN_SHARED_KEYPOINTS:
+                    cost = float(np.median(distances[is_visible])) / _person_size(
+                        keypoints
+                    )
                     costs[t, i] = min(cost, _MAX_SHIFT)
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
             if costs[t, i] < _MAX_SHIFT:
@@ -174,7 +176,9 @@ def _group_detections(
     """Return new people: detections whose rays intersect."""
     pairs = []
     ray_directions = {
-        detection: _rays(cameras[detection[0]], people[detection[0]][detection[1]])
+        detection: _keypoint_rays(
+            cameras[detection[0]], people[detection[0]][detection[1]]
+        )
         for detection in free
     }
     for a, det_a in enumerate(free):
@@ -183,8 +187,8 @@ def _group_detections(
                 cost = _ray_distance(
                     cameras[det_a[0]], ray_directions[det_a],
                     cameras[det_b[0]], ray_directions[det_b],
-                    _size(people[det_a[0]][det_a[1]]),
-                    _size(people[det_b[0]][det_b[1]]),
+                    _person_size(people[det_a[0]][det_a[1]]),
+                    _person_size(people[det_b[0]][det_b[1]]),
                 )  # fmt: skip
                 if cost < _MAX_RAY_GAP:
                     pairs.append((cost, det_a, det_b))
@@ -208,9 +212,9 @@ def _group_detections(
     return [group for group in unique.values() if len(group) > 1]
 
 
-def _rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
+def _keypoint_rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
     """Return directions of keypoints in the world ``(M, 3)``."""
-    image_points = rays(camera, keypoints[:, :2])
+    image_points = pixel_rays(camera, keypoints[:, :2])
     directions = np.concatenate([image_points, np.ones((len(image_points), 1))], axis=1)
     return np.asarray(directions @ camera.rotation)
 
@@ -239,7 +243,7 @@ def _ray_distance(
             sine = np.abs(np.einsum("mi,mi->m", ray_set, normal))
             sine = sine / np.linalg.norm(normal, axis=1)
         is_finite = np.isfinite(sine)
-        if is_finite.sum() < MIN_SHARED:
+        if is_finite.sum() < MIN_SHARED_KEYPOINTS:
             return np.inf
         # Lengths are at depth 1 of the camera.
         largest = max(
@@ -259,7 +263,7 @@ def _solve_person(
         return None
     selected = sorted(group)
     views = np.stack([people[c][group[c]] for c in selected])
-    noise = np.array([_NOISE * _size(view) for view in views])
+    noise = np.array([_NOISE * _person_size(view) for view in views])
     points: FloatArray = _kernels.triangulate_points(
         np.ascontiguousarray(views[None, :, :, :2]), None,
         camera_numbers([cameras[c] for c in selected]),
@@ -267,7 +271,9 @@ def _solve_person(
         detailed=False,
     )[0][0]  # fmt: skip
     triangulated = np.isfinite(points).all(axis=-1)
-    return points if triangulated.sum() >= min(MIN_SHARED, keypoints) else None
+    return (
+        points if triangulated.sum() >= min(MIN_SHARED_KEYPOINTS, keypoints) else None
+    )
 
 
 BODY_25 = (
@@ -280,11 +286,11 @@ COCO_18 = (
     "RHip", "RKnee", "RAnkle", "LHip", "LKnee", "LAnkle", "REye", "LEye", "REar",
     "LEar",
 )  # fmt: skip
-_NAMES = {25: BODY_25, 18: COCO_18}
+_KEYPOINT_NAMES = {25: BODY_25, 18: COCO_18}
 # Keypoints of a person; with hands and face there are 137.
 MAX_KEYPOINTS = 1000
 MAX_FRAMES = 1_000_000
-_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 
 def read_keypoints(
@@ -322,7 +328,7 @@ def read_keypoints(
         message = "contains no folder of JSON files for each camera"
         raise FormatError(Fault("CAM010", message, str(folder)))
     names = _camera_names(folders, cameras)
-    frames = [dict(_frames(subfolder)) for subfolder in folders]
+    frames = [dict(_numbered_files(subfolder)) for subfolder in folders]
     first = min(min(files) for files in frames)
     last = max(max(files) for files in frames)
     if last - first >= MAX_FRAMES:
@@ -332,9 +338,9 @@ def read_keypoints(
         (), Clock(rate, Fraction(1), Fraction(1), last - first + 1),
         np.zeros((1, len(folders), 0, 2)), names, path=str(folder),
     )  # fmt: skip
-    chosen = matched(frame_clock, cameras)
+    chosen = match_cameras(frame_clock, cameras)
     detections = [
-        [_people(files[f]) if f in files else [] for files in frames]
+        [_read_people(files[f]) if f in files else [] for files in frames]
         for f in range(first, last + 1)
     ]
     counts = {len(p) for frame in detections for detected in frame for p in detected}
@@ -344,7 +350,9 @@ def read_keypoints(
         raise FormatError(Fault("CAM010", message, str(folder), (), hint))
     keypoints = counts.pop()
     tracks = follow_people(detections, chosen.cameras, float(rate), keypoints, people)
-    labels = _NAMES.get(keypoints) or tuple(f"point{i:02d}" for i in range(keypoints))
+    labels = _KEYPOINT_NAMES.get(keypoints) or tuple(
+        f"point{i:02d}" for i in range(keypoints)
+    )
     persons = tracks.shape[2] // keypoints
     points = tuple(
         label if persons == 1 else f"person{p + 1}_{label}"
@@ -387,11 +395,11 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     return cameras.names
 
 
-def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
+def _numbered_files(folder: Path) -> Iterator[tuple[int, Path]]:
     """Yield a camera's files with their frame numbers."""
     file_of_frame: dict[int, Path] = {}
     for path in sorted(folder.glob("*.json")):
-        number = _NUMBER.search(path.name.removesuffix("_keypoints.json"))
+        number = _LAST_NUMBER.search(path.name.removesuffix("_keypoints.json"))
         if number is None or len(number[1]) > 15:
             message = "has no frame number in its name"
             raise FormatError(Fault("CAM010", message, str(path)))
@@ -403,7 +411,7 @@ def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
         yield frame, path
 
 
-def _people(path: Path) -> list[FloatArray]:
+def _read_people(path: Path) -> list[FloatArray]:
     """Return the people of a file: x, y and confidence of keypoints ``(M, 3)``."""
     data = read_input(path, MAX_TEXT_BYTES)
     try:
@@ -414,7 +422,7 @@ def _people(path: Path) -> list[FloatArray]:
             for keypoints in people[: MAX_PEOPLE + 1]
         ]
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        message = f"is not a file of keypoints: {_reason(error)}"
+        message = f"is not a file of keypoints: {_error_reason(error)}"
         raise FormatError(Fault("CAM010", message, str(path))) from error
     if len(people) > MAX_PEOPLE:
         message = f"holds {len(people)} people; the limit is {MAX_PEOPLE}"
@@ -431,7 +439,7 @@ def _people(path: Path) -> list[FloatArray]:
     return detected
 
 
-def _reason(error: Exception) -> str:
+def _error_reason(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}"
     if isinstance(error, RecursionError):

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera
-from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, PoseShift
+from animtool.capture.cameras.stale import MIN_VIEW, CameraDisagreement, PoseShift
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent_text
@@ -19,9 +19,9 @@ from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
 
 # Fraction of a camera's outliers above which it is reported [1].
-MANY_OUTLIERS = 0.1
+MAX_OUTLIER_FRACTION = 0.1
 # Fraction of lost points in a frame above which it is reported [1].
-MANY_LOST = 0.5
+MAX_LOST_FRACTION = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class CameraReport:
     no_ray: int = 0
     outside: int = 0
     shifts: tuple[PoseShift, ...] = ()
-    disagrees: tuple[Disagreement, ...] = ()
+    disagrees: tuple[CameraDisagreement, ...] = ()
     json_keys: ClassVar[str] = (
         "name observed used outliers noise_px reprojection=.{px=error_px mm=error_mm} "
         "moved=shifts disagrees"
@@ -99,7 +99,7 @@ class Triangulation:
 
 
 @dataclass(frozen=True, slots=True)
-class Tallies:
+class ObservationCounts:
     """Observation counts per frame and camera, from the kernel ``(F, C, 8)``."""
 
     values: FloatArray
@@ -182,7 +182,7 @@ def camera_notices(
             text += f" ({percent_text(worst.outliers)} outliers in {worst.frame + 1})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
-    if report.outliers > MANY_OUTLIERS and not report.shifts:
+    if report.outliers > MAX_OUTLIER_FRACTION and not report.shifts:
         text = (
             f"{percent_text(report.outliers)} of the points of camera "
             f"{report.name!r} are "
@@ -215,7 +215,8 @@ def lost_frames(
     """
     lost_counts = (visible & np.isnan(positions[..., 0])).sum(axis=1)
     frames = np.flatnonzero(
-        (lost_counts > MANY_LOST * visible.sum(axis=1)) & (lost_counts >= MIN_VIEW)
+        (lost_counts > MAX_LOST_FRACTION * visible.sum(axis=1))
+        & (lost_counts >= MIN_VIEW)
     )
     if not len(frames) or len(frames) == clock.count:
         return

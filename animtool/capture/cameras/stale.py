@@ -13,7 +13,7 @@ from animtool.maths.runs import merge_runs, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
 # Minimum fraction of outliers of a camera that does not fit its calibration [1].
-MIN_REJECTED = 0.5
+MIN_REJECTED_FRACTION = 0.5
 # Minimum duration [s] and number of observations to judge it.
 MIN_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
@@ -73,7 +73,7 @@ class PoseShift:
 
 
 @dataclass(frozen=True, slots=True)
-class Disagreement:
+class CameraDisagreement:
     """A frame in which a camera does not agree with the others.
 
     Attributes:
@@ -115,7 +115,9 @@ def shifted_ranges(
         count = _window_sums(np.where(live, judged[:, camera], 0), window)
         rejected_count = _window_sums(np.where(live, rejected[:, camera], 0), window)
         is_off = (
-            live & (rejected_count > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
+            live
+            & (rejected_count > MIN_REJECTED_FRACTION * count)
+            & (count >= MIN_OBSERVATIONS)
         )
         rejections = np.where(live[:, None], rejected, 0.0)
         ranges = _find_shifts(judged, rejections, camera, is_off, window)
@@ -137,7 +139,9 @@ def stale_ranges(
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
     count = _window_sums(judged[:, camera], window)
     rejected_count = _window_sums(rejected[:, camera], window)
-    is_off = (rejected_count > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
+    is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | (
+        count < MIN_OBSERVATIONS
+    )
     if not (is_off & (count >= MIN_OBSERVATIONS)).any():
         is_off[:] = True
     return _find_shifts(judged, rejected, camera, is_off, window)
@@ -145,7 +149,7 @@ def stale_ranges(
 
 def disagreements(
     values: FloatArray, camera: int, noise: float, live: BoolArray
-) -> list[Disagreement]:
+) -> list[CameraDisagreement]:
     """Return single frames in which a camera does not agree with the others.
 
     Args:
@@ -158,11 +162,11 @@ def disagreements(
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = pixels / used / (2 * noise**2)
         ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
-    mostly_rejected = rejected > MIN_REJECTED * judged
+    mostly_rejected = rejected > MIN_REJECTED_FRACTION * judged
     is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD_RATIO**2, ratio_limit))
     frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (mostly_rejected | is_loud))
     return [
-        Disagreement(
+        CameraDisagreement(
             f,
             float(rejected[f] / judged[f]),
             float(np.sqrt(pixels[f] / used[f])) if used[f] else float("nan"),
@@ -207,10 +211,10 @@ def _find_shifts(
 ) -> list[PoseShift]:
     """Return the exact frame ranges in which a camera does not fit."""
     is_rejected = np.concatenate(
-        [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
+        [rejected[:, camera] > MIN_REJECTED_FRACTION * judged[:, camera], [False]]
     )
     ranges = []
-    for begin, end in _runs(is_off, window):
+    for begin, end in _outlier_runs(is_off, window):
         first = begin - int(np.argmin(is_rejected[:begin][::-1])) if begin else 0
         if begin and is_rejected[:begin].all():
             first = 0
@@ -236,7 +240,7 @@ def _window_sums(values: FloatArray, window: int) -> FloatArray:
     return np.asarray(cumulative[end] - cumulative[first])
 
 
-def _runs(is_off: BoolArray, window: int) -> list[tuple[int, int]]:
+def _outlier_runs(is_off: BoolArray, window: int) -> list[tuple[int, int]]:
     """Return runs of at least a window of frames; shorter gaps are closed."""
     # A shift that lasts a window shows for at least half of one around it.
     min_frames = max(1, window // 2)
@@ -273,7 +277,7 @@ def pose_change(
             return None
         middle = max(float(np.median(lengths[usable])), 1e-6)
         weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
-        slopes = _slopes(refined_camera, points)
+        slopes = _pixel_derivatives(refined_camera, points)
         usable &= np.isfinite(slopes).all(axis=(1, 2))
         root = np.sqrt(weights[usable])[:, None]
         matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
@@ -294,7 +298,7 @@ def pose_change(
     )
 
 
-def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
+def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
     """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
     projected_points = project(camera, points)
     increment = 1e-6

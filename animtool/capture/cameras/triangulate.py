@@ -14,17 +14,17 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.capture.cameras.camera import Cameras, camera_numbers
-from animtool.capture.cameras.noise import USED, measured_noise
-from animtool.capture.cameras.observations import Observations, matched
+from animtool.capture.cameras.noise import USED, measure_noise
+from animtool.capture.cameras.observations import Observations, match_cameras
 from animtool.capture.cameras.report import (
-    Tallies,
+    ObservationCounts,
     Triangulation,
     camera_notices,
     gap_notices,
     lost_frames,
 )
 from animtool.capture.cameras.stale import (
-    Disagreement,
+    CameraDisagreement,
     PoseChange,
     PoseShift,
     disagreements,
@@ -33,7 +33,7 @@ from animtool.capture.cameras.stale import (
     stale_ranges,
     truncated_error,
 )
-from animtool.capture.markers.plausible import implausible
+from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.options import TriangulateOptions
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
@@ -41,7 +41,7 @@ from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 # Observations per block: memory stays below 50 MB.
-BLOCK = 500_000
+BLOCK_VALUES = 500_000
 # With noise above this fraction of an image's width, cameras and observations do not
 # belong together [1].
 MAX_NOISE = 0.03
@@ -51,7 +51,7 @@ SUSPECT_NOISE = 0.01
 _CHANGE_FRAMES = 50
 # Relative difference below which errors count as equal [1]: outliers of a camera that
 # is kept are rejected anyway.
-TIE_RATIO = 1.02
+TIE_COST_RATIO = 1.02
 
 Progress = Callable[[float], None]
 
@@ -79,7 +79,7 @@ def triangulate(
     options = options or TriangulateOptions()
     _check_options(options)
     run = _TriangulationRun(
-        observations, matched(observations, cameras), options, progress
+        observations, match_cameras(observations, cameras), options, progress
     )
     return run.result()
 
@@ -116,7 +116,7 @@ class _TriangulationRun:
         self.noise = np.ones(self.views)
         self.positions = np.full((self.frames, self.markers, 3), np.nan)
         self.known = np.full((self.frames, self.markers, 5), np.nan)
-        self.tallies = Tallies(np.zeros((self.frames, self.views, 8)))
+        self.tallies = ObservationCounts(np.zeros((self.frames, self.views, 8)))
         self.notices = [*cameras.notices, *observations.notices]
         self.shifts: list[list[PoseShift]] = [[] for _ in range(self.views)]
 
@@ -124,7 +124,7 @@ class _TriangulationRun:
         """Return the points and the reports."""
         stale = self._measure()
         self._solve(0, self.frames)
-        self._note_stale(stale)
+        self._record_stale(stale)
         self._exclude_shifted()
         self._check_triangulated()
         return self._triangulation()
@@ -134,7 +134,7 @@ class _TriangulationRun:
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
-        noise = measured_noise(
+        noise = measure_noise(
             self.observations, self.cameras.cameras, self.options.gate, self._condition
         )
         if not self.options.keep_moved:
@@ -147,7 +147,7 @@ class _TriangulationRun:
         width = max(1.0, float(np.median(widths)))
         if middle > MAX_NOISE * width:
             message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
-            self._disagree(message)
+            self._warn_of_disagreement(message)
         if not noise.agree or middle > SUSPECT_NOISE * width:
             message = f"rays of the cameras miss each other by {middle:.1f} px"
             hint = "one of them may have moved; calibrate them again"
@@ -164,7 +164,7 @@ class _TriangulationRun:
 
     def _solve(self, first: int, end: int) -> None:
         """Solve frames block by block, and store the results."""
-        for first_frame, end_frame in self._blocks(first, end):
+        for first_frame, end_frame in self._frame_blocks(first, end):
             block = slice(first_frame, end_frame)
             self.positions[block], self.known[block], self.tallies.values[block], *_ = (
                 _kernels.triangulate_points(
@@ -181,12 +181,12 @@ class _TriangulationRun:
             if self.progress is not None:
                 self.progress(end_frame / self.frames)
 
-    def _blocks(self, first: int, end: int) -> Iterator[tuple[int, int]]:
-        size = max(1, BLOCK // (self.views * self.markers))
+    def _frame_blocks(self, first: int, end: int) -> Iterator[tuple[int, int]]:
+        size = max(1, BLOCK_VALUES // (self.views * self.markers))
         for begin in range(first, end, size):
             yield begin, min(begin + size, end)
 
-    def _note_stale(self, stale: dict[int, PoseChange]) -> None:
+    def _record_stale(self, stale: dict[int, PoseChange]) -> None:
         """Record where cameras with a better pose do not fit; use them elsewhere.
 
         The test covers all frames at once first: a camera that moved during the take is
@@ -197,7 +197,7 @@ class _TriangulationRun:
             judged, rejected = self.tallies.judged, self.tallies.rejected
             ranges = stale_ranges(judged, rejected, camera, rate)
             previously_active = self.active[:, camera].copy()
-            self.shifts[camera] += self._left_out(
+            self.shifts[camera] += self._mark_kept(
                 camera, [replace(shift, change=change) for shift in ranges]
             )
             if not self.options.keep_moved:
@@ -206,7 +206,7 @@ class _TriangulationRun:
                     self.active[shift.first : shift.end, camera] = shift.kept
                 self._solve_changed(self.active[:, camera] != previously_active)
 
-    def _left_out(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
+    def _mark_kept(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
         """Return ranges, marking a camera as kept where leaving it out does not help.
 
         The criterion is the reprojection error of the other cameras.
@@ -252,7 +252,7 @@ class _TriangulationRun:
                     takes_part,
                 )
             )
-        return errors[1] <= TIE_RATIO * errors[0]
+        return errors[1] <= TIE_COST_RATIO * errors[0]
 
     def _solve_changed(self, changed: BoolArray) -> None:
         """Solve frames again whose set of cameras changed."""
@@ -272,15 +272,17 @@ class _TriangulationRun:
             if worst is None:
                 break
             camera, ranges = worst
-            ranges = self._left_out(camera, ranges)
-            self.shifts[camera] += [self._explained(camera, shift) for shift in ranges]
+            ranges = self._mark_kept(camera, ranges)
+            self.shifts[camera] += [
+                self._with_pose_change(camera, shift) for shift in ranges
+            ]
             for shift in ranges:
                 is_active[shift.first : shift.end, camera] = False
                 if not (self.options.keep_moved or shift.kept):
                     self.active[shift.first : shift.end, camera] = False
                     self._solve(shift.first, shift.end)
 
-    def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
+    def _disagreements(self, camera: int) -> tuple[CameraDisagreement, ...]:
         """Return single frames in which a camera disagrees with the others."""
         live = self.active[:, camera].copy()
         for shift in self.shifts[camera]:
@@ -288,7 +290,7 @@ class _TriangulationRun:
         noise = float(self.noise[camera])
         return tuple(disagreements(self.tallies.values, camera, noise, live))
 
-    def _explained(self, camera: int, shift: PoseShift) -> PoseShift:
+    def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
         """Return a range with the pose change that explains it."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
@@ -303,7 +305,7 @@ class _TriangulationRun:
             message = "no point is seen by two cameras in any frame"
             path = self.observations.path or None
             raise OptionError(Fault("CAM013", message, path))
-        self._disagree(
+        self._warn_of_disagreement(
             f"no two cameras agree on any of {counted(self._view_count, 'point')}"
         )
 
@@ -311,7 +313,7 @@ class _TriangulationRun:
         path = self.cameras.path or None
         self.notices.append(Fault(code, message, path, (), hint, Severity.WARNING))
 
-    def _disagree(self, message: str) -> None:
+    def _warn_of_disagreement(self, message: str) -> None:
         hint = "is this the calibration of these cameras, in this order, for images of "
         hint += "this size?"
         path = self.cameras.path or None
@@ -362,7 +364,9 @@ class _TriangulationRun:
             notices=tuple(notices),
         )
         path = self.cameras.path or None
-        notices += [replace(notice, path=path) for notice in implausible(markers)]
+        notices += [
+            replace(notice, path=path) for notice in plausibility_warnings(markers)
+        ]
         return Triangulation(
             markers,
             self.known[..., 2].copy(),

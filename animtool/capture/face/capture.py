@@ -38,10 +38,10 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.references import split_reference
 
-_UNITS = {f"_{unit}": unit.meters for unit in LengthUnit}
-_POINTS = re.compile(r"landmarks(_mm|_cm|_m|_in|_px)?")
+_UNIT_SUFFIXES = {f"_{unit}": unit.meters for unit in LengthUnit}
+_POINTS_ARRAY = re.compile(r"landmarks(_mm|_cm|_m|_in|_px)?")
 MAX_POSITIONS = 200_000_000
-MAX_LISTED = 12
+MAX_LISTED_LANDMARKS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def read_capture(
     open_input(path, None).close()
     try:
         with Archives() as archives:
-            return _read(archives, path, array, unit, up or UpAxis.Y, fps)
+            return _read_arrays(archives, path, array, unit, up or UpAxis.Y, fps)
     except ValueError as error:
         raise _format_error(
             path, str(error).removeprefix(path.name).lstrip("# ")
@@ -125,7 +125,7 @@ def _format_error(path: Path, message: str, hint: str | None = None) -> FormatEr
     return FormatError(Fault("FAC003", message, str(path), (), hint))
 
 
-def _read(
+def _read_arrays(
     archives: Archives,
     path: Path,
     array: str,
@@ -134,7 +134,7 @@ def _read(
     fps: FractionLike | None,
 ) -> FaceCapture:
     keys = archives.names(path)
-    names = [name for name in keys if _POINTS.fullmatch(name)]
+    names = [name for name in keys if _POINTS_ARRAY.fullmatch(name)]
     if array:
         names = [array]
     if not names:
@@ -149,7 +149,7 @@ def _read(
     frames, count, _ = header.shape
     if not frames or not count or frames * count > MAX_POSITIONS:
         raise _format_error(path, f"{key} has {frames} frames of {count} landmarks")
-    scale = 1.0 if width == 2 else _meters(key, unit)
+    scale = 1.0 if width == 2 else _unit_meters(key, unit)
     points = np.array(archives.stored(path, key), np.float64) * scale
     notices = []
     # NaN marks missing values; infinite ones count as missing too.
@@ -169,21 +169,25 @@ def _read(
     return FaceCapture(
         path,
         texts,
-        Clock(_rate(archives, path, keys, fps), Fraction(1), Fraction(1), frames),
+        Clock(
+            _capture_rate(archives, path, keys, fps), Fraction(1), Fraction(1), frames
+        ),
         points,
         up,
-        _model(archives, path, keys, texts, unit),
+        _stored_model(archives, path, keys, texts, unit),
         tuple(notices),
     )
 
 
-def _meters(key: str, unit: LengthUnit | None) -> float:
+def _unit_meters(key: str, unit: LengthUnit | None) -> float:
     if unit is not None:
         return unit.meters
-    return _UNITS.get(key[key.rfind("_") :] if "_" in key else "", LengthUnit.MM.meters)
+    return _UNIT_SUFFIXES.get(
+        key[key.rfind("_") :] if "_" in key else "", LengthUnit.MM.meters
+    )
 
 
-def _rate(
+def _capture_rate(
     archives: Archives, path: Path, array_names: Sequence[str], fps: FractionLike | None
 ) -> Fraction:
     if fps is not None:
@@ -200,7 +204,7 @@ def _rate(
         ) from error
 
 
-def _model(
+def _stored_model(
     archives: Archives,
     path: Path,
     array_names: Sequence[str],
@@ -214,7 +218,9 @@ def _model(
         return None
 
     def meters(key: str) -> FloatArray:
-        values: npt.NDArray[np.float64] = archives.load(path, key) * _meters(key, unit)
+        values: npt.NDArray[np.float64] = archives.load(path, key) * _unit_meters(
+            key, unit
+        )
         return values
 
     points = meters(neutral)
@@ -229,7 +235,9 @@ def _model(
         raise FormatError(faults) from error
 
 
-def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[Fault]]:
+def order_landmarks(
+    capture: FaceCapture, model: FaceModel
+) -> tuple[FloatArray, list[Fault]]:
     """Return landmarks in a face's order ``(F, N, …)``, and warnings.
 
     Named landmarks match by name, so that others may be missing; unnamed ones by index.

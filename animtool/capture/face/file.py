@@ -8,16 +8,16 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Len
 
-from animtool.capture.face.model import BentShapes, FaceModel
+from animtool.capture.face.model import FaceModel, NonlinearShapes
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.config import project_roots
 from animtool.core.names import nearest
 from animtool.core.options import key
 from animtool.core.record import dataclass
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
-from animtool.documents.references import referred_input
+from animtool.documents.references import resolve_input
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, surfaces_of
@@ -97,13 +97,13 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
     """
-    return landmarks_of_document(read_document(Path(path)))
+    return parse_landmarks(read_document(Path(path)))
 
 
-def landmarks_of_document(document: Document) -> LandmarksFile:
+def parse_landmarks(document: Document) -> LandmarksFile:
     """Return a document as a landmarks file; mismatches are FAC008."""
     check_version(document, "landmarks")
-    model = validated(document, LandmarksModel)
+    model = validate_document(document, LandmarksModel)
     index_of_name: dict[str, int] = {}
     for i, point in enumerate(model.points):
         location: Location = ("points", i)
@@ -127,7 +127,7 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
     rig = None
     if model.rig is not None:
         roots = project_roots(document.path)
-        rig = referred_input(document, ("rig",), model.rig, roots)
+        rig = resolve_input(document, ("rig",), model.rig, roots)
     document.check()
     return LandmarksFile(document, model, rig)
 
@@ -141,8 +141,10 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         FormatError: The rig has no such mesh, or the mesh no such vertex (FAC008).
     """
     surfaces = {surface.name: surface for surface in surfaces_of(rig)}
-    rows = _rows(file, surfaces)
-    neutral = np.stack([_at(surfaces[m].points, weight, w) for m, weight, w in rows])
+    rows = _landmark_rows(file, surfaces)
+    neutral = np.stack(
+        [_at_landmark(surfaces[m].points, weight, w) for m, weight, w in rows]
+    )
     deltas: dict[str, FloatArray] = {}
     bent_shapes: list[ShapeDeltas] = []
     for shape in rig.shapes:
@@ -172,7 +174,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         np.stack([deltas[name] for name in names])
         if names
         else np.zeros((0, *neutral.shape)),
-        BentShapes(
+        NonlinearShapes(
             shapes,
             prepare_shapes(bent_shapes, neutral),
             tuple(columns[n] for n in names),
@@ -182,17 +184,19 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     )
 
 
-_Row = tuple[str, IntArray, FloatArray]
+_LandmarkRow = tuple[str, IntArray, FloatArray]
 
 
-def _rows(file: LandmarksFile, surfaces: dict[str, Surface]) -> list[_Row]:
+def _landmark_rows(
+    file: LandmarksFile, surfaces: dict[str, Surface]
+) -> list[_LandmarkRow]:
     """Return mesh, vertices and weights of each landmark."""
     document, model = file.document, file.model
     meshes_with_shapes = [name for name, surface in surfaces.items() if surface.shapes]
     default_mesh = model.mesh or (
         meshes_with_shapes[0] if len(meshes_with_shapes) == 1 else None
     )
-    rows: list[_Row] = []
+    rows: list[_LandmarkRow] = []
     for i, point in enumerate(model.points):
         location: Location = ("points", i)
         mesh = point.mesh or default_mesh
@@ -224,7 +228,9 @@ def _rows(file: LandmarksFile, surfaces: dict[str, Surface]) -> list[_Row]:
     return rows
 
 
-def _at(values: FloatArray, vertices: IntArray, weights: FloatArray) -> FloatArray:
+def _at_landmark(
+    values: FloatArray, vertices: IntArray, weights: FloatArray
+) -> FloatArray:
     """Return an array of a mesh at a landmark ``(3,)``."""
     return np.asarray(weights @ values[vertices])
 
@@ -233,7 +239,7 @@ _Displacement = tuple[FloatArray, list[tuple[float, FloatArray]]]
 
 
 def _displacement(
-    shape: Shape, surfaces: dict[str, Surface], rows: list[_Row]
+    shape: Shape, surfaces: dict[str, Surface], rows: list[_LandmarkRow]
 ) -> _Displacement | None:
     """Return a shape's offsets at landmarks, with in-betweens; None for nothing."""
     match: SurfaceShape | None = None
@@ -251,7 +257,9 @@ def _displacement(
             offsets[match.vertices] = values
         return np.stack(
             [
-                _at(offsets, vertices, w) if mesh == shape.mesh else np.zeros(3)
+                _at_landmark(offsets, vertices, w)
+                if mesh == shape.mesh
+                else np.zeros(3)
                 for mesh, vertices, w in rows
             ]
         )

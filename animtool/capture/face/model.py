@@ -18,9 +18,9 @@ from animtool.skin.shapes import PreparedShapes, blend_points
 
 # Shapes that move landmarks by less than this fraction of the face's size count as
 # static.
-MIN_MOTION = 1e-6
+MIN_LANDMARK_MOTION = 1e-6
 # Shapes whose displacements have a cosine above this cannot be distinguished.
-SAME_SHAPE = 1 - 1e-9
+MIN_SAME_SHAPE_COSINE = 1 - 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class FaceModel:
         shapes: Names of the shapes that have their own weight.
         neutral: Landmarks at rest [m] ``(N, 3)``.
         deltas: Added at weight 1 [m] ``(S, N, 3)``.
-        bent: The nonlinear shapes, if in-betweens or correctives add to the sum of
+        nonlinear_shapes: Shapes whose in-betweens or correctives add to the sum of
             deltas; None if all are linear.
 
     Raises:
@@ -43,7 +43,7 @@ class FaceModel:
     shapes: tuple[str, ...]
     neutral: FloatArray
     deltas: FloatArray
-    bent: BentShapes | None = field(default=None, repr=False)
+    nonlinear_shapes: NonlinearShapes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Check shapes and numbers."""
@@ -68,38 +68,48 @@ class FaceModel:
     @property
     def size(self) -> float:
         """Root mean square distance of landmarks from their mean [m]."""
-        return spread(self.neutral)
+        return rms_spread(self.neutral)
 
     def offsets(self, weights: FloatArray) -> FloatArray:
         """Return the displacement beyond the sum of deltas ``(F, N, 3)`` [m]."""
-        if self.bent is None:
+        if self.nonlinear_shapes is None:
             return np.zeros((len(weights), *self.neutral.shape))
-        bent_points = self.bent.points(weights)
+        bent_points = self.nonlinear_shapes.points(weights)
         return bent_points - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return landmarks at weights, in the face's frame [m]."""
-        if self.bent is not None:
-            return self.bent.points(weights)
+        if self.nonlinear_shapes is not None:
+            return self.nonlinear_shapes.points(weights)
         return self.neutral + np.tensordot(weights, self.deltas, 1)
 
     def moving(self) -> BoolArray:
         """Return which shapes move a landmark ``(S,)``."""
         lengths = np.linalg.norm(self.deltas, axis=-1)
-        return np.asarray(lengths.max(axis=1, initial=0) > MIN_MOTION * self.size)
+        return np.asarray(
+            lengths.max(axis=1, initial=0) > MIN_LANDMARK_MOTION * self.size
+        )
 
     def select(self, shapes: BoolArray) -> FaceModel:
         """Return the model with a subset of its shapes; the rest have weight 0."""
         names = tuple(n for n, k in zip(self.shapes, shapes.tolist(), strict=True) if k)
-        bent = None if self.bent is None else self.bent.select(shapes)
-        return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)
+        bent = (
+            None
+            if self.nonlinear_shapes is None
+            else self.nonlinear_shapes.select(shapes)
+        )
+        return replace(
+            self, shapes=names, deltas=self.deltas[shapes], nonlinear_shapes=bent
+        )
 
     def similar_shapes(self) -> list[tuple[int, int]]:
         """Return pairs of shapes that displace landmarks in the same directions."""
         moving = np.flatnonzero(self.moving())
         flat_deltas = self.deltas[moving].reshape(len(moving), -1)
         flat_deltas = flat_deltas / np.linalg.norm(flat_deltas, axis=1, keepdims=True)
-        pairs = np.argwhere(np.triu(flat_deltas @ flat_deltas.T > SAME_SHAPE, 1))
+        pairs = np.argwhere(
+            np.triu(flat_deltas @ flat_deltas.T > MIN_SAME_SHAPE_COSINE, 1)
+        )
         return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:
@@ -124,7 +134,7 @@ class FaceModel:
             )
         return notices
 
-    def of_actor(self, captured: FloatArray) -> FaceModel:
+    def with_proportions(self, captured: FloatArray) -> FaceModel:
         """Return the model with the proportions of a captured neutral face.
 
         Deltas scale with the sizes of the two faces. Landmarks that were not visible
@@ -134,15 +144,17 @@ class FaceModel:
             captured: Landmarks of the neutral frame [m] ``(N, 3)``, NaN where missing.
         """
         visible = np.isfinite(captured).all(axis=1)
-        scale = spread(captured[visible]) / spread(self.neutral[visible])
+        scale = rms_spread(captured[visible]) / rms_spread(self.neutral[visible])
         rotation, shift = rigid_motion(self.neutral[visible] * scale, captured[visible])
         neutral = self.neutral * scale
         neutral[visible] = rotate(conjugate(rotation), captured[visible] - shift)
-        return replace(self, neutral=neutral, deltas=self.deltas * scale, bent=None)
+        return replace(
+            self, neutral=neutral, deltas=self.deltas * scale, nonlinear_shapes=None
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class BentShapes:
+class NonlinearShapes:
     """Shapes of a mesh at landmarks, with in-betweens and correctives."""
 
     shapes: tuple[Shape, ...]  # of the rig: those that move landmarks or are combined
@@ -160,13 +172,13 @@ class BentShapes:
             np.stack([all_weights[n] for n in self.prepared.names], axis=-1),
         )
 
-    def select(self, shapes: BoolArray) -> BentShapes:
+    def select(self, shapes: BoolArray) -> NonlinearShapes:
         """Return the model of some of the solved shapes."""
         selected = np.flatnonzero(shapes).tolist()
         return replace(self, solved=tuple(self.solved[i] for i in selected))
 
 
-def spread(points: FloatArray) -> float:
+def rms_spread(points: FloatArray) -> float:
     """Return the root mean square distance of points from their mean."""
     if not len(points):
         return 0.0

@@ -8,7 +8,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.so3 import align_signs, from_matrix, rotate, slerp
 
 # Iterations of reweighting, and of perspective.
-ROUNDS = 4
+ROBUST_ROUNDS = 4
 PERSPECTIVE_ROUNDS = 30
 
 
@@ -27,8 +27,8 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     robust_weights: FloatArray = visible.astype(np.float64)
     poses = np.zeros((len(observed), 7))
     poses[:, 3] = 1.0
-    for _ in range(ROUNDS):
-        poses = _rigid(neutral, points, robust_weights)
+    for _ in range(ROBUST_ROUNDS):
+        poses = _kabsch_poses(neutral, points, robust_weights)
         posed_points = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
         distances = np.where(
             visible, np.linalg.norm(points - posed_points, axis=-1), np.nan
@@ -44,7 +44,7 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     return last_good_poses(poses, visible.sum(axis=1) >= 3)
 
 
-def _rigid(
+def _kabsch_poses(
     neutral: FloatArray, points: FloatArray, robust_weights: FloatArray
 ) -> FloatArray:
     """Return poses by Kabsch's rule, weighted ``(F, 7)``."""

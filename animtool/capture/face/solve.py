@@ -19,7 +19,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.capture.face.fit import MISPLACED_FRACTION, FaceFit, FrameStatus
-from animtool.capture.face.model import MIN_MOTION, FaceModel, spread
+from animtool.capture.face.model import MIN_LANDMARK_MOTION, FaceModel, rms_spread
 from animtool.capture.face.poses import camera_pose, head_poses, interpolate_poses
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
@@ -143,9 +143,11 @@ def fit_face(
 def _common_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return which shapes are solved, and the representative of each moving shape."""
     solved_shapes, group = moving.copy(), np.arange(len(moving))
-    for a, b in model.similar_shapes() if model.bent is None else ():
+    for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
-        if group[a] == a and distance <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+        if group[a] == a and distance <= MIN_LANDMARK_MOTION * np.linalg.norm(
+            model.deltas[a]
+        ):
             group[b], solved_shapes[b] = a, False
     return solved_shapes, group
 
@@ -164,14 +166,15 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         message = f"the face has {counted(len(model.names), 'landmark')}"
         hint = f"a pose and weights need at least {MIN_LANDMARKS}"
         raise OptionError(Fault("FAC004", message, hint=hint))
-    if camera is not None or spread(model.neutral) == 0:
+    if camera is not None or rms_spread(model.neutral) == 0:
         return
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
         :: max(1, len(visible) // 50)
     ]
     ratios = [
-        spread(observed[f, visible[f]]) / max(spread(model.neutral[visible[f]]), 1e-300)
+        rms_spread(observed[f, visible[f]])
+        / max(rms_spread(model.neutral[visible[f]]), 1e-300)
         for f in sampled_frames.tolist()
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
@@ -314,7 +317,7 @@ class _Fit:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
         threshold = ROBUST_DEVIATIONS * self.noise
         result = self._run(frames, threshold, self.smooth, MAX_ROUNDS)
-        if self.face.bent is None:
+        if self.face.nonlinear_shapes is None:
             return result
         for _ in range(MAX_BENT_ROUNDS):
             weights, poses = result[0], result[1]

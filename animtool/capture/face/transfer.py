@@ -135,7 +135,7 @@ def _landmarks(
         target_face.neutral[shared_columns],
         np.zeros((0, len(shared_columns), 3)),
     )
-    scale = size.size / max(_size(source_face.neutral[indices]), 1e-300)
+    scale = size.size / max(_rms_size(source_face.neutral[indices]), 1e-300)
     points = np.full((len(weights), len(target_face.names), 3), np.nan)
     points[:, shared_columns] = (
         target_face.neutral[shared_columns] + scale * linked_weights
@@ -143,6 +143,6 @@ def _landmarks(
     return points
 
 
-def _size(points: FloatArray) -> float:
+def _rms_size(points: FloatArray) -> float:
     offsets = points - points.mean(axis=0)
     return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))

@@ -14,7 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 # with that spread [m].
 DISTANCE_NOISE, SKIN_FACTOR, SAME_SEGMENT_PRIOR, LOOSE_SPREAD = 0.0007, 0.7, 0.5, 0.003
 # Tolerance of other pairs: a fraction of their rest distance, and a minimum [m].
-PLAY_FRACTION, MIN_PLAY = 0.25, 0.015
+JOINT_PLAY_FRACTION, MIN_PLAY = 0.25, 0.015
 # Probability density of distances between unrelated points [1/m], and the minimum
 # density of any pair.
 UNRELATED_DENSITY, MIN_DENSITY = 1.0, 0.05
@@ -22,7 +22,7 @@ UNRELATED_DENSITY, MIN_DENSITY = 1.0, 0.05
 FAR_DISTANCE, UNSTEADY_SPREAD = 0.25, 0.02
 
 
-def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
+def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
     """Return the log-likelihood of distances being a rest pair's ``(..., M)`` [nat].
 
     Compares each distance's likelihood for the rest pair with that for any two points.
@@ -40,7 +40,7 @@ def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArr
     rigid_density = same_segment / (
         np.pi * rigid_tolerance * (1.0 + (deviation / rigid_tolerance) ** 2)
     )
-    loose_tolerance = MIN_PLAY + spread + PLAY_FRACTION * rest
+    loose_tolerance = MIN_PLAY + spread + JOINT_PLAY_FRACTION * rest
     loose_density = (1.0 - same_segment) / (
         np.pi * loose_tolerance * (1.0 + (deviation / loose_tolerance) ** 2)
     ) + MIN_DENSITY
@@ -60,7 +60,7 @@ def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArr
 MIN_EVIDENCE, MIN_MARGIN = 3.0, 1.5
 
 
-def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
+def chain_runs(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
     """Return the chain of each run ``(R,)``, numbered from 0.
 
     Two runs are joined if they keep the same distances to everything visible with both,
@@ -72,7 +72,7 @@ def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
     """
     count = len(overlap)
     chain = np.arange(count)
-    likelihood = likelihoods(moving, overlap)
+    likelihood = chain_likelihoods(moving, overlap)
     together = overlap > 0
     likelihood[together] = -np.inf
     concurrent = together & ~np.eye(count, dtype=bool)
@@ -102,21 +102,21 @@ def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
     return np.unique(chain, return_inverse=True)[1]
 
 
-def likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
+def chain_likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
     """Return the log-likelihood that two runs are one marker, from distances [nat]."""
     count = len(overlap)
     likelihood = np.zeros((count, count))
     for run in range(count):
         mean = moving.mean[run]
         # (S, B): mean distances of concurrent points to both runs
-        log_likelihood = evidence(mean, moving.spread[run], moving.mean)
+        log_likelihood = rest_evidence(mean, moving.spread[run], moving.mean)
         weight = np.minimum(1.0, np.minimum(overlap[run][:, None], overlap) / 60.0)
         is_known = np.isfinite(moving.mean) & np.isfinite(mean)[:, None]
         likelihood[run] = (log_likelihood * weight * is_known).sum(axis=0)
     return 0.5 * (likelihood + likelihood.T)
 
 
-def merged(points: FloatArray, chain: IntArray) -> FloatArray:
+def merge_chains(points: FloatArray, chain: IntArray) -> FloatArray:
     """Return chain positions ``(F, C, 3)`` from run positions ``(F, R, 3)``."""
     merged_points = np.full((len(points), int(chain.max()) + 1, 3), np.nan)
     for run, number in enumerate(chain.tolist()):

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.capture.markers.geometry import distances
-from animtool.capture.markers.plausible import implausible
+from animtool.capture.markers.geometry import marker_distances
+from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.predict import (
     Prediction,
     follow,
-    predict,
+    predict_from_markers,
     predict_in_parent,
 )
 from animtool.capture.markers.spikes import Spike, find_spikes, remove_spikes
@@ -36,9 +36,9 @@ CURVE_FRAMES, MIN_FRAMES = 6, 3
 CURVE_DEGREE = 5
 # A prediction with an error below this is not compared with others [m]; and the
 # fraction of a gap in which another marker must be visible to determine the joint.
-CLOSE_ENOUGH, MIN_HOLDER_VISIBILITY = 0.001, 0.8
+ACCEPTED_ERROR, MIN_HOLDER_VISIBILITY = 0.001, 0.8
 # Cross-validation next to a gap underestimates the error within it by this factor.
-OPTIMISM = 1.6
+VALIDATION_BIAS = 1.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class FillReport:
     notices: list[Fault] = field(default_factory=list)
 
 
-def fill(
+def fill_markers(
     markers: Markers,
     options: FillOptions | None = None,
     subject: MarkerSubject | None = None,
@@ -115,7 +115,7 @@ def fill(
     >>> from animtool.core.clock import Clock
     >>> path = np.zeros((9, 1, 3)) + np.arange(9.0)[:, None, None]
     >>> path[4] = np.nan
-    >>> whole, report = fill(Markers(("LFHD",), Clock(120, 1, 1, 9), path))
+    >>> whole, report = fill_markers(Markers(("LFHD",), Clock(120, 1, 1, 9), path))
     >>> whole.positions[4, 0].round(6).tolist(), report.gaps[0].method
     ([4.0, 4.0, 4.0], 'curve')
     """
@@ -162,7 +162,7 @@ def _filled_markers(
         if options.longest is not None:
             hint = f"longer gaps are left by {argument('longest', options.longest)}"
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
-    notices += implausible(markers)
+    notices += plausibility_warnings(markers)
     report = FillReport(
         len(markers), len(markers.names), int((is_known & ~visible).sum()), left, gaps,
         spikes, swaps, notices,
@@ -178,32 +178,34 @@ def _fill_gaps(
     is_measured = np.asarray(np.isfinite(positions).all(axis=-1))
     visible = is_measured.copy()
     rate = float(markers.clock.rate)
-    spread = distances(positions).spread
+    spread = marker_distances(positions).spread
     fills = []
-    for length, first, marker in _gaps(markers, visible):
+    for length, first, marker in _sorted_gaps(markers, visible):
         gap = slice(first, first + length)
         path: FloatArray | None = None
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
-            if skeleton is not None and skeleton.tells(marker, gap):
+            if skeleton is not None and skeleton.predicts(marker, gap):
                 prediction = follow(skeleton, positions, is_measured, marker, gap, rate)
                 method = "skeleton"
                 mostly_visible = is_measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
-                drift = skeleton.drift(marker, mostly_visible) * length / rate
-                if drift and max(drift, prediction.error) > CLOSE_ENOUGH:
+                drift = skeleton.drift_speed(marker, mostly_visible) * length / rate
+                if drift and max(drift, prediction.error) > ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
                     arguments = (positions, visible, marker, gap, spread[marker], rate)
-                    prediction, method = _likeliest(
+                    prediction, method = _best_prediction(
                         (prediction, "skeleton"),
                         (predict_in_parent(skeleton, *arguments), "skeleton"),
-                        (predict(*arguments), "markers"),
+                        (predict_from_markers(*arguments), "markers"),
                     )
                 path = prediction.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
-                path = _curve(positions[:, marker], visible[:, marker], gap)
+                path = _polynomial_positions(
+                    positions[:, marker], visible[:, marker], gap
+                )
             if path is None:
-                prediction_from_markers = predict(
+                prediction_from_markers = predict_from_markers(
                     positions, visible, marker, gap, spread[marker], rate
                 )
                 path = (
@@ -223,19 +225,21 @@ def _fill_gaps(
     return positions, fills
 
 
-def _likeliest(*predictions: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
+def _best_prediction(
+    *predictions: tuple[Prediction | None, str],
+) -> tuple[Prediction, str]:
     """Return the prediction with the least error, and its method; the first of ties."""
     (best, name), *alternatives = (
         (prediction, name) for prediction, name in predictions if prediction is not None
     )
-    error = best.error / OPTIMISM
+    error = best.error / VALIDATION_BIAS
     return min(
         [(replace(best, error=error), name), *alternatives],
         key=lambda prediction: prediction[0].error,
     )
 
 
-def _gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
+def _sorted_gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
     """Return length, first frame and marker of all gaps, shortest first."""
     gaps = []
     for marker, name in enumerate(markers.names):
@@ -246,10 +250,12 @@ def _gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
     return sorted(gaps)
 
 
-def _curve(path: FloatArray, visible: BoolArray, gap: slice) -> FloatArray | None:
+def _polynomial_positions(
+    path: FloatArray, visible: BoolArray, gap: slice
+) -> FloatArray | None:
     """Return a polynomial through the frames around a gap; None if too few."""
-    before = _run(visible, gap.start - 1, -1)
-    after = _run(visible, gap.stop, 1)
+    before = _visible_frames_beside(visible, gap.start - 1, -1)
+    after = _visible_frames_beside(visible, gap.stop, 1)
     if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
         return None
     frames = np.array([*before[::-1], *after])
@@ -263,7 +269,7 @@ def _curve(path: FloatArray, visible: BoolArray, gap: slice) -> FloatArray | Non
     return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 
 
-def _run(visible: BoolArray, start: int, step: int) -> list[int]:
+def _visible_frames_beside(visible: BoolArray, start: int, step: int) -> list[int]:
     """Return the visible frames next to a gap, up to a limit."""
     frames: list[int] = []
     frame = start

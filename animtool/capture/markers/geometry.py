@@ -28,7 +28,7 @@ class MarkerDistances:
     spread: FloatArray
 
 
-def distances(positions: FloatArray) -> MarkerDistances:
+def marker_distances(positions: FloatArray) -> MarkerDistances:
     """Return marker distances over frames, robust against a few outliers.
 
     positions: ``(F, M, 3)`` [m]; NaN where not visible.
@@ -45,14 +45,14 @@ def distances(positions: FloatArray) -> MarkerDistances:
         has_enough = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
         if not len(has_enough):
             continue
-        low, middle, high = _quantiles(lengths[:, has_enough])
+        low, middle, high = _column_quantiles(lengths[:, has_enough])
         columns = has_enough + i + 1
         mean[i, columns] = mean[columns, i] = middle
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
     return MarkerDistances(mean, spread)
 
 
-def _quantiles(values: FloatArray) -> FloatArray:
+def _column_quantiles(values: FloatArray) -> FloatArray:
     """Return the `PERCENTILES` of each column ``(3, N)``, ignoring NaN."""
     sorted_values = np.sort(values, axis=0)
     last_row = np.isfinite(values).sum(axis=0) - 1
@@ -68,7 +68,7 @@ def _quantiles(values: FloatArray) -> FloatArray:
     )
 
 
-def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
+def merge_distances(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
     """Return the take's distances, or those at rest where the take has none."""
     is_known = np.isfinite(moving.mean)
     return MarkerDistances(
@@ -77,7 +77,7 @@ def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
     )
 
 
-def fitted(
+def fit_shape(
     points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and translations from a shape onto points, per frame.
@@ -117,7 +117,7 @@ def mean_shape(points: FloatArray) -> FloatArray:
     """
     shape = np.median(points - points[:, :1], axis=0)
     for _ in range(SHAPE_ITERATIONS):
-        rotation, shift = fitted(points, shape)
+        rotation, shift = fit_shape(points, shape)
         shape = np.median(
             np.einsum("fji,fkj->fki", rotation, points - shift[:, None]), axis=0
         )

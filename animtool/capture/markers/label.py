@@ -8,13 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.markers.chains import chained, merged
-from animtool.capture.markers.geometry import MarkerDistances, distances, fitted
-from animtool.capture.markers.naming import Naming, searched
-from animtool.capture.markers.plausible import implausible
+from animtool.capture.markers.chains import chain_runs, merge_chains
+from animtool.capture.markers.geometry import (
+    MarkerDistances,
+    fit_shape,
+    marker_distances,
+)
+from animtool.capture.markers.naming import PointNaming, search_names
+from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.tracklets import Tracklets, follow
-from animtool.capture.markers.twins import Exchange, distinguish_twins, exchanged_in
+from animtool.capture.markers.twins import Exchange, distinguish_twins, is_exchanged
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, Severity
@@ -24,37 +28,37 @@ from animtool.motion.markers import Markers
 # Initial labelling of runs: groups that stay rigid.
 
 # Distances that vary less are within one segment [m].
-RIGID = 0.006
+MAX_RIGID_SPREAD = 0.006
 # Largest shape error of a group of four that may start the naming [m].
-SEED_ERROR = 0.003
+MAX_SEED_ERROR = 0.003
 # Tolerances for the distances of such a group, the second if the first finds none [m];
 # and the number of partners that each run is grouped with.
 SEED_TOLERANCE, LOOSE_SEED_TOLERANCE, PARTNERS = 0.002, 0.006, 7
 MAX_GROUPS = 400
 # Number of starting groups, of which the one with the most evidence is kept.
-MAX_SEEDS, GROUPS = 3, 12
+MAX_SEEDS, MAX_SEED_GROUPS = 3, 12
 # Iterations of joining runs to chains.
 CHAIN_ROUNDS = 2
 
 
-def identify(
+def identify_runs(
     points: FloatArray, shape: FloatArray, rest: FloatArray
 ) -> IntArray | None:
     """Return the marker of each run of a window ``(R,)``; None if nothing fits."""
     chain = np.arange(points.shape[1])
     for _ in range(CHAIN_ROUNDS):
-        moving = distances(points)
+        moving = marker_distances(points)
         visible = np.isfinite(points[..., 0]).astype(np.float64)
-        rechained = chained(moving, visible.T @ visible)
-        points, chain = merged(points, rechained), rechained[chain]
-    moving = distances(points)
+        rechained = chain_runs(moving, visible.T @ visible)
+        points, chain = merge_chains(points, rechained), rechained[chain]
+    moving = marker_distances(points)
     visible = np.isfinite(points[..., 0]).astype(np.float64)
-    groups = _fours(moving)
-    seeds = _seeds(points, groups, moving, shape, rest, SEED_TOLERANCE)
+    groups = _rigid_fours(moving)
+    seeds = _find_seeds(points, groups, moving, shape, rest, SEED_TOLERANCE)
     if not seeds:
-        seeds = _seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
-    initial_naming = Naming(moving, visible.T @ visible, rest)
-    best: Naming | None = None
+        seeds = _find_seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
+    initial_naming = PointNaming(moving, visible.T @ visible, rest)
+    best: PointNaming | None = None
     for seed in [_merge_seeds(seeds, initial_naming.together), *seeds[:MAX_SEEDS]]:
         if not seed:
             continue
@@ -65,7 +69,9 @@ def identify(
         if best is None or naming.total() > best.total():
             best = naming
     return (
-        None if best is None else searched(best, rest, seeds[:GROUPS]).names_of[chain]
+        None
+        if best is None
+        else search_names(best, rest, seeds[:MAX_SEED_GROUPS]).names_of[chain]
     )
 
 
@@ -87,7 +93,7 @@ def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, 
     return names
 
 
-def _seeds(
+def _find_seeds(
     points: FloatArray,
     groups: list[tuple[int, ...]],
     moving: MarkerDistances,
@@ -98,34 +104,36 @@ def _seeds(
     """Return groups of rigid runs with their candidate markers, best first."""
     seeds = []
     for group in groups:
-        for markers in _matches(group, moving.mean, rest, tolerance):
+        for markers in _matching_markers(group, moving.mean, rest, tolerance):
             error = _shape_error(points[:, group], shape[list(markers)])
-            if error < SEED_ERROR:
+            if error < MAX_SEED_ERROR:
                 seeds.append((error, dict(zip(group, markers, strict=True))))
     seeds.sort(key=lambda entry: entry[0])
     return [pairs for _, pairs in seeds]
 
 
-def _fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
+def _rigid_fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
     """Return groups of four mutually rigid runs, the most rigid first."""
     spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
     np.fill_diagonal(spread, np.inf)
     worst_spread: dict[tuple[int, ...], float] = {}
     for run, row in enumerate(spread):
         company = np.argsort(row, kind="stable")[:PARTNERS]
-        company = company[row[company] < RIGID]
+        company = company[row[company] < MAX_RIGID_SPREAD]
         for partners in combinations(company.tolist(), 3):
             group = tuple(sorted((run, *partners)))
             if group not in worst_spread:
                 pairs = combinations(group, 2)
                 worst_spread[group] = max(float(spread[a, b]) for a, b in pairs)
     order = sorted(
-        (value, group) for group, value in worst_spread.items() if value < RIGID
+        (value, group)
+        for group, value in worst_spread.items()
+        if value < MAX_RIGID_SPREAD
     )
     return [group for _, group in order[:MAX_GROUPS]]
 
 
-def _matches(
+def _matching_markers(
     group: tuple[int, ...], lengths: FloatArray, rest: FloatArray, tolerance: float
 ) -> list[tuple[int, ...]]:
     """Return the markers whose rest distances match those of a group of runs."""
@@ -146,14 +154,14 @@ def _shape_error(points: FloatArray, shape: FloatArray) -> float:
     complete = points[np.isfinite(points).all(axis=(1, 2))][::8]
     if not len(complete):
         return np.inf
-    rotation, shift = fitted(complete, shape)
+    rotation, shift = fit_shape(complete, shape)
     fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
     return float(np.sqrt(np.median(((fit - complete) ** 2).sum(axis=-1).mean(axis=1))))
 
 
 # Minimum length of the runs that are named first [frame], and of the part of the take
 # they come from [s].
-MIN_RUN = 30
+MIN_RUN_FRAMES = 30
 BASE_SECONDS = 10.0
 
 
@@ -225,7 +233,7 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
         OptionError: The trial has fewer than four markers (MKR020), or nothing in the
             cloud fits it (MKR021).
     """
-    names, rest = _template(static)
+    names, rest = _static_template(static)
     rate = float(cloud.clock.rate)
     tracklets = follow(cloud.positions, rate)
     first = _first_names(cloud, tracklets, rest)
@@ -245,7 +253,7 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     return _apply_names(cloud, names, tracklets, run_labels.names_of, exchanges)
 
 
-def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
+def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and mean positions ``(M, 3)`` of the markers of a trial at rest."""
     visible_columns = np.flatnonzero(static.visible.any(axis=0))
     visible_columns = np.array(
@@ -294,11 +302,11 @@ def _apply_names(
     points, named_count = int((ids >= 0).sum()), int((slots >= 0).sum())
     coverage_values = dict(zip(names, coverage.tolist(), strict=True))
     missing = [name for name, fraction in coverage_values.items() if not fraction]
-    notices = implausible(cloud)
+    notices = plausibility_warnings(cloud)
     if missing:
         message = f"no points were found for {', '.join(missing)}"
         notices.append(Fault("MKR110", message, severity=Severity.WARNING))
-    doubts = _doubts(labelled, exchanges)
+    doubts = _exchange_doubts(labelled, exchanges)
     if doubts:
         notices.append(_doubt_warning(doubts, cloud))
     report = LabelReport(
@@ -308,7 +316,7 @@ def _apply_names(
     return labelled, report
 
 
-def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
+def _exchange_doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
     """Return possible exchanges by name, with the frames in which they would show."""
     doubts = []
     for exchange in exchanges:
@@ -342,10 +350,10 @@ def _first_names(
     cloud: Markers, tracklets: Tracklets, rest: FloatArray
 ) -> IntArray | None:
     """Return the markers of a part's longer runs, -1 for others; None if none fits."""
-    frames, runs = _base(tracklets, len(cloud), float(cloud.clock.rate))
+    frames, runs = _base_frames(tracklets, len(cloud), float(cloud.clock.rate))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    points = _window(cloud.positions, tracklets, runs, frames)
-    names = identify(points, rest, lengths)
+    points = _run_positions(cloud.positions, tracklets, runs, frames)
+    names = identify_runs(points, rest, lengths)
     if names is None:
         return None
     first = np.full(len(tracklets.first), -1)
@@ -353,22 +361,24 @@ def _first_names(
     return first
 
 
-def _base(tracklets: Tracklets, frames: int, rate: float) -> tuple[slice, IntArray]:
+def _base_frames(
+    tracklets: Tracklets, frames: int, rate: float
+) -> tuple[slice, IntArray]:
     """Return the frames that are labelled first, and their longer runs."""
     first, last = tracklets.first, tracklets.last
-    length = min(frames, max(MIN_RUN, int(BASE_SECONDS * rate)))
+    length = min(frames, max(MIN_RUN_FRAMES, int(BASE_SECONDS * rate)))
     best_start, best_count = 0, -1
     for start in range(0, frames - length + 1, max(1, length // 4)):
         shared = np.minimum(last, start + length - 1) - np.maximum(first, start) + 1
-        score = int(shared[shared > MIN_RUN].sum())
+        score = int(shared[shared > MIN_RUN_FRAMES].sum())
         if score > best_count:
             best_start, best_count = start, score
     end = best_start + length
     shared = np.minimum(last, end - 1) - np.maximum(first, best_start) + 1
-    return slice(best_start, end), np.flatnonzero(shared >= min(MIN_RUN, length))
+    return slice(best_start, end), np.flatnonzero(shared >= min(MIN_RUN_FRAMES, length))
 
 
-def _window(
+def _run_positions(
     positions: FloatArray, tracklets: Tracklets, runs: IntArray, frames: slice
 ) -> FloatArray:
     """Return the positions of some runs in some frames ``(F, R, 3)``."""
@@ -399,5 +409,5 @@ def _exchange_parts(
     marker_positions = run_labels.by_marker()
     for part in parts:
         frames = slice(int(first[part].min()), int(last[part].max()) + 1)
-        if exchanged_in(marker_positions[frames], rest, pair):
+        if is_exchanged(marker_positions[frames], rest, pair):
             run_labels.names_of[part] = sum(pair) - run_labels.names_of[part]

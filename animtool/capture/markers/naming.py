@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.markers.chains import evidence, likelihoods
+from animtool.capture.markers.chains import chain_likelihoods, rest_evidence
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 
@@ -17,7 +17,7 @@ MIN_EVIDENCE = 1.0
 # Spread of pairs that are named together [m], and partners of each point.
 RIGID_SPREAD, PARTNERS = 0.006, 3
 # Trials of reassigning names, and their minimum gain [nat].
-TRIALS, MIN_GAIN = 40, 0.05
+MAX_TRIALS, MIN_GAIN = 40, 0.05
 # Markers named for less than this fraction of the longest visible marker, and unnamed
 # points visible for longer than that fraction, have the names around them reassigned:
 # number of restarts, radius [m], random bias [nat], and probability of restarting from
@@ -46,7 +46,7 @@ EXCHANGE_MARGIN = 10.0
 MAX_EXCHANGES = 40
 
 
-class Naming:
+class PointNaming:
     """Names of points, and the evidence of named points for each name.
 
     Attributes:
@@ -70,18 +70,18 @@ class Naming:
         self.pair_scores = pair_evidence(moving, overlap_fraction, rest)
         # Points never visible together that share a name should be one marker.
         part = np.minimum(self.length[:, None], self.length) * ~self.together
-        linked = (part * likelihoods(moving, overlap)).astype(np.float32)
+        linked = (part * chain_likelihoods(moving, overlap)).astype(np.float32)
         for name in range(markers):
             self.pair_scores[:, :, name, name] += linked
         self.pairs = _rigid_pairs(moving, overlap_fraction)
-        self.moves = exchanges(rest)
+        self.moves = possible_exchanges(rest)
         self.names_of = np.full(count, -1)
         self.scores = np.zeros((count, markers))
         self.taken = np.zeros((count, markers), np.int64)
 
-    def copy(self) -> Naming:
+    def copy(self) -> PointNaming:
         """Return a copy that can be changed independently."""
-        duplicate = object.__new__(Naming)
+        duplicate = object.__new__(PointNaming)
         duplicate.__dict__.update(self.__dict__)
         for name in ("names_of", "scores", "taken"):
             setattr(duplicate, name, getattr(self, name).copy())
@@ -161,10 +161,10 @@ class Naming:
         best_total: Exchanges are not tried far below this total [nat].
         """
         for _ in range(MAX_EXCHANGES):
-            changed = self._move()
+            changed = self._improve_names()
             if self.total() < best_total - EXCHANGE_MARGIN:
                 return
-            names = self._exchanges()
+            names = self._better_permutation()
             if names is None:
                 if not changed:
                     return
@@ -174,7 +174,7 @@ class Naming:
                 if new != self.names_of[point]:
                     self.assign(point, new)
 
-    def _move(self) -> bool:
+    def _improve_names(self) -> bool:
         """Give points a better free name; return whether any changed."""
         has_changed = False
         for point in range(len(self.names_of)):
@@ -199,7 +199,7 @@ class Naming:
                 has_changed = True
         return has_changed
 
-    def _exchanges(self) -> IntArray | None:
+    def _better_permutation(self) -> IntArray | None:
         """Return a better permutation of the names ``(M,)``; None if there is none.
 
         All pairs of markers are tried, and triples and double pairs of near ones.
@@ -226,7 +226,7 @@ class Naming:
                 single_scores += pair_scores[:, other, :, names[other]]
             best, gain = None, MIN_GAIN
             for old, new in self.moves:
-                value = gain_of(pair_scores, single_scores, names, old, new)
+                value = exchange_gain(pair_scores, single_scores, names, old, new)
                 best_exchange = int(value.argmax()) if len(value) else 0
                 if len(value) and value[best_exchange] > gain:
                     best, gain = (
@@ -238,7 +238,9 @@ class Naming:
             names[best[0]] = names[best[1]]
         return names if (names != np.arange(count)).any() else None
 
-    def doubt(self, tried_moves: set[tuple[int, int]]) -> tuple[int, int] | None:
+    def most_doubtful(
+        self, tried_moves: set[tuple[int, int]]
+    ) -> tuple[int, int] | None:
         """Return the point, and another marker, with the most evidence for renaming."""
         rows = np.arange(len(self.names_of))
         is_named = self.names_of >= 0
@@ -262,7 +264,7 @@ class Naming:
         self.assign(point, marker)
         self.grow()
 
-    def lacking(self) -> IntArray:
+    def scarce_markers(self) -> IntArray:
         """Return the markers with no or few points.
 
         All of them, if an unnamed point is visible for long.
@@ -288,7 +290,9 @@ class Naming:
         self.grow(bias)
 
 
-def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) -> Naming:
+def search_names(
+    best: PointNaming, rest: FloatArray, seeds: Sequence[dict[int, int]]
+) -> PointNaming:
     """Return better names, found by removing some and assigning them again.
 
     A conflicting name is removed first; if that is not enough, all names around the two
@@ -299,7 +303,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS):
-        lacking = best.lacking()
+        lacking = best.scarce_markers()
         if not len(lacking):
             break
         centre = int(rng.choice(lacking))
@@ -322,13 +326,13 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
     return best
 
 
-def _retry_doubtful(best: Naming, rest: FloatArray) -> Naming:
+def _retry_doubtful(best: PointNaming, rest: FloatArray) -> PointNaming:
     """Return names after trying the most doubtful ones again."""
     best.improve()
     best_total = best.total()
     tried_moves: set[tuple[int, int]] = set()
-    for _ in range(TRIALS):
-        move = best.doubt(tried_moves)
+    for _ in range(MAX_TRIALS):
+        move = best.most_doubtful(tried_moves)
         if move is None:
             break
         tried_moves.add(move)
@@ -356,7 +360,7 @@ def pair_evidence(
     pair_scores: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
         later_points = slice(point + 1, count)
-        table = evidence(
+        table = rest_evidence(
             moving.mean[point, later_points],
             moving.spread[point, later_points],
             rest.reshape(1, -1),
@@ -384,7 +388,7 @@ def _rigid_pairs(
     return pair_array[:, 0], pair_array[:, 1]
 
 
-def gain_of(
+def exchange_gain(
     pair_scores: FloatArray,
     single_scores: FloatArray,
     names: IntArray,
@@ -403,7 +407,7 @@ def gain_of(
     return np.asarray(value)
 
 
-def exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
+def possible_exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
     near = rest < EXCHANGE_DISTANCE
     first, second = np.triu_indices(len(rest), 1)

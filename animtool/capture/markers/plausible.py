@@ -20,10 +20,10 @@ UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
 SAMPLED_FRAMES, MIN_MARKERS = 100, 4
 
 
-def implausible(markers: Markers) -> list[Fault]:
+def plausibility_warnings(markers: Markers) -> list[Fault]:
     """Return warnings about the rate (TAKE009) and the size (MKR117) of a capture."""
     notices = rate_warning(markers.clock.rate, "source.fps")
-    size = _size(markers)
+    size = _markers_size(markers)
     if size is None or MIN_SUBJECT <= size <= MAX_SUBJECT:
         return notices
     message = f"the markers of a frame span {length_text(size)}"
@@ -39,7 +39,7 @@ def implausible(markers: Markers) -> list[Fault]:
     return [*notices, Fault("MKR117", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _size(markers: Markers) -> float | None:
+def _markers_size(markers: Markers) -> float | None:
     """Return the median diagonal of a frame's markers [m]; None for too few."""
     is_named = [not name.startswith("*") for name in markers.names]
     rows = np.unique(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.capture.markers.geometry import fitted, mean_shape
+from animtool.capture.markers.geometry import fit_shape, mean_shape
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 # Training window on either side of a gap [s].
 TRAINING_SECONDS = 6.0
 # Training frames, next to the gap and in total.
-MAX_TRAINING, DENSE_FRAMES = 180, 16
-MIN_TRAINING = 12
+MAX_TRAINING_FRAMES, DENSE_FRAMES = 180, 16
+MIN_TRAINING_FRAMES = 12
 # Numbers of markers that define the frame, and the pose.
 FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
-NOISE = 0.0005
+MARKER_NOISE = 0.0005
 # Minimum noise variance relative to the kernel's variance [1], so that float64 can
 # factor the matrix.
 MIN_NOISE_RATIO = 1e-12
@@ -60,7 +60,7 @@ class Prediction:
     error: float
 
 
-def predict(
+def predict_from_markers(
     positions: FloatArray,
     visible: BoolArray,
     marker: int,
@@ -81,13 +81,15 @@ def predict(
     if len(neighbours) < 3:
         return None
     training = _training_frames(visible, marker, gap, neighbours, rate)
-    if len(training) < MIN_TRAINING:
+    if len(training) < MIN_TRAINING_FRAMES:
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     predictions = []
     for count in FRAME_MARKERS:
         if count <= len(neighbours):
-            local, pose, to_world = _local(positions, frames, marker, neighbours, count)
+            local, pose, to_world = _to_neighbour_frame(
+                positions, frames, marker, neighbours, count
+            )
             best_prediction = _best_prediction(
                 local, pose, frames, gap, rate, STRAY_KERNELS, count
             )
@@ -122,7 +124,7 @@ def _best_prediction(
         for length_scale, (stray, time) in product(LENGTH_SCALES, strays):
             if not pose_markers and length_scale != LENGTH_SCALES[0]:
                 continue
-            kernel = _kernel(
+            kernel = _covariance(
                 part, frames / rate, length_scale, stray, time, local[:known_count]
             )
             error, values = _regress(local[:known_count], kernel, frames, gap)
@@ -145,24 +147,24 @@ def predict_in_parent(
 
     It is expressed in the frame of the parent joint, and in one rotated towards a
     marker on the same joint if there is any. Its motion there is learnt as in
-    `predict`, with the same arguments.
+    `predict_from_markers`, with the same arguments.
     """
     neighbours = _nearest_markers(visible, marker, gap, spread)
     training = _training_frames(visible, marker, gap, neighbours, rate)
-    if len(training) < MIN_TRAINING or not skeleton.above(marker):
+    if len(training) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     known_count = len(training)
     origin, parent_rotations = (
         skeleton.origins[frames, marker],
-        skeleton.parents[frames, marker],
+        skeleton.parent_rotations[frames, marker],
     )
     rotations = [parent_rotations]
     visible_throughout = np.asarray(visible[gap].all(axis=0))
-    for mate in skeleton.mates(marker, visible_throughout):
+    for mate in skeleton.markers_on_joint(marker, visible_throughout):
         if np.isin(training, np.flatnonzero(visible[:, mate])).all():
             rotations.append(
-                _towards(parent_rotations, positions[frames, mate] - origin)
+                _rotate_towards(parent_rotations, positions[frames, mate] - origin)
             )
     predictions = []
     for rotation in rotations:
@@ -179,7 +181,7 @@ def predict_in_parent(
     return min(predictions, key=lambda each: each.error)
 
 
-def _towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
+def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
     """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
     local = np.einsum("fji,fj->fi", parent_rotations, arms)
     local /= np.linalg.norm(local, axis=1, keepdims=True)
@@ -226,8 +228,10 @@ def follow(
     correction = np.zeros((gap.stop - gap.start, 3))
     least_error = np.inf
     no_pose = np.zeros((len(frames), 0))
-    for stray, time in SKIN_KERNELS if known_count >= MIN_TRAINING else ():
-        kernel = _kernel(no_pose, frames / rate, LENGTH_SCALES[0], stray, time, offsets)
+    for stray, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
+        kernel = _covariance(
+            no_pose, frames / rate, LENGTH_SCALES[0], stray, time, offsets
+        )
         error, values = _regress(offsets, kernel, frames, gap)
         if error < least_error:
             least_error, correction = error, values
@@ -259,7 +263,7 @@ def _training_frames(
     distance = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
     dense_frames = frames[distance <= DENSE_FRAMES]
     other_frames = frames[distance > DENSE_FRAMES]
-    count = MAX_TRAINING - len(dense_frames)
+    count = MAX_TRAINING_FRAMES - len(dense_frames)
     if len(other_frames) > count:
         other_frames = other_frames[
             np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
@@ -267,7 +271,7 @@ def _training_frames(
     return np.sort(np.concatenate([dense_frames, other_frames]))
 
 
-def _local(
+def _to_neighbour_frame(
     positions: FloatArray,
     frames: IntArray,
     marker: int,
@@ -277,7 +281,7 @@ def _local(
     """Return marker and pose in the frame of the nearest, and the inverse mapping."""
     neighbour_positions = positions[frames][:, neighbours]
     shape = mean_shape(neighbour_positions[:, :count])
-    rotation, shift = fitted(neighbour_positions[:, :count], shape)
+    rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
     pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
     offset = positions[frames, marker] - shift
     local = np.einsum("fji,fj->fi", rotation, offset)
@@ -304,7 +308,8 @@ def _regress(
     mean = local.mean(axis=0)
     # Rounding of outlying samples exceeds the noise.
     noise = max(
-        NOISE**2, MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count
+        MARKER_NOISE**2,
+        MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count,
     )
     factor = cho_factor(kernel[:known_count] + noise * np.eye(known_count))
     inverse = cho_solve(factor, np.eye(known_count))
@@ -313,18 +318,18 @@ def _regress(
     length = gap.stop - gap.start
     training_frames = frames[:known_count]
     errors = []
-    for begin in _spans(training_frames, gap):
+    for begin in _validation_spans(training_frames, gap):
         left_out = np.flatnonzero(
             (training_frames >= begin) & (training_frames < begin + length)
         )
-        if 0 < len(left_out) < known_count - MIN_TRAINING:
+        if 0 < len(left_out) < known_count - MIN_TRAINING_FRAMES:
             block = inverse[np.ix_(left_out, left_out)]
             residuals = np.linalg.solve(block, weights[left_out])
             errors.append((residuals**2).sum(axis=1).mean())
     return (float(np.sqrt(np.mean(errors))) if errors else np.inf), values
 
 
-def _spans(training: IntArray, gap: slice) -> list[int]:
+def _validation_spans(training: IntArray, gap: slice) -> list[int]:
     """Return the starts of spans to leave out, on both sides of a gap."""
     length = gap.stop - gap.start
     begins = []
@@ -334,7 +339,7 @@ def _spans(training: IntArray, gap: slice) -> list[int]:
     return [b for b in begins if b + length > training[0] and b <= training[-1]]
 
 
-def _kernel(
+def _covariance(
     pose: FloatArray,
     times: FloatArray,
     length_scale: float,
@@ -344,7 +349,7 @@ def _kernel(
 ) -> FloatArray:
     """Return the covariance of all frames with the known ones ``(F, known)`` [m^2]."""
     known_count = len(local)
-    variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), NOISE**2)
+    variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
     lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known_count]) / stray_time
     over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool.capture.markers.geometry import MarkerDistances, distances
+from animtool.capture.markers.geometry import MarkerDistances, marker_distances
 from animtool.capture.markers.tracklets import Tracklets
 from animtool.core.array_types import FloatArray, IntArray
 
 # Tolerance of a distance: noise, and skin over bone [m].
-TOLERANCE = 0.006
+DISTANCE_TOLERANCE = 0.006
 # Tolerance of markers on different segments, in standard deviations of their distance.
 SPREAD_FACTOR = 1.5
 # Largest cost of a pair, so that a single wrong pair does not decide.
@@ -17,7 +17,7 @@ MAX_PAIR_COST = 9.0
 # Spread of a distance at which its weight is halved [m].
 WEIGHT_SPREAD = 0.02
 # Frames sampled of a run.
-SAMPLES = 24
+SAMPLED_FRAMES = 24
 # Mean cost above which a run is no marker: ghosts exceed 5.5, markers stay below 2.
 GHOST_COST = 4.0
 # Minimum margin over the second best name for an early assignment.
@@ -71,17 +71,17 @@ class RunLabels:
     def name_runs(self) -> None:
         """Name the remaining runs, the clearest first."""
         for _ in range(LEARNING_ROUNDS):
-            self._relearn()
+            self._update_distances()
             self._reject()
-            while self._step(forced=False) or self._step(forced=True):
+            while self._name_step(forced=False) or self._name_step(forced=True):
                 pass
-        self._relearn()
+        self._update_distances()
         self._reject()
 
-    def _relearn(self) -> None:
+    def _update_distances(self) -> None:
         """Update the distances from the named runs, and reset the costs."""
         self.marked = self.by_marker()
-        self.learnt = _learnt(self.rest, distances(self.marked))
+        self.learnt = _learnt_distances(self.rest, marker_distances(self.marked))
         self.costs = np.full((self.runs, len(self.rest)), np.inf)
         self.stale = np.ones(self.runs, bool)
 
@@ -89,16 +89,16 @@ class RunLabels:
         """Remove names from runs that are not at their marker's position."""
         for run in np.flatnonzero(self.names_of >= 0).tolist():
             marker = int(self.names_of[run])
-            begin, end, path = self._span(run)
+            begin, end, path = self._run_positions(run)
             costs = self._shape_costs(path, begin, end)
             if costs[marker] > min(GHOST_COST, costs.min() + MIN_MARGIN):
                 self.names_of[run] = -1
                 self.marked[begin:end, marker] = np.nan
 
-    def _step(self, *, forced: bool) -> bool:
+    def _name_step(self, *, forced: bool) -> bool:
         """Name runs from named ones; return whether any were named."""
         for run in np.flatnonzero(self.stale & (self.names_of < 0)).tolist():
-            self.costs[run] = self._costs(run)
+            self.costs[run] = self._marker_costs(run)
         self.stale[:] = False
         runs = np.flatnonzero(self.names_of < 0)
         if not len(runs):
@@ -122,7 +122,7 @@ class RunLabels:
             if is_overlapped.any() if forced else not self._is_free(run, marker):
                 continue
             self.names_of[run] = marker
-            begin, end, path = self._span(run)
+            begin, end, path = self._run_positions(run)
             self.marked[begin:end, marker] = path
             candidates = np.vstack([candidates, (begin - max_gap, end + max_gap)])
         for begin, end in candidates.tolist():
@@ -133,21 +133,23 @@ class RunLabels:
         begin, end = int(self.tracklets.first[run]), int(self.tracklets.last[run]) + 1
         return not np.isfinite(self.marked[begin:end, marker, 0]).any()
 
-    def _span(self, run: int) -> tuple[int, int, FloatArray]:
+    def _run_positions(self, run: int) -> tuple[int, int, FloatArray]:
         """Return the frames and positions of a run."""
         begin, end = int(self.tracklets.first[run]), int(self.tracklets.last[run]) + 1
         return begin, end, self.tracklets.trajectory(self.positions, run)
 
-    def _costs(self, run: int) -> FloatArray:
+    def _marker_costs(self, run: int) -> FloatArray:
         """Return the cost of a run being each marker; infinite if it is taken."""
-        begin, end, path = self._span(run)
+        begin, end, path = self._run_positions(run)
         cost = self._shape_costs(path, begin, end) + self._step_costs(path, begin, end)
         cost[np.isfinite(self.marked[begin:end, :, 0]).any(axis=0)] = np.inf
         return cost
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distances for each marker."""
-        sample = np.unique(np.linspace(0, end - begin - 1, SAMPLES).astype(np.int64))
+        sample = np.unique(
+            np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
+        )
         marker_positions = self.marked[begin + sample]
         lengths = np.linalg.norm(
             marker_positions - path[sample][:, None], axis=-1
@@ -157,7 +159,7 @@ class RunLabels:
         spread = self.learnt.spread
         weight = np.nan_to_num(1.0 / (1.0 + (spread / WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
-        tolerance = TOLERANCE + SPREAD_FACTOR * spread
+        tolerance = DISTANCE_TOLERANCE + SPREAD_FACTOR * spread
         deviation = (
             np.nan_to_num(lengths)[:, None] - self.learnt.mean[None]
         ) / tolerance[None]
@@ -187,7 +189,7 @@ class RunLabels:
         return np.minimum(cost, MAX_STEP_COST)
 
 
-def _learnt(rest: FloatArray, moving: MarkerDistances) -> MarkerDistances:
+def _learnt_distances(rest: FloatArray, moving: MarkerDistances) -> MarkerDistances:
     """Return the distances of the take, or of the trial where unknown."""
     is_known = np.isfinite(moving.mean)
     mean = np.where(is_known, moving.mean, rest)

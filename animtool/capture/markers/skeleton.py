@@ -47,48 +47,48 @@ class SkeletonMarkers:
             the template lacks.
         rotations: Rotations of the joints the markers are attached to ``(F, M, 3, 3)``.
         origins: Origins of those joints ``(F, M, 3)`` [m].
-        parents: Rotations of the parents of those joints ``(F, M, 3, 3)``.
+        parent_rotations: Rotations of the parents of those joints ``(F, M, 3, 3)``.
         joints: Joint of each marker ``(M,)``; -1 for markers that the template lacks.
         above_joint: Parent of each joint ``(J,)``; -1 for the root.
         free: Which joints rotate about any axis ``(J,)``.
-        known: Frames with enough markers for the pose ``(F,)``.
+        determined_frames: Frames with enough markers for the pose ``(F,)``.
         notices: Notices of calibration and solve.
     """
 
     positions: FloatArray
     rotations: FloatArray
     origins: FloatArray
-    parents: FloatArray
+    parent_rotations: FloatArray
     joints: IntArray
     above_joint: IntArray
     free: BoolArray
-    known: BoolArray
+    determined_frames: BoolArray
     notices: tuple[Fault, ...]
 
-    def tells(self, marker: int, frames: slice) -> bool:
+    def predicts(self, marker: int, frames: slice) -> bool:
         """Return whether the skeleton predicts a marker in all given frames."""
         is_known = np.isfinite(self.positions[frames, marker]).all()
-        return bool(is_known and self.known[frames].all())
+        return bool(is_known and self.determined_frames[frames].all())
 
-    def above(self, marker: int) -> bool:
+    def has_parent(self, marker: int) -> bool:
         """Return whether a marker's joint has a parent."""
         joint = int(self.joints[marker])
         return joint >= 0 and int(self.above_joint[joint]) >= 0
 
-    def mates(self, marker: int, visible: BoolArray) -> list[int]:
+    def markers_on_joint(self, marker: int, visible: BoolArray) -> list[int]:
         """Return the visible markers on the same joint ``(M,)``."""
         is_mate = (self.joints == self.joints[marker]) & visible
         is_mate[marker] = False
         return [int(mate) for mate in np.flatnonzero(is_mate)]
 
-    def drift(self, marker: int, visible: BoolArray) -> float:
+    def drift_speed(self, marker: int, visible: BoolArray) -> float:
         """Return how fast a marker strays from its position on the skeleton [m/s].
 
         Other visible markers determine its joint: three on it or below, or one if it is
         a hinge. With fewer, more of its pose is guessed.
         """
         joint = int(self.joints[marker])
-        mates = len(self.mates(marker, visible))
+        mates = len(self.markers_on_joint(marker, visible))
         joints = self.joints[visible & (self.joints >= 0)]
         below = int((self.above_joint[joints] == joint).sum())
         if mates >= 2 or (not self.free[joint] and mates + below):

@@ -18,17 +18,17 @@ from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
 # Longest spike; longer ones are motion [frame].
-MAX_LENGTH = 4
+MAX_SPIKE_FRAMES = 4
 # Frames on either side that predict a marker.
 SUPPORT_FRAMES = 7
 # Degree of the curve, and minimum number of positions for fitting it.
-DEGREE = 2
-MIN_SUPPORT = DEGREE + 3
+CURVE_DEGREE = 2
+MIN_SUPPORT = CURVE_DEGREE + 3
 # Roughness of a motion: variance of its third differences relative to that of its
 # noise.
 ROUGHNESS_LEVELS = tuple(10.0**power for power in range(-4, 3))
 # Minimum size of a spike [m], and over the typical deviation.
-MIN_SPIKE, MIN_SPIKE_RATIO = 0.006, 8.0
+MIN_SPIKE_SIZE, MIN_SPIKE_RATIO = 0.006, 8.0
 # Factor on these thresholds with positions on one side only.
 ONE_SIDED_FACTOR = 2.0
 # Largest deviation of the frames around from the curve through them, relative to the
@@ -70,7 +70,7 @@ def find_spikes(markers: Markers) -> list[Spike]:
     spikes = []
     for index, name in enumerate(markers.names):
         path = markers.positions[:, index]
-        for first, last, size in _spikes(path):
+        for first, last, size in _marker_spikes(path):
             spikes.append(Spike(name, first, last, size))
     return spikes
 
@@ -84,16 +84,16 @@ def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
     return replace(markers, positions=positions)
 
 
-def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
+def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of the spikes of a marker ``(F, 3)``."""
     visible = np.isfinite(path[:, 0])
     if int(visible.sum()) < 2 * SUPPORT_FRAMES + 1:
         return []
     path = np.where(visible[:, None], path, 0.0)
-    rough, noise = _model(path, visible)
+    rough, noise = _noise_model(path, visible)
     spikes: list[tuple[int, int, float]] = []
     for _ in range(MAX_ROUNDS):
-        new = _round(path, visible, rough, noise)
+        new = _clearest_spikes(path, visible, rough, noise)
         if not new:
             break
         spikes += new
@@ -102,24 +102,26 @@ def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     return sorted(spikes)
 
 
-def _round(
+def _clearest_spikes(
     path: FloatArray, visible: BoolArray, rough: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
     """Return separate spikes, the clearest of overlapping ones."""
     candidates = []
     level: FloatArray | None = None
-    for length in range(1, MAX_LENGTH + 1):
-        starts, deviation, gain, residual = _deviation(path, visible, length, rough)
+    for length in range(1, MAX_SPIKE_FRAMES + 1):
+        starts, deviation, gain, residual = _span_deviations(
+            path, visible, length, rough
+        )
         if not len(starts):
             continue
-        factor = np.where(_one_sided(visible, starts, length), ONE_SIDED_FACTOR, 1.0)
+        factor = np.where(_is_one_sided(visible, starts, length), ONE_SIDED_FACTOR, 1.0)
         scale = noise[length - 1]
         if level is None:
             level = _local_level(starts, gain / (3.0 * scale**2), len(path))
         local_scale = level[starts]
         limit = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
         clear = gain / (scale**2 * local_scale)
-        flags = (deviation >= factor * MIN_SPIKE) & (clear > limit)
+        flags = (deviation >= factor * MIN_SPIKE_SIZE) & (clear > limit)
         flags &= residual < MAX_REST_RATIO**2 * gain / length
         for k in np.flatnonzero(flags).tolist():
             score = float(clear[k]) - LENGTH_PENALTY * length
@@ -131,7 +133,7 @@ def _round(
     for _, first, length, size in candidates:
         if is_taken[first : first + length].any():
             continue
-        if not _is_upset(path, visible, first, length, rough, scale):
+        if not _is_gap_artifact(path, visible, first, length, rough, scale):
             is_taken[
                 max(first - SUPPORT_FRAMES, 0) : first + length + SUPPORT_FRAMES
             ] = True
@@ -139,7 +141,7 @@ def _round(
     return spikes
 
 
-def _is_upset(
+def _is_gap_artifact(
     path: FloatArray,
     visible: BoolArray,
     first: int,
@@ -156,19 +158,19 @@ def _is_upset(
             continue
         reduced = visible[begin : end + SUPPORT_FRAMES].copy()
         reduced[side - begin] = False
-        starts, deviation, gain, _ = _deviation(
+        starts, deviation, gain, _ = _span_deviations(
             path[begin : end + SUPPORT_FRAMES], reduced, length, rough
         )
         span_index = np.flatnonzero(starts == first - begin)
         if len(span_index) and (
-            deviation[span_index[0]] < MIN_SPIKE
+            deviation[span_index[0]] < MIN_SPIKE_SIZE
             or gain[span_index[0]] < scale * MIN_SPIKE_RATIO**2 * 3.0 * length
         ):
             return True
     return False
 
 
-def _one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
+def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
     """Return which spans have no nearby position before or after them."""
     padded = np.concatenate(
         [np.zeros(SUPPORT_FRAMES, bool), visible, np.zeros(SUPPORT_FRAMES, bool)]
@@ -197,21 +199,23 @@ def _local_level(starts: IntArray, square: FloatArray, frames: int) -> FloatArra
     return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)
 
 
-def _model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
+def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
     """Return the roughness of a motion, and its noise by span length [m].
 
     It is the roughness that predicts most positions best from those around.
     """
     best = (np.inf, ROUGHNESS_LEVELS[0])
     for rough in ROUGHNESS_LEVELS:
-        _, deviation, _, _ = _deviation(path, visible, 2, rough, complete=True)
+        _, deviation, _, _ = _span_deviations(path, visible, 2, rough, complete=True)
         if len(deviation):
             best = min(best, (float(np.median(deviation)), rough))
-    noise = np.zeros(MAX_LENGTH)
-    for length in range(1, MAX_LENGTH + 1):
-        starts, _, gain, _ = _deviation(path, visible, length, best[1], complete=True)
+    noise = np.zeros(MAX_SPIKE_FRAMES)
+    for length in range(1, MAX_SPIKE_FRAMES + 1):
+        starts, _, gain, _ = _span_deviations(
+            path, visible, length, best[1], complete=True
+        )
         if not len(starts):
-            starts, _, gain, _ = _deviation(path, visible, length, best[1])
+            starts, _, gain, _ = _span_deviations(path, visible, length, best[1])
         if len(starts):
             # The median of a chi-squared distribution with k degrees is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
@@ -219,7 +223,7 @@ def _model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
     return best[1], np.maximum(noise, 1e-6)
 
 
-def _deviation(
+def _span_deviations(
     path: FloatArray,
     visible: BoolArray,
     length: int,
@@ -251,7 +255,7 @@ def _deviation(
     deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
     for code in np.unique(codes).tolist():
         rows = np.flatnonzero(codes == code)
-        offsets, weights, inverse, form = _pattern(code, length, rough)
+        offsets, weights, inverse, form = _prediction_weights(code, length, rough)
         support_positions = values[starts[rows][:, None] + offsets]  # (S, K, 3)
         span_positions = values[
             starts[rows][:, None] + SUPPORT_FRAMES + np.arange(length)
@@ -262,12 +266,12 @@ def _deviation(
         remaining_squares = (support_positions * (form @ support_positions)).sum(
             axis=(1, 2)
         )
-        residuals[rows] = remaining_squares / max(1, len(offsets) - DEGREE - 1)
+        residuals[rows] = remaining_squares / max(1, len(offsets) - CURVE_DEGREE - 1)
     return starts, deviations, gain, residuals
 
 
 @lru_cache(maxsize=4096)
-def _pattern(
+def _prediction_weights(
     code: int, length: int, rough: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return how positions around a span predict it.
@@ -296,7 +300,7 @@ def _pattern(
         + earlier_frame**3 * frame_distance**2 / 12.0
     )
     kernel = rough * curve + np.eye(len(frames))
-    terms = np.vander((frames - frames.mean()) / SUPPORT_FRAMES, DEGREE + 1)
+    terms = np.vander((frames - frames.mean()) / SUPPORT_FRAMES, CURVE_DEGREE + 1)
     support_count = len(offsets)
     inverse = np.linalg.inv(kernel)
     outer = inverse - inverse @ terms @ np.linalg.solve(

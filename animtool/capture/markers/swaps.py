@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.markers.geometry import MarkerDistances, distances
+from animtool.capture.markers.geometry import MarkerDistances, marker_distances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.runs import merge_runs, runs
 from animtool.motion.markers import Markers
 
 # Minimum frames of an exchange; a shorter one is a spike.
-MIN_SWAP = 4
+MIN_SWAP_FRAMES = 4
 # Tolerance of an extrapolated position: noise [m], acceleration of a marker without a
 # history [m/s^2], and its speed [m/s]. Otherwise the acceleration is a multiple of the
 # marker's median, at least the minimum [m/s^2].
@@ -75,9 +75,9 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     crossings: dict[tuple[int, int], tuple[float, BoolArray]] = {}
     tested_pairs: set[tuple[int, int]] = set()
     while True:
-        for a, b in _pairs(positions, rate):
+        for a, b in _jump_pairs(positions, rate):
             if (a, b) not in crossings and (a, b) not in tested_pairs:
-                lengths = lengths or distances(positions)
+                lengths = lengths or marker_distances(positions)
                 crossings[a, b] = _crossed_frames(positions, a, b, rate, lengths)
         # The clearest pair first: among three markers it decides about the others.
         clearest = max(
@@ -86,7 +86,7 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
         if clearest is None or crossings[clearest][0] < MIN_GAIN:
             break
         pair = list(clearest)
-        for first, last in _spans(crossings[clearest][1], positions[:, pair]):
+        for first, last in _swap_spans(crossings[clearest][1], positions[:, pair]):
             swaps.append(
                 Swap((markers.names[pair[0]], markers.names[pair[1]]), first, last)
             )
@@ -142,7 +142,7 @@ def _expected_positions(
     return last_position + velocity * age[..., None], tolerance, is_known
 
 
-def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
+def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     """Return pairs where one marker jumps to the other's position, by frequency."""
     expected, tolerance, is_known = _expected_positions(positions, rate)
     visible = np.isfinite(positions[..., 0])
@@ -164,7 +164,7 @@ def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Path:
+class _SwapPath:
     """A sequence of name exchanges between two markers, up to a frame.
 
     Attributes:
@@ -193,7 +193,7 @@ def _crossed_frames(
     """
     pair_positions = positions[:, [a, b]]
     visible = np.isfinite(pair_positions[..., 0])
-    acceleration = _acceleration(pair_positions, rate)
+    acceleration = _typical_acceleration(pair_positions, rate)
     expected, tolerance, is_known = _expected_positions(
         pair_positions, rate, acceleration
     )
@@ -204,8 +204,8 @@ def _crossed_frames(
     events = np.flatnonzero(~(is_smooth & is_unchanged).all(axis=1)).tolist()
     events = sorted({0, *events})
     ends = [*events[1:], len(pair_positions)]
-    initial_path = _Path(0.0, 0, (), ([], []))
-    paths = [initial_path, _Path(CHANGE_COST, 1, (0,), ([], []))]
+    initial_path = _SwapPath(0.0, 0, (), ([], []))
+    paths = [initial_path, _SwapPath(CHANGE_COST, 1, (0,), ([], []))]
     points: list[list[Any]] = [
         [
             position if is_visible else None
@@ -216,17 +216,17 @@ def _crossed_frames(
         )
     ]
     for start, end in zip(events, ends, strict=True):
-        shape = _shape(positions, a, b, start, end, lengths)
+        shape = _shape_gain(positions, a, b, start, end, lengths)
         length = int(visible[start:end].any(axis=1).sum())
         worth = max(0.0, shape), max(0.0, -shape) + FRAME_COST * length
 
         def later(
-            path: _Path,
+            path: _SwapPath,
             state: int,
             start: int = start,
             end: int = end,
             worth: tuple[float, float] = worth,
-        ) -> _Path:
+        ) -> _SwapPath:
             cost, changes, past = path.cost + worth[state], path.changes, path.past
             if state != path.state:
                 cost, changes = cost + CHANGE_COST, (*changes, start)
@@ -234,14 +234,16 @@ def _crossed_frames(
             for marker in (0, 1):
                 point = points[start][marker ^ state]
                 if start and point is not None:
-                    cost += _off(past[marker], start, point, rate, acceleration)
+                    cost += _position_cost(
+                        past[marker], start, point, rate, acceleration
+                    )
                 new_state = [
                     (frame, points[frame][marker ^ state])
                     for frame in range(max(start, end - PAST_SAMPLES), end)
                     if points[frame][marker ^ state] is not None
                 ]
                 pasts.append([*past[marker], *new_state][-PAST_SAMPLES:])
-            return _Path(cost, state, changes, (pasts[0], pasts[1]))
+            return _SwapPath(cost, state, changes, (pasts[0], pasts[1]))
 
         initial_path = later(initial_path, 0)
         if start == 0:
@@ -258,7 +260,7 @@ def _crossed_frames(
     return initial_path.cost - best_path.cost, crossed.astype(bool)
 
 
-def _acceleration(pair_positions: FloatArray, rate: float) -> float:
+def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
     """Return the typical largest acceleration of two markers [m/s^2]."""
     second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
     finite = second_differences[np.isfinite(second_differences)]
@@ -273,7 +275,7 @@ def _acceleration(pair_positions: FloatArray, rate: float) -> float:
     )
 
 
-def _off(
+def _position_cost(
     past: list[Any], frame: int, point: list[float], rate: float, acceleration: float
 ) -> float:
     """Return the cost of a position, given the previous visible positions.
@@ -302,7 +304,7 @@ def _off(
     return min(cost, ARBITRARY_COST)
 
 
-def _shape(
+def _shape_gain(
     positions: FloatArray,
     a: int,
     b: int,
@@ -311,7 +313,7 @@ def _shape(
     known_lengths: MarkerDistances,
 ) -> float:
     """Return how much better an exchange fits distances to the other markers."""
-    if end - start < MIN_SWAP:
+    if end - start < MIN_SWAP_FRAMES:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
     other_markers = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
@@ -344,7 +346,9 @@ def _shape(
     )
 
 
-def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, int]]:
+def _swap_spans(
+    crossed: BoolArray, pair_positions: FloatArray
+) -> list[tuple[int, int]]:
     """Return first and last frames of crossed spans that are long enough.
 
     One that begins or ends while neither is visible does so in the middle of that gap.
@@ -352,9 +356,9 @@ def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, in
     visible = np.asarray(np.isfinite(pair_positions[..., 0]).any(axis=1))
     spans = []
     # A few normal frames between exchanged ones are a spike.
-    for first, end in merge_runs(runs(crossed), MIN_SWAP):
+    for first, end in merge_runs(runs(crossed), MIN_SWAP_FRAMES):
         frames = first + np.flatnonzero(visible[first:end])
-        if len(frames) < MIN_SWAP:
+        if len(frames) < MIN_SWAP_FRAMES:
             continue
         visible_before = np.flatnonzero(visible[: frames[0]])
         visible_after = np.flatnonzero(visible[frames[-1] + 1 :])

@@ -66,7 +66,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
         points = positions[frame, slots]
         expected, radius = _expected_positions(past, age, reach, new_reach)
         relative_distance = cdist(expected, points) / radius[:, None]
-        run, point = _mutual(relative_distance)
+        run, point = _mutual_nearest(relative_distance)
         run_of_slot = np.full(len(slots), -1)
         run_of_slot[point] = run
         continued = run_of_slot >= 0
@@ -108,7 +108,7 @@ RIVAL_RATIO = 2.0
 EQUAL_DISTANCE = 0.05
 
 
-def _mutual(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
+def _mutual_nearest(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
     """Return pairs of run and point that are mutually nearest, without rivals.
 
     relative_distance: Distances over the tolerance ``(R, P)``.
@@ -121,7 +121,8 @@ def _mutual(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
     point = by_run[run]
     nearest = relative_distance[run, point]
     rival = np.minimum(
-        _second(relative_distance)[run], _second(relative_distance.T)[point]
+        _second_smallest(relative_distance)[run],
+        _second_smallest(relative_distance.T)[point],
     )
     is_sure = (nearest <= 1.0) & (
         rival > RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
@@ -129,7 +130,7 @@ def _mutual(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
     return run[is_sure], point[is_sure]
 
 
-def _second(relative_distance: FloatArray) -> FloatArray:
+def _second_smallest(relative_distance: FloatArray) -> FloatArray:
     if relative_distance.shape[1] < 2:
         return np.full(len(relative_distance), np.inf)
     return np.partition(relative_distance, 1, axis=1)[:, 1]

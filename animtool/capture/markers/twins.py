@@ -6,15 +6,19 @@ from itertools import combinations
 
 import numpy as np
 
-from animtool.capture.markers.geometry import distances, fitted
-from animtool.capture.markers.naming import exchanges, gain_of, pair_evidence
+from animtool.capture.markers.geometry import fit_shape, marker_distances
+from animtool.capture.markers.naming import (
+    exchange_gain,
+    pair_evidence,
+    possible_exchanges,
+)
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
 # Exchanges with more evidence against them are ignored [nat].
 MAX_OPPOSITION = 6.0
 # Number of neighbours; any two of them define a frame with the exchanged markers.
-NEIGHBOURS = 5
+NEIGHBOUR_COUNT = 5
 # Two pairs this near each other are exchanged together [m].
 NEAR_DISTANCE = 0.26
 # Number of sampled frames, the fraction of them nearest to the trial's pose [1], and
@@ -61,8 +65,8 @@ def distinguish_twins(
     overlap = visible.T @ visible
     fraction = overlap / max(1.0, float(overlap.max()))
     np.fill_diagonal(fraction, 0.0)
-    pair_scores = pair_evidence(distances(positions), fraction, rest)
-    moves = _near_only(exchanges(rest), rest)
+    pair_scores = pair_evidence(marker_distances(positions), fraction, rest)
+    moves = _drop_unrelated(possible_exchanges(rest), rest)
     names = np.arange(len(shape))
     shape_cache: dict[tuple[int, ...], float] = {}
     doubts: list[Exchange] = []
@@ -74,7 +78,7 @@ def distinguish_twins(
         best_move, best_gain = None, MIN_GAIN
         doubts, pairs = [], []
         for old, new in moves:
-            gains = gain_of(pair_scores, single_scores, names, old, new)
+            gains = exchange_gain(pair_scores, single_scores, names, old, new)
             for row in np.flatnonzero(gains > -MAX_OPPOSITION).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
@@ -82,7 +86,7 @@ def distinguish_twins(
                 changed_names = names.copy()
                 changed_names[old[row]] = names[new[row]]
                 score = float(gains[row])
-                score += SHAPE_EVIDENCE * _shape_says(
+                score += SHAPE_EVIDENCE * _shape_evidence(
                     positions,
                     shape,
                     rest,
@@ -102,7 +106,7 @@ def distinguish_twins(
     return names, doubts, pairs
 
 
-def exchanged_in(
+def is_exchanged(
     positions: FloatArray, shape: FloatArray, pair: tuple[int, int]
 ) -> bool:
     """Return whether shapes clearly show two markers exchanged in some frames.
@@ -113,13 +117,13 @@ def exchanged_in(
     exchanged_names = names.copy()
     exchanged_names[list(pair)] = pair[::-1]
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    pair_scores = _shape_says(
+    pair_scores = _shape_evidence(
         positions, shape, rest, list(pair), names, exchanged_names, {}
     )
     return SHAPE_EVIDENCE * pair_scores > MIN_PART_GAIN
 
 
-def _near_only(
+def _drop_unrelated(
     moves: list[tuple[IntArray, IntArray]], rest: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Return the exchanges, except those of two unrelated pairs."""
@@ -133,7 +137,7 @@ def _near_only(
     return nearby
 
 
-def _shape_says(
+def _shape_evidence(
     positions: FloatArray,
     shape: FloatArray,
     rest: FloatArray,
@@ -145,7 +149,7 @@ def _shape_says(
     """Return the shape evidence for other names, a mean over neighbours [nat]."""
     distance = rest[current_names[changed]][:, current_names].min(axis=0)
     distance[changed] = np.inf
-    nearest = np.argsort(distance, kind="stable")[:NEIGHBOURS]
+    nearest = np.argsort(distance, kind="stable")[:NEIGHBOUR_COUNT]
     ratios = []
     for pair in combinations(nearest.tolist(), 2):
         group = [*changed, *pair]
@@ -153,21 +157,21 @@ def _shape_says(
         for names in (current_names, other_names):
             key = (*group, *names[group].tolist())
             if key not in cache:
-                cache[key] = _off(positions, group, shape[names[group]])
+                cache[key] = _shape_error(positions, group, shape[names[group]])
             errors.append(cache[key])
         if np.isfinite(errors).all():
             ratios.append(np.log((errors[0] + SHAPE_NOISE) / (errors[1] + SHAPE_NOISE)))
     return float(np.mean(ratios)) if ratios else 0.0
 
 
-def _off(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
+def _shape_error(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
     """Return the error of a shape on points in the frames that fit it best [m]."""
     points = positions[:, group]
     complete = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
     if len(complete) < MIN_SAMPLES:
         return np.inf
     points = points[complete[:: max(1, len(complete) // SAMPLED_FRAMES)]]
-    rotation, shift = fitted(points, shape)
+    rotation, shift = fit_shape(points, shape)
     fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
     error = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
     count = max(1, int(BEST_FRACTION * len(error)))

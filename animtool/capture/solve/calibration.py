@@ -22,10 +22,10 @@ from animtool.capture.solve.model import (
     marker_model,
     visible_markers,
 )
-from animtool.capture.solve.run import check_units, in_world_of
+from animtool.capture.solve.run import check_units, to_world_of
 from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
-    misses_of,
+    marker_residuals,
     sampled_frames,
     sampled_poses,
     typical_noise,
@@ -39,7 +39,7 @@ from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets
 from animtool.motion.markers import Markers
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Pose, Rig
 
@@ -58,11 +58,11 @@ BONE_DEVIATION, OVERALL_DEVIATION, SIDE_DEVIATION, OFFSET_DEVIATION = (
 # motion, where no marker determines it [rad].
 STATIC_POSE_DEVIATION, MOTION_POSE_DEVIATION = 0.08, 1.5
 # Maximum number of steps, and the change of bones [1] and offsets [m] at convergence.
-MAX_STEPS, CONVERGED = 25, 2e-4
+MAX_STEPS, CONVERGED_STEP = 25, 2e-4
 # Initial noise with a generic template [m].
 GENERIC_NOISE = 0.03
 # Uncertainty of a bone's scale above which it is reported, relative to its prior.
-UNSURE_RATIO = 0.5
+UNCERTAIN_SCALE_RATIO = 0.5
 # Minimum number of frames.
 MIN_FRAMES = 10
 
@@ -155,10 +155,10 @@ class _CalibrationState:
         model = marker_model(rig, template, match.columns)
         self.model = model.changed(unlimited_rig(model), model.offsets)
         self.source_rig = rig
-        motion = in_world_of(rig, markers)[:, self.model.columns]
+        motion = to_world_of(rig, markers)[:, self.model.columns]
         parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
         if static is not None:
-            static_frames = self._in_model_order(in_world_of(rig, static), static.names)
+            static_frames = self._in_model_order(to_world_of(rig, static), static.names)
             parts.insert(0, static_frames[sampled_frames(static_frames, STATIC_FRAMES)])
         self.static_frames = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
@@ -169,10 +169,10 @@ class _CalibrationState:
             hint = f"a calibration needs {MIN_FRAMES}"
             raise OptionError(Fault("SOL006", message, hint=hint))
         check_units(self.model, self.positions)
-        self.bones = _bones(self.model.rig)
+        self.bones = _scalable_bones(self.model.rig)
         self.base = self.model.rig.rest_translations
         self.offsets0 = self.model.offsets
-        self.scales = np.full(len(self.bones), self._overall())
+        self.scales = np.full(len(self.bones), self._size_ratio())
         self.fixed = np.array([m.fixed for m in self.model.template.markers], np.bool_)
         size = np.where(self.fixed, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.offsets0
@@ -189,7 +189,7 @@ class _CalibrationState:
         ordered[:, is_captured] = positions[:, match.columns[is_captured]]
         return ordered
 
-    def _overall(self) -> float:
+    def _size_ratio(self) -> float:
         """Return the ratio of the subject's size to the rig's."""
         frames = self.positions[: max(self.static_frames, 1)]
         rest_points = self.model.points(self.model.starts(frames))
@@ -205,7 +205,7 @@ class _CalibrationState:
 
     def run(self) -> tuple[int, bool]:
         """Iterate to convergence; return the step count and whether it converged."""
-        self._rebuild()
+        self._rebuild_model()
         poses = sampled_poses(self.model, self.positions, self.noise)
         for round_ in range(MAX_STEPS):
             poses = self._fitted_poses(poses)
@@ -213,17 +213,18 @@ class _CalibrationState:
             bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
             self.scales = np.clip(self.scales + bones, 0.1, 10.0)
             self.offsets = self.offsets + shifts.reshape(-1, 3)
-            self._rebuild()
+            self._rebuild_model()
             if (
                 max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0))
-                < CONVERGED
+                < CONVERGED_STEP
             ):
                 return round_ + 1, True
         return MAX_STEPS, False
 
-    def _rebuild(self) -> None:
+    def _rebuild_model(self) -> None:
         self.model = self.model.changed(
-            scaled_rig(self.model.rig, self.bones, self.scales, self.base), self.offsets
+            scale_bones(self.model.rig, self.bones, self.scales, self.base),
+            self.offsets,
         )
 
     def _fitted_poses(self, poses: FloatArray) -> FloatArray:
@@ -231,7 +232,7 @@ class _CalibrationState:
         options = FitOptions(1.0, math.inf, robust=ROBUST_DEVIATIONS, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
         pose_fit = fit(self.model.problem, targets, poses, options, path=poses)
-        misses = misses_of(self.model, pose_fit.coordinates, self.positions)
+        misses = marker_residuals(self.model, pose_fit.coordinates, self.positions)
         typical = typical_noise(misses, self.options.noise)
         # Halved at most: markers that are far off at first must not be rejected.
         self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
@@ -249,7 +250,7 @@ class _CalibrationState:
             targets=targets,
             steps=np.zeros((count, degrees)),
         )
-        columns = self._columns(poses)
+        columns = self._marker_derivatives(poses)
         distances = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
         weight = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
         residuals = residuals * weight
@@ -262,7 +263,7 @@ class _CalibrationState:
         transposed_slopes = np.swapaxes(slopes, 1, 2)
         # Parameters and residuals with the poses eliminated.
         eliminated = np.linalg.solve(normal, transposed_slopes @ columns)
-        pose_pull = pose_precision * self._from_rest(poses)
+        pose_pull = pose_precision * self._rest_deviation(poses)
         pose_step = np.linalg.solve(
             normal,
             (transposed_slopes @ residuals[:, :, None])[:, :, 0][:, :, None]
@@ -274,13 +275,13 @@ class _CalibrationState:
             mixed.shape
         )
         right_side = mixed_slopes.T @ residuals.ravel() - mixed.T @ pose_step.ravel()
-        prior, prior_gradient = self._prior()
+        prior, prior_gradient = self._prior_equations()
         self.surety = np.diag(matrix)[: len(self.bones)] / (
             np.diag(matrix)[: len(self.bones)] + BONE_DEVIATION**-2.0
         )
         return np.linalg.solve(matrix + prior, right_side + prior_gradient)
 
-    def _from_rest(self, poses: FloatArray) -> FloatArray:
+    def _rest_deviation(self, poses: FloatArray) -> FloatArray:
         """Return the deviation of poses from rest ``(F, D)``, root motion excluded."""
         chain = self.model.problem.chain
         start = chain.from_rig(self.model.starts(self.positions))
@@ -290,11 +291,11 @@ class _CalibrationState:
         deviation[:, : min(6, deviation.shape[1])] = 0.0
         return deviation
 
-    def _columns(self, poses: FloatArray) -> FloatArray:
+    def _marker_derivatives(self, poses: FloatArray) -> FloatArray:
         """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
         local = model.local(poses)
-        world = forward(rig, local.translations, local.rotations)
+        world = forward_kinematics(rig, local.translations, local.rotations)
         count, markers = len(poses), len(model.joints)
         derivatives = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
         is_above = np.zeros((markers, len(rig.joints)), np.bool_)
@@ -313,7 +314,7 @@ class _CalibrationState:
         derivatives *= (visible * weights)[:, :, None, None]
         return derivatives.reshape(count, 3 * markers, -1)
 
-    def _prior(self) -> tuple[FloatArray, FloatArray]:
+    def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """Return the prior of scales and offsets: normal matrix and right side."""
         bones, size = len(self.bones), len(self.bones) + self.offsets.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
@@ -324,7 +325,7 @@ class _CalibrationState:
         deviation = self.scales - 1.0
         matrix[:bones, :bones] = precision
         gradient[:bones] = -precision @ deviation
-        for left_bone, right_bone in self._pairs():
+        for left_bone, right_bone in self._side_pairs():
             difference = self.scales[left_bone] - self.scales[right_bone]
             for a, sign in ((left_bone, 1.0), (right_bone, -1.0)):
                 matrix[a, a] += SIDE_DEVIATION**-2.0
@@ -334,7 +335,7 @@ class _CalibrationState:
         # Markers scale with their bones; the prior is on the remaining offset, d = A p.
         offset_map = np.zeros((self.offsets.size, size))
         offset_map[:, bones:] = np.eye(self.offsets.size)
-        of_bones = self._carriers()[:, None, :] * self.offsets0[:, :, None]
+        of_bones = self._bone_weights()[:, None, :] * self.offsets0[:, :, None]
         offset_map[:, :bones] = -of_bones.reshape(-1, bones)
         deviation = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
         # Fixed markers do not scale with bones.
@@ -345,7 +346,7 @@ class _CalibrationState:
         gradient -= offset_map.T @ deviation / OFFSET_DEVIATION**2
         return matrix, gradient
 
-    def _carriers(self) -> FloatArray:
+    def _bone_weights(self) -> FloatArray:
         """Return the weight of each bone in the size of a marker's joint ``(E, B)``.
 
         A joint scales with the bones that begin there; an end joint with the bone to
@@ -360,7 +361,7 @@ class _CalibrationState:
             weights[e, children if children.any() else slice(None)] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def _pairs(self) -> list[tuple[int, int]]:
+    def _side_pairs(self) -> list[tuple[int, int]]:
         """Return the indices of left and right bones."""
         rig = self.model.rig
         stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
@@ -399,7 +400,7 @@ class _CalibrationState:
         unseen = [
             rig.names[group[0]]
             for b, group in enumerate(self.bones)
-            if self.surety[b] < UNSURE_RATIO
+            if self.surety[b] < UNCERTAIN_SCALE_RATIO
         ]
         if unseen:
             message = (
@@ -409,7 +410,7 @@ class _CalibrationState:
             message += listed(unseen, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
         return Calibration(
-            with_bones(self.source_rig, scales),
+            scale_rig_bones(self.source_rig, scales),
             replace(self.template, markers=tuple(markers), document=None),
             scales,
             shifts,
@@ -421,7 +422,7 @@ class _CalibrationState:
         )
 
 
-def _bones(rig: Rig) -> list[tuple[int, ...]]:
+def _scalable_bones(rig: Rig) -> list[tuple[int, ...]]:
     """Return the joints whose bones scale independently: all but roots."""
     return [
         (j,)
@@ -448,7 +449,7 @@ def unlimited_rig(model: MarkerProblem) -> Rig:
     return replace(rig, joints=joints)
 
 
-def scaled_rig(
+def scale_bones(
     rig: Rig, bones: list[tuple[int, ...]], scales: FloatArray, base: FloatArray
 ) -> Rig:
     """Return a rig with bones scaled from a base ``(J, 3)``."""
@@ -460,7 +461,7 @@ def scaled_rig(
     return replace(rig, joints=tuple(joints))
 
 
-def with_bones(rig: Rig, scales: FloatArray) -> Rig:
+def scale_rig_bones(rig: Rig, scales: FloatArray) -> Rig:
     """Return a rig with bones scaled ``(J,)``; surfaces stay bound.
 
     The tip of a bone without a child joint scales with the joint's own bone.

@@ -19,7 +19,7 @@ from animtool.rig.joints import (
     coordinate_slices,
     local_from_coordinates,
 )
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import JointType, Rig
 
 # Minimum number of markers that determine a rotation.
@@ -81,12 +81,14 @@ class MarkerProblem:
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
         joint_weights = WEIGHT_PER_JOINT ** (depths - depths.min())
         visible = visible_markers(positions)
-        rotation, translation = rigid_motions(
+        rotation, translation = fit_rigid_motions(
             self.points(q[:1])[0],
             np.where(visible[:, :, None], positions, 0.0),
             visible * joint_weights * self.template.weights,
         )
-        rest_pose = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+        rest_pose = forward_kinematics(
+            rig, rig.rest_translations[None], rig.rest_rotations[None]
+        )
         rest_at, rest_rotation = (
             rest_pose.positions[0, root],
             rest_pose.rotations[0, root],
@@ -116,7 +118,7 @@ class MarkerProblem:
     def points(self, coordinates: FloatArray) -> FloatArray:
         """Return marker positions in poses ``(F, Q)``: ``(F, E, 3)`` [m]."""
         local = self.local(coordinates)
-        world = forward(self.rig, local.translations, local.rotations)
+        world = forward_kinematics(self.rig, local.translations, local.rotations)
         linear = world.linear[:, self.joints]
         rotated_offsets = np.einsum("feij,ej->fei", linear, self.offsets)
         return np.asarray(world.positions[:, self.joints] + rotated_offsets)
@@ -176,7 +178,7 @@ def _build_problem(
     return MarkerProblem(problem, template, columns, template.joints(rig))
 
 
-def rigid_motions(
+def fit_rigid_motions(
     points: FloatArray, positions: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(F, 4)`` and translations ``(F, 3)`` between point sets.

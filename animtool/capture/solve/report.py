@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 
 # A frame is poor if a smaller fraction of its markers fits.
-MIN_FITTED = 0.5
+MIN_FITTED_FRACTION = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class SolveScore:
             self.total = float(np.sqrt(squares.sum() / fits.sum()))
         counts = is_visible.sum(axis=1)
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        is_poor = fits.sum(axis=1) < MIN_FITTED * counts
+        is_poor = fits.sum(axis=1) < MIN_FITTED_FRACTION * counts
         self.poor = np.flatnonzero((counts >= MIN_MARKERS) & is_poor)
         self.searched = np.flatnonzero(self._begun)
         self.markers = [

@@ -18,7 +18,7 @@ from animtool.capture.solve.model import (
 from animtool.capture.solve.report import SolveScore
 from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
-    misses_of,
+    marker_residuals,
     sampled_frames,
     sampled_poses,
     typical_noise,
@@ -35,7 +35,7 @@ from animtool.core.shot import frame_spans
 from animtool.core.units import up_from_up
 from animtool.ik.fit import FitOptions, fit
 from animtool.maths import so3
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -45,15 +45,15 @@ Progress = Callable[[float], None] | None
 # Frames that are solved at once, and lookahead frames after them; motion beyond those
 # has no influence on a frame. Fixed, so that results do not depend on how a take is
 # read.
-WINDOW, LOOKAHEAD = 600, 120
+WINDOW_FRAMES, LOOKAHEAD_FRAMES = 600, 120
 # Frames before a window whose poses are fixed, so that motion continues smoothly.
 BEHIND_FRAMES = 2
 # Independent frames for the noise estimate.
 NOISE_SAMPLES = 24
 # Ratio of marker distances to the rig's that means other units.
-OTHER_UNITS = 30.0
+MIN_UNIT_RATIO = 30.0
 # Typical residual above which markers do not belong to this rig [m].
-STRANGE_RESIDUAL = 0.01
+MIN_STRANGE_RESIDUAL = 0.01
 # Initial noise, maximum rounds of its estimate, and the ratio at which it has
 # converged.
 INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
@@ -95,8 +95,8 @@ class MarkerSolve:
         previous: FloatArray | None = None
         rotations: FloatArray | None = None
         count = len(self.positions)
-        for first in range(0, count, WINDOW):
-            end = min(first + WINDOW, count)
+        for first in range(0, count, WINDOW_FRAMES):
+            end = min(first + WINDOW_FRAMES, count)
             coordinates = self._window(first, end, previous)
             previous = coordinates[-BEHIND_FRAMES:]
             motion = self._motion(coordinates, rotations)
@@ -112,12 +112,12 @@ class MarkerSolve:
         motion = Motion.concatenate(list(self.blocks(progress)))
         motion = motion.map(Channel.compact)
         rig, clock = self.model.rig, self.markers.clock
-        return driven_take(Take(rig, clock, motion, tuple(self.notices)))
+        return drive_take(Take(rig, clock, motion, tuple(self.notices)))
 
     def _window(self, first: int, end: int, previous: FloatArray | None) -> FloatArray:
         """Return the poses of frames that continue those before them."""
         past_frames = 0 if previous is None else len(previous)
-        lookahead = min(end + LOOKAHEAD, len(self.positions))
+        lookahead = min(end + LOOKAHEAD_FRAMES, len(self.positions))
         positions = self.positions[first - past_frames : lookahead]
         starts = self.model.starts(positions)
         if previous is not None:
@@ -209,7 +209,7 @@ def solve_markers(
     options = options or SolveOptions()
     match = match_markers(template, markers.names, options.subject)
     model = marker_model(rig, template, match.columns)
-    positions = in_world_of(model.rig, markers)[:, model.columns]
+    positions = to_world_of(model.rig, markers)[:, model.columns]
     sample = positions[sampled_frames(positions, NOISE_SAMPLES)]
     if not len(sample):
         message = f"no frame has {MIN_MARKERS} markers of the template"
@@ -225,7 +225,7 @@ def solve_markers(
     median = float(np.median(noise))
     swapped = swapped_notices(model, sample, noise, options.noise, sampled_noise)
     notices += swapped
-    if median > STRANGE_RESIDUAL and not swapped:
+    if median > MIN_STRANGE_RESIDUAL and not swapped:
         message = f"markers are {length_text(median)} off their positions on the rig"
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
@@ -277,7 +277,7 @@ def sampled_noise(
     """
     noise = np.full(len(model.joints), INITIAL_NOISE)
     for _ in range(NOISE_ROUNDS):
-        misses = misses_of(model, sampled_poses(model, sample, noise), sample)
+        misses = marker_residuals(model, sampled_poses(model, sample, noise), sample)
         estimate = typical_noise(misses, min_noise)
         has_converged = bool((estimate > CONVERGED_RATIO * noise).all())
         noise = estimate
@@ -286,7 +286,7 @@ def sampled_noise(
     return noise
 
 
-def in_world_of(rig: Rig, markers: Markers) -> FloatArray:
+def to_world_of(rig: Rig, markers: Markers) -> FloatArray:
     """Return positions ``(F, M, 3)`` with the up axis of a rig [m]."""
     rotation = up_from_up(rig.up, markers.up)
     if rotation is None:
@@ -309,7 +309,7 @@ def check_units(model: MarkerProblem, sample: FloatArray) -> None:
         ).mean()
         ratios.append(frame_size / max(float(rest_size), 1e-9))
     ratio = float(np.median(ratios))
-    if 1 / OTHER_UNITS < ratio < OTHER_UNITS:
+    if 1 / MIN_UNIT_RATIO < ratio < MIN_UNIT_RATIO:
         return
     times, comparison = (
         (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")

@@ -66,7 +66,7 @@ def typical_noise(misses: FloatArray, min_noise: float) -> FloatArray:
     return np.asarray(np.maximum(noise, max(min_noise, median / 2)))
 
 
-def misses_of(
+def marker_residuals(
     model: MarkerProblem, coordinates: FloatArray, positions: FloatArray
 ) -> FloatArray:
     """Return the residuals of markers in poses ``(F, E)`` [m], NaN where missing."""

@@ -17,7 +17,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, Severity, counted, faults_in
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.marker_files import open_markers
-from animtool.motion.driving import driven_stream
+from animtool.motion.driving import drive_stream
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Motion
 from animtool.motion.scores import PassScores, Score, ScoreUnit
@@ -60,7 +60,7 @@ def open_markers_source(
     if cameras is None:
         markers = open_markers(path, unit=unit, up=up, fps=fps)
     else:
-        markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
+        markers = triangulate_source(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
         message = "holds markers, but no template places them on the rig"
         hint = (
@@ -69,7 +69,7 @@ def open_markers_source(
         )
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     marker_template = load_template(template)
-    rig_path = named_rig(marker_template, rig, template)
+    rig_path = rig_of_template(marker_template, rig, template)
     loaded_rig = at_origin(Rig.load(rig_path))
     with faults_in(path):
         solve = solve_markers(markers, loaded_rig, marker_template, SolveOptions())
@@ -79,7 +79,7 @@ def open_markers_source(
     return stream
 
 
-def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
+def rig_of_template(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
     """Return the given rig, or the one that a template names (else SOL008)."""
     if rig is not None:
         return rig
@@ -92,7 +92,7 @@ def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
     raise OptionError(Fault("SOL008", message, str(path), (), hint))
 
 
-def triangulated(
+def triangulate_source(
     path: Path,
     cameras: Path,
     *,
@@ -142,7 +142,7 @@ def solve_stream(
         stream.scores.append(solve_scores(solve))
 
     stream.blocks = blocks()
-    stream.blocks = driven_stream(stream).blocks
+    stream.blocks = drive_stream(stream).blocks
     stream.details = {
         "format": "markers",
         "units": unit_name(rig.meters_per_unit),

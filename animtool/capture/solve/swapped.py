@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from animtool.capture.solve.model import MarkerProblem
-from animtool.capture.solve.sampling import misses_of, sampled_poses
+from animtool.capture.solve.sampling import marker_residuals, sampled_poses
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import length_text
@@ -52,7 +52,7 @@ def swapped_notices(
             return [_warning(message)]
     coordinates = sampled_poses(model, sample, noise)
     misses, others = (
-        _medians(misses_of(model, coordinates, positions))
+        _medians(marker_residuals(model, coordinates, positions))
         for positions in (sample, exchanged)
     )
     swapped = []

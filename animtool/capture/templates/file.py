@@ -13,10 +13,10 @@ from animtool.core.config import project_roots
 from animtool.core.files.reading import exists
 from animtool.core.options import key
 from animtool.core.units import LengthUnit
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
-from animtool.documents.references import missing_hint, referred
+from animtool.documents.references import missing_hint, resolve_reference
 
 # Largest distance of a marker from its joint [m]; larger numbers mean another unit.
 MAX_OFFSET = 10.0
@@ -78,13 +78,13 @@ def load_template(path: Path | str) -> MarkerTemplate:
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
     """
-    return template_of_document(read_document(Path(path)))
+    return parse_template(read_document(Path(path)))
 
 
-def template_of_document(document: Document) -> MarkerTemplate:
+def parse_template(document: Document) -> MarkerTemplate:
     """Return a document as a marker template; see `load_template`."""
     check_version(document, "markers")
-    model = validated(document, MarkersModel)
+    model = validate_document(document, MarkersModel)
     unit = LengthUnit(model.units.length).meters
     entry_of_name: dict[str, int] = {}
     markers = []
@@ -118,16 +118,16 @@ def template_of_document(document: Document) -> MarkerTemplate:
     if all(entry.weight == 0 for entry in model.marker_set):
         message = "every marker has weight 0"
         document.add("MKT004", ("marker_set",), message, "leave out some weights")
-    rig = _rig(document, model.rig)
+    rig = _referred_rig(document, model.rig)
     document.check()
     return MarkerTemplate(tuple(markers), rig, document)
 
 
-def _rig(document: Document, name: str | None) -> Path | None:
+def _referred_rig(document: Document, name: str | None) -> Path | None:
     """Return the rig file that a template names; a fault where it is missing."""
     if name is None:
         return None
-    path = referred(document, ("rig",), name, project_roots(document.path))
+    path = resolve_reference(document, ("rig",), name, project_roots(document.path))
     if path is not None and not exists(path):
         hint = missing_hint(document, name)
         document.add("DOC015", ("rig",), f"{name!r} does not exist", hint)

@@ -59,7 +59,8 @@ def match_markers(
     """
     labelled_names = [name for name in names if not name.startswith("*")]
     matches = {
-        match: _columns(template, names, match) for match in _subjects(labelled_names)
+        match: _marker_columns(template, names, match)
+        for match in _subject_prefixes(labelled_names)
     }
     matching = {match: c for match, c in matches.items() if (c >= 0).any()}
     if subject is not None:
@@ -67,7 +68,9 @@ def match_markers(
             message = f"no marker is of the subject {subject!r}"
             raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
         matching = {subject: matches[subject]}
-        labelled_names = [name for name in labelled_names if _split(name)[0] == subject]
+        labelled_names = [
+            name for name in labelled_names if _split_prefix(name)[0] == subject
+        ]
     if len(matching) > 1:
         count = counted(len(matching), "subject")
         message = f"holds markers of {count}: {listed(sorted(matching))}"
@@ -86,21 +89,23 @@ def match_markers(
     return MarkerMatch(columns, tuple(missing_markers), tuple(unused_names), subject)
 
 
-def _subjects(names: Iterable[str]) -> list[str]:
+def _subject_prefixes(names: Iterable[str]) -> list[str]:
     """Return the prefixes of names; empty for names without."""
-    return list(dict.fromkeys(_split(name)[0] for name in names))
+    return list(dict.fromkeys(_split_prefix(name)[0] for name in names))
 
 
-def _split(name: str) -> tuple[str, str]:
+def _split_prefix(name: str) -> tuple[str, str]:
     subject, _, bare = name.rpartition(":")
     return subject.strip(), bare.strip()
 
 
-def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> IntArray:
+def _marker_columns(
+    template: MarkerTemplate, names: Sequence[str], subject: str
+) -> IntArray:
     """Return the index of each marker among the names of a subject; -1 without one."""
     bare_names = {
         i: bare
-        for i, (prefix, bare) in enumerate(map(_split, names))
+        for i, (prefix, bare) in enumerate(map(_split_prefix, names))
         if prefix == subject and not names[i].startswith("*")
     }
     columns = np.full(len(template.markers), -1, np.int64)
@@ -128,7 +133,7 @@ def _unmatched_fault(
         message = f"none of its {counted(len(names), 'point')} has a label"
         hint = "animtool mocap label gives points their names"
         return Fault("SOL001", message, hint=hint)
-    bare_names = [_split(name)[1] for name in labelled_names]
+    bare_names = [_split_prefix(name)[1] for name in labelled_names]
     suggestions = [
         f"{name!r} is near {guess!r}"
         for name in template.names

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.names import decimal_text, flow_list, nearest, yaml_scalar
 from animtool.core.record import dataclass
-from animtool.documents.document import Document, spelled
+from animtool.documents.document import Document, location_text
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
@@ -93,7 +93,7 @@ class MarkerTemplate:
             key_path = ("marker_set", i, "joint")
             hint = nearest(marker.joint, index)
             faults.append(
-                Fault("MKT001", message, hint=hint, where=spelled(key_path))
+                Fault("MKT001", message, hint=hint, where=location_text(key_path))
                 if self.document is None
                 else self.document.fault("MKT001", key_path, message, hint)
             )
@@ -110,10 +110,12 @@ def template_text(template: MarkerTemplate, title: str, rig: str | None = None) 
         title: Comment on the first line.
         rig: Path of the rig file to write; None omits it.
     """
-    return "\n".join(_lines(template, title, rig)) + "\n"
+    return "\n".join(_template_lines(template, title, rig)) + "\n"
 
 
-def _lines(template: MarkerTemplate, title: str, rig: str | None) -> Iterator[str]:
+def _template_lines(
+    template: MarkerTemplate, title: str, rig: str | None
+) -> Iterator[str]:
     yield f"# {title}"
     yield "markers: animtool/1"
     if rig is not None:

@@ -12,7 +12,7 @@ from animtool.core.record import dataclass
 from animtool.maths import euler, so3
 from animtool.maths.additive import add_offset, add_rotation, multiply_scale
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, Rig
 
@@ -204,7 +204,7 @@ class ReducedPose:
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
         """Return the world transforms, in ``out`` if given."""
         t, r, s = self.translations, self.rotations, self.scales
-        return forward(self.rig, t, r, s, out=out)
+        return forward_kinematics(self.rig, t, r, s, out=out)
 
     def copy(self) -> ReducedPose:
         """Return an independent copy."""

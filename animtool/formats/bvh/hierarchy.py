@@ -20,10 +20,10 @@ _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 # seconds.
 PLAUSIBLE_RATES = (4, 1000)
 
-_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
+_TOKENS_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 
 _CONTROL = re.compile(f"[{CONTROL}]")
-_WORDS = re.compile(r"[{}]|[^\s{}]+")
+_WORD = re.compile(r"[{}]|[^\s{}]+")
 
 
 @dataclass(slots=True)
@@ -60,7 +60,7 @@ class _OpenBrace:
     has_offset: bool = False
 
 
-class _Hierarchy:
+class _HierarchyParser:
     """Parser state: applies the statements of a HIERARCHY block one by one."""
 
     def __init__(self, lines: HeaderLines) -> None:
@@ -72,7 +72,7 @@ class _Hierarchy:
         """Read up to and including the line MOTION."""
         line: str | None = self._after_start()
         while line is not None:
-            words = _WORDS.findall(line)
+            words = _WORD.findall(line)
             while words:
                 keyword = words.pop(0)
                 if keyword.upper() == "MOTION" and not words:
@@ -178,7 +178,7 @@ class _Hierarchy:
         if block is None:
             self.lines.fail("BVH003", "unexpected OFFSET outside a joint")
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
-        if len(texts) < 3 or (words and words[0].upper() not in _AFTER_OFFSET):
+        if len(texts) < 3 or (words and words[0].upper() not in _TOKENS_AFTER_OFFSET):
             count = len(texts) + sum(word not in "{}" for word in words)
             message = f"OFFSET has {counted(count, 'number')} instead of 3"
             self.lines.fail("BVH006", message, self._name(block))
@@ -255,7 +255,7 @@ class _Hierarchy:
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
     """Read everything above the rows of numbers."""
-    hierarchy = _Hierarchy(lines)
+    hierarchy = _HierarchyParser(lines)
     hierarchy.read()
     header = BvhHeader(hierarchy.joints)
     notices = _duplicate_names(header.joints, path)

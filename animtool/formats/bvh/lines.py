@@ -26,19 +26,19 @@ from animtool.core.record import dataclass
 
 CHUNK_BYTES = 1 << 19
 # Longest header line, which names one joint or its channels.
-LONGEST_LINE_BYTES = 1 << 16
+MAX_LINE_BYTES = 1 << 16
 # Most header lines; a joint has five or six.
 MAX_LINES = 1_000_000
 # Values per block, a quarter of a megabyte of float64, which stays in the processor's
 # cache from parser to writer.
 BLOCK_VALUES = 1 << 15
 # Longest number, blanks included [byte].
-LONGEST_NUMBER_BYTES = 1024
+MAX_NUMBER_BYTES = 1024
 # Most missing samples of a channel, and their largest fraction, to fill by
 # interpolation. More would be invented motion.
 MAX_FILLED_SAMPLES = 10
 MAX_FILLED_FRACTION = 0.1
-MAX_NAMED = 20
+MAX_LISTED_CHANNELS = 20
 FLOAT32_MAX = 3.4028234663852886e38
 
 _LINE_END = re.compile(rb"\r\n?|\n")
@@ -84,7 +84,7 @@ class HeaderLines:
             # A CR at the end of the chunk may be half of a CR LF.
             if match is not None and not (at_end and match.group() == b"\r"):
                 break
-            if len(self._data) - self._at > LONGEST_LINE_BYTES and match is None:
+            if len(self._data) - self._at > MAX_LINE_BYTES and match is None:
                 self._fail_long()
             chunk = self._file.read(CHUNK_BYTES)
             if not chunk:
@@ -95,7 +95,7 @@ class HeaderLines:
         line_end, next_line = (
             match.span() if match else (len(self._data), len(self._data))
         )
-        if line_end - self._at > LONGEST_LINE_BYTES:
+        if line_end - self._at > MAX_LINE_BYTES:
             self._fail_long()
         line, self._at = self._data[self._at : line_end], next_line
         self.number += 1
@@ -112,7 +112,7 @@ class HeaderLines:
         self.number += 1
         self.fail(
             "BVH013",
-            f"the line is longer than {LONGEST_LINE_BYTES} bytes",
+            f"the line is longer than {MAX_LINE_BYTES} bytes",
             "is this a BVH file?",
         )
 
@@ -160,11 +160,11 @@ class RowReader:
     def blocks(self) -> Iterator[FloatArray]:
         """Yield the rows of the file."""
         waiting: list[FloatArray] = []
-        for rows, lines in self._parsed():
-            self._note_count(lines)
+        for rows, lines in self._parsed_rows():
+            self._record_counts(lines)
             block = rows
             if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
-                self._note_unusable(rows, lines)
+                self._record_unusable(rows, lines)
                 block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
             if waiting or np.isnan(block).any():
                 waiting.append(block)
@@ -183,7 +183,7 @@ class RowReader:
             yield block
         self._report()
 
-    def _parsed(self) -> Iterator[tuple[FloatArray, IntArray]]:
+    def _parsed_rows(self) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield rows and their line numbers."""
         source = self.source
         with open_input(source.path, None) as file:
@@ -199,7 +199,7 @@ class RowReader:
     def _parse(self, file: InputFile) -> Iterator[tuple[FloatArray, IntArray]]:
         size = max(1, file.state.size)
         limit = max(1, BLOCK_VALUES // self._width)
-        longest = CHUNK_BYTES + LONGEST_NUMBER_BYTES * self._width
+        longest = CHUNK_BYTES + MAX_NUMBER_BYTES * self._width
         text, line, final, needs_data = b"", self.source.line + 1, False, True
         while True:
             if needs_data:
@@ -250,12 +250,12 @@ class RowReader:
         )
         return Fault("BVH010", message, path, (line,), hint)
 
-    def _note_count(self, lines: IntArray) -> None:
+    def _record_counts(self, lines: IntArray) -> None:
         first_row, self._count = self._count, self._count + len(lines)
         if self._surplus_line is None and self._count > self.source.declared:
             self._surplus_line = int(lines[self.source.declared - first_row])
 
-    def _note_unusable(self, rows: FloatArray, lines: IntArray) -> None:
+    def _record_unusable(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
             too_large = np.abs(rows) > FLOAT32_MAX
         for fault_lines, mask in (
@@ -309,7 +309,7 @@ class RowReader:
                 hint = "too many to interpolate"
                 faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
         if faults:
-            raise FormatError(faults[:MAX_NAMED])
+            raise FormatError(faults[:MAX_LISTED_CHANNELS])
 
     def _report(self) -> None:
         declared, count, path = self.source.declared, self._count, self._path
@@ -335,7 +335,7 @@ class RowReader:
     def _name_all(
         self, code: str, fault_lines: dict[int, list[int]], problem: str, hint: str
     ) -> None:
-        for column, lines in sorted(fault_lines.items())[:MAX_NAMED]:
+        for column, lines in sorted(fault_lines.items())[:MAX_LISTED_CHANNELS]:
             numbers = listed(lines, 10)
             name = self.source.channels[column]
             values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
@@ -350,10 +350,9 @@ class RowReader:
                     Severity.WARNING,
                 )
             )
-        if len(fault_lines) > MAX_NAMED:
-            message = (
-                f"{len(fault_lines) - MAX_NAMED} more channels have values {problem}"
-            )
+        if len(fault_lines) > MAX_LISTED_CHANNELS:
+            more = len(fault_lines) - MAX_LISTED_CHANNELS
+            message = f"{more} more channels have values {problem}"
             self.notices.append(
                 Fault(code, message, self._path, (), hint, Severity.WARNING)
             )

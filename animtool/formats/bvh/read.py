@@ -40,7 +40,7 @@ LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
 # Skeletons with fewer joints may be props; their size is not judged.
 MIN_JOINTS = 8
-MAX_NAMED = 4
+MAX_LISTED_JOINTS = 4
 # Bones shorter than this fraction of their OFFSET have collapsed [1].
 MIN_LENGTH_FRACTION = 1e-4
 
@@ -87,7 +87,7 @@ def read_bvh(
             rows_start = file.tell() - len(lines.unread)
         except OSError as error:
             raise unreadable_error(path, error) from error
-    rig = _rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
+    rig = _build_rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
@@ -109,7 +109,7 @@ def read_bvh(
         header.frames_line,
         progress,
     )
-    layout = _Layout(header, offsets=positions == "offsets")
+    layout = _ColumnLayout(header, offsets=positions == "offsets")
     assert header.rate is not None
     details: dict[str, object] = {
         "format": "BVH",
@@ -121,7 +121,7 @@ def read_bvh(
     if up is not None:
         details["up_choice"] = "stated"
     fps = header.rate.fps if rate is None else rate
-    blocks = _blocks(rows, layout, rig, notices)
+    blocks = _motion_blocks(rows, layout, rig, notices)
     return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
@@ -160,17 +160,17 @@ def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
     return [Fault("RIG217", message, path, (), hint, severity)]
 
 
-def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
+def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
     joints = []
     names = numbered_names(joint.name for joint in header.joints)
     for joint, unique in zip(header.joints, names, strict=True):
-        converted = _joint(joint, unit.meters)
+        converted = _build_joint(joint, unit.meters)
         source_name = joint.name if unique != joint.name else ""
         joints.append(replace(converted, name=unique, source_name=source_name))
     return Rig(name, tuple(joints), unit.meters, up)
 
 
-def _joint(joint: BvhJoint, meters: float) -> Joint:
+def _build_joint(joint: BvhJoint, meters: float) -> Joint:
     channels = joint.channels or ()
     rotations = [name[0] for name in channels if name.endswith("rotation")]
     positions = [name[0] for name in channels if name.endswith("position")]
@@ -181,9 +181,9 @@ def _joint(joint: BvhJoint, meters: float) -> Joint:
     elif not positions:
         kind = JointType.PIN if len(rotations) == 1 else JointType.BALL
         if kind is JointType.PIN:
-            axis = _axis(rotations[0])
+            axis = _channel_axis(rotations[0])
     elif not rotations and len(positions) == 1:
-        kind, axis = JointType.PRISMATIC, _axis(positions[0])
+        kind, axis = JointType.PRISMATIC, _channel_axis(positions[0])
 
     def scaled(values: tuple[float, float, float]) -> tuple[float, float, float]:
         return (values[0] * meters, values[1] * meters, values[2] * meters)
@@ -199,11 +199,11 @@ def _joint(joint: BvhJoint, meters: float) -> Joint:
     )
 
 
-def _axis(letter: str) -> tuple[float, float, float]:
+def _channel_axis(letter: str) -> tuple[float, float, float]:
     return {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}[letter]
 
 
-class _Layout:
+class _ColumnLayout:
     """Column indices of each joint's position and rotation channels."""
 
     def __init__(self, header: BvhHeader, *, offsets: bool = False) -> None:
@@ -242,8 +242,8 @@ class _Layout:
         self.rotation_axes = np.array(rotation_axes, np.int32).reshape(-1, 3)
 
 
-def _blocks(
-    source: RowSource, layout: _Layout, rig: Rig, notices: list[Fault]
+def _motion_blocks(
+    source: RowSource, layout: _ColumnLayout, rig: Rig, notices: list[Fault]
 ) -> Iterator[Motion]:
     reader, farthest = RowReader(source), np.zeros(len(layout.columns))
     position_joints = np.array(layout.position_joints, np.int64)
@@ -314,7 +314,7 @@ def _zero_length_warning(
     message = (
         f"the position channels of {counted(len(names), 'joint')} are 0 in all "
         f"frames, but their OFFSETs reach {reach:.4g}: the joints are at "
-        f"their parents, without a bone ({listed(names, MAX_NAMED)})"
+        f"their parents, without a bone ({listed(names, MAX_LISTED_JOINTS)})"
     )
     hint = (
         "position channels replace OFFSETs; "

@@ -28,8 +28,8 @@ UNUSED_AXIS_TOLERANCE = 1e-4
 # The same for lengths, relative to the largest offset.
 UNUSED_LENGTH_TOLERANCE = 1e-6
 
-_POSITIONS = ("Xposition", "Yposition", "Zposition")
-_DEFAULT_ROTATIONS = ("Zrotation", "Xrotation", "Yrotation")
+_POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
+_DEFAULT_ROTATION_CHANNELS = ("Zrotation", "Xrotation", "Yrotation")
 
 
 def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
@@ -79,8 +79,8 @@ def bvh_text(take: Take) -> TakeText:
     for j in _depth_first(take.rig, children):
         joint = take.rig.joints[j]
         tolerance = UNUSED_LENGTH_TOLERANCE * size
-        positions = _positions(joint, translations[:, j], offsets[j], tolerance)
-        rotation_names, angles = _rotations(joint, rotations[:, j])
+        positions = _position_channels(joint, translations[:, j], offsets[j], tolerance)
+        rotation_names, angles = _rotation_channels(joint, rotations[:, j])
         order = _declared_order(joint, positions, rotation_names)
         layouts[j] = order
         for name in order:
@@ -92,7 +92,7 @@ def bvh_text(take: Take) -> TakeText:
                 decimals.append(ANGLE_DECIMALS)
     rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
     return TakeText(
-        _header(take, offsets, children, layouts),
+        _header_lines(take, offsets, children, layouts),
         number_rows(rows, decimals),
         _scale_notices(take) + _unit_notices(take.rig),
     )
@@ -108,7 +108,7 @@ def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
     return order
 
 
-def _positions(
+def _position_channels(
     joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
 ) -> tuple[str, ...]:
     """Return the position channels that a joint needs."""
@@ -117,21 +117,24 @@ def _positions(
     )
     off_rest = np.abs(values - offset).max(axis=0) > tolerance
     is_covered = all(
-        not off_rest[axis] or _POSITIONS[axis] in declared_names for axis in range(3)
+        not off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
+        for axis in range(3)
     )
     if joint.channels is not None and is_covered:
         return declared_names
     if joint.parent < 0 or off_rest.any():
-        return _POSITIONS
+        return _POSITION_CHANNELS
     return ()
 
 
-def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+def _rotation_channels(
+    joint: Joint, values: FloatArray
+) -> tuple[tuple[str, ...], FloatArray]:
     """Return the rotation channels that a joint needs and their angles."""
     declared_names = tuple(
         name for name in joint.channels or () if name.endswith("rotation")
     )
-    names = declared_names if joint.channels is not None else _DEFAULT_ROTATIONS
+    names = declared_names if joint.channels is not None else _DEFAULT_ROTATION_CHANNELS
     order = "".join(name[0] for name in names)
     order += "".join(letter for letter in "XYZ" if letter not in order)
     axes = np.array([axes_of(order)], np.int32)
@@ -156,7 +159,7 @@ def _declared_order(
     return positions + rotations
 
 
-def _header(
+def _header_lines(
     take: Take,
     offsets: FloatArray,
     children: list[list[int]],
@@ -175,11 +178,11 @@ def _header(
         kind = "ROOT" if joint.parent < 0 else "JOINT"
         yield f"{indent}{kind} {joint.source_name or joint.name}"
         yield f"{indent}{{"
-        yield f"{indent}\tOFFSET {_vector(offsets[index])}"
+        yield f"{indent}\tOFFSET {_vector_text(offsets[index])}"
         channels = layouts[index]
         yield f"{indent}\tCHANNELS {' '.join([str(len(channels)), *channels])}"
-        for tip in _tips(joint, children[index]):
-            vector = _vector(np.asarray(tip) / take.rig.meters_per_unit)
+        for tip in _end_sites(joint, children[index]):
+            vector = _vector_text(np.asarray(tip) / take.rig.meters_per_unit)
             yield f"{indent}\tEnd Site"
             yield f"{indent}\t{{"
             yield f"{indent}\t\tOFFSET {vector}"
@@ -191,14 +194,16 @@ def _header(
     yield f"Frame Time: {frame_time(take.clock.rate)}"
 
 
-def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float], ...]:
+def _end_sites(
+    joint: Joint, children: list[int]
+) -> tuple[tuple[float, float, float], ...]:
     """Return End Sites: leaf joints get one unless their source stored tips or none."""
     if joint.tips or children or joint.channels is not None:
         return joint.tips
     return ((0.0, 0.0, 0.0),)
 
 
-def _vector(values: FloatArray) -> str:
+def _vector_text(values: FloatArray) -> str:
     row = np.ascontiguousarray(values, np.float64)[None]
     decimals = np.full(3, LENGTH_DECIMALS, np.int64)
     return _kernels.format_bvh_rows(row, decimals).decode().strip()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from animtool.core.record import dataclass
-from animtool.formats.c3d.sections import BLOCK, Sections
+from animtool.formats.c3d.sections import BLOCK_BYTES, Sections
 
 # Full 16-bit counts: a take that states one of these may be longer.
 FULL_COUNTS = (32767, 65535)
@@ -70,19 +70,19 @@ class Claims:
 
 def claims_of(sections: Sections) -> Claims:
     """Return the layout values that a file states."""
-    analog, candidates = _analog(sections)
+    analog, candidates = _analog_claims(sections)
     return Claims(
-        tuple(_begin(sections)),
-        tuple(_width(sections)),
-        tuple(_points(sections)),
+        tuple(_begin_claims(sections)),
+        tuple(_width_claims(sections)),
+        tuple(_point_claims(sections)),
         analog,
-        tuple(_frames(sections)),
+        tuple(_frame_claims(sections)),
         candidates,
-        BLOCK * (sections.end_block - 1),
+        BLOCK_BYTES * (sections.end_block - 1),
     )
 
 
-def word_of(sections: Sections, group: str, name: str) -> int | None:
+def unsigned_word(sections: Sections, group: str, name: str) -> int | None:
     """Return an unsigned 16-bit number, or a larger one stored as float."""
     value = sections.number(group, name)
     if value is None or not math.isfinite(value):
@@ -107,19 +107,19 @@ def _joined_words(words: list[float]) -> int | None:
     return (int(low) & 0xFFFF) + ((int(high) & 0xFFFF) << 16)
 
 
-def _begin(sections: Sections) -> Iterable[Claim]:
+def _begin_claims(sections: Sections) -> Iterable[Claim]:
     candidates = (
         ("header word 9", sections.header.data_block, 1.0),
-        ("POINT:DATA_START", word_of(sections, "POINT", "DATA_START"), 0.75),
+        ("POINT:DATA_START", unsigned_word(sections, "POINT", "DATA_START"), 0.75),
         # Without parameters that is the end of the header.
         ("the end of the parameters", sections.end_block, 0.25),
     )
     for source, block, weight in candidates:
         if block is not None and block >= 2:
-            yield Claim(source, BLOCK * (block - 1), weight)
+            yield Claim(source, BLOCK_BYTES * (block - 1), weight)
 
 
-def _width(sections: Sections) -> Iterable[Claim]:
+def _width_claims(sections: Sections) -> Iterable[Claim]:
     candidates = (
         ("header scale", sections.header.scale, 0.75),
         ("POINT:SCALE", sections.number("POINT", "SCALE"), 1.0),
@@ -129,9 +129,9 @@ def _width(sections: Sections) -> Iterable[Claim]:
             yield Claim(source, 4 if scale < 0 else 2, weight)
 
 
-def _points(sections: Sections) -> Iterable[Claim]:
+def _point_claims(sections: Sections) -> Iterable[Claim]:
     yield Claim("header word 2", sections.header.points, 1.0)
-    used_points = word_of(sections, "POINT", "USED")
+    used_points = unsigned_word(sections, "POINT", "USED")
     if used_points is not None:
         yield Claim("POINT:USED", used_points, 1.0)
     labels = sections.texts("POINT", "LABELS")
@@ -142,13 +142,13 @@ def _points(sections: Sections) -> Iterable[Claim]:
         yield Claim("POINT:LABELS", len(labels), 0.25, full=len(labels) == 255)
 
 
-def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
+def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
     """Return claims about analogue values per frame, and other candidates."""
     header_count, samples = sections.header.analog, sections.header.samples
     claims = [Claim("header word 3", header_count, 1.0)]
-    used_channels = word_of(sections, "ANALOG", "USED")
+    used_channels = unsigned_word(sections, "ANALOG", "USED")
     rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
-    ratio = _ratio(rates[0], rates[1] or sections.header.rate)
+    ratio = _samples_per_frame(rates[0], rates[1] or sections.header.rate)
     if used_channels == 0:
         claims.append(Claim("ANALOG:USED", 0, 0.75))
     elif used_channels is not None:
@@ -168,7 +168,7 @@ def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
     return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
 
 
-def _ratio(analog: float | None, point: float | None) -> int | None:
+def _samples_per_frame(analog: float | None, point: float | None) -> int | None:
     """Return analogue samples per frame from the rates, if that is an integer."""
     if not analog or not point or not math.isfinite(analog) or not point > 0:
         return None
@@ -179,7 +179,7 @@ def _ratio(analog: float | None, point: float | None) -> int | None:
     )
 
 
-def _frames(sections: Sections) -> Iterable[Claim]:
+def _frame_claims(sections: Sections) -> Iterable[Claim]:
     header = sections.header
     if not (header.first == 0 and header.last == 0):
         count = (header.last - header.first + 1) % WORD_VALUES
@@ -196,7 +196,7 @@ def _frames(sections: Sections) -> Iterable[Claim]:
     if long_frames is not None and math.isfinite(long_frames) and long_frames >= 1:
         count = int(long_frames)
         yield Claim("POINT:LONG_FRAMES", count, 0.5, count in FULL_COUNTS)
-    frame_count = word_of(sections, "POINT", "FRAMES")
+    frame_count = unsigned_word(sections, "POINT", "FRAMES")
     if frame_count:
         is_full = frame_count in FULL_COUNTS
         yield Claim(

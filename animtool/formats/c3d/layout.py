@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from animtool.core.record import dataclass
 from animtool.formats.c3d.claims import Claim, Claims
-from animtool.formats.c3d.sections import BLOCK
+from animtool.formats.c3d.sections import BLOCK_BYTES
 
 # Costs in addition to those of contradicted claims: padding after the last frame that
 # is not zero (DIRTY), bytes after the last frame that are not padding (TRAILING), bytes
@@ -18,11 +18,11 @@ from animtool.formats.c3d.sections import BLOCK
 DIRTY, TRAILING, SKIPPED, UNSTATED, FITTED, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
 # Evidence of positions: largest fraction of outliers, and largest mean step of smooth
 # motion and smallest of noise.
-MAX_OUTLIERS, SMOOTH, NOISE = 0.1, 0.25, 0.5
+MAX_OUTLIERS, MAX_SMOOTH_ROUGHNESS, NOISE = 0.1, 0.25, 0.5
 # Difference of scores that decides for a combination.
-DECISIVE = 0.2
+DECISIVE_COST_GAP = 0.2
 # Number of combinations whose values are judged.
-MAX_JUDGED = 16
+MAX_JUDGED_LAYOUTS = 16
 # Claims with less weight are hints.
 MIN_CLAIM_WEIGHT = 0.5
 
@@ -118,7 +118,7 @@ def choose_layout(
     """
     cheapest: dict[tuple[int, ...], Layout] = {}
     truncated_layout: Layout | None = None
-    zero_bytes = _tail(data)
+    zero_bytes = _trailing_zeros(data)
     for layout in _combinations(claims, ends[-1], zero_bytes):
         if layout.end > ends[-1] or layout.begin > ends[-1]:
             if not layout.solved and (
@@ -126,7 +126,9 @@ def choose_layout(
             ):
                 truncated_layout = layout
             continue
-        candidate = min((_with_trailing(layout, data, end) for end in ends), key=_order)
+        candidate = min(
+            (_with_trailing(layout, data, end) for end in ends), key=_layout_order
+        )
         candidate = _with_skipped(candidate, claims.after, data)
         key = (
             candidate.begin,
@@ -137,7 +139,7 @@ def choose_layout(
         )
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
-    candidates = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
+    candidates = sorted(cheapest.values(), key=_layout_order)[:MAX_JUDGED_LAYOUTS]
     if truncated_layout is not None and truncated_layout.cost < MIN_CLAIM_WEIGHT:
         # If all claims agree but the file is too small, it is truncated, unless other
         # claims fill it.
@@ -150,7 +152,7 @@ def choose_layout(
         return LayoutResult(None, truncated_layout)
     if candidates[0].cost < MIN_CLAIM_WEIGHT:
         return LayoutResult(candidates[0])
-    outcome = _decide(candidates, truncated_layout, evidence_of)
+    outcome = _choose_by_evidence(candidates, truncated_layout, evidence_of)
     best = outcome.layout
     if best is None:
         return outcome
@@ -163,15 +165,17 @@ def choose_layout(
     return outcome
 
 
-def _tail(data: bytes) -> int:
+def _trailing_zeros(data: bytes) -> int:
     """Return the number of trailing zero bytes, if the last block is full."""
-    if len(data) % BLOCK:
+    if len(data) % BLOCK_BYTES:
         return 0
-    last_block = data[-BLOCK:]
-    return min(BLOCK - 1, len(last_block) - len(last_block.rstrip(b"\0")))
+    last_block = data[-BLOCK_BYTES:]
+    return min(BLOCK_BYTES - 1, len(last_block) - len(last_block.rstrip(b"\0")))
 
 
-def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Claim]]]:
+def contradicted_claims(
+    claims: Claims, layout: Layout
+) -> list[tuple[str, int, list[Claim]]]:
     """Return quantities read against claims: name, value and those claims."""
     contradictions = []
     for name in ("frames", "points", "analog", "width", "begin"):
@@ -191,7 +195,7 @@ def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Cl
     return contradictions
 
 
-def _order(layout: Layout) -> tuple[float, ...]:
+def _layout_order(layout: Layout) -> tuple[float, ...]:
     return (
         layout.cost, layout.begin, layout.width, layout.points, layout.analog,
         layout.frames,
@@ -209,12 +213,12 @@ def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
     ):
         against_width = by_w >= MIN_CLAIM_WEIGHT and _all_agree(claims.width)
         capacity = ((size - begin) // width, (size - begin - padding) // width)
-        for p, a, f, counts, is_solved in _counts(claims, *capacity):
+        for p, a, f, counts, is_solved in _count_combinations(claims, *capacity):
             cost, needs_evidence = by_b + by_w + counts, against_width or is_solved
             yield Layout(begin, width, p, a, f, 0, cost, needs_evidence, is_solved)
 
 
-def _counts(
+def _count_combinations(
     claims: Claims, capacity: int, min_numbers: int
 ) -> Iterable[tuple[int, int, int, float, bool]]:
     """Yield points, analogue values, frames, cost, and whether one is solved.
@@ -240,12 +244,12 @@ def _counts(
         for p, by_p in points if _may_solve(claims.analog) else ():
             a = capacity // f - 4 * p
             if a >= 0:
-                cost = by_p + by_f + _cost(claims.analog, a) + SOLVED
+                cost = by_p + by_f + _claims_cost(claims.analog, a) + SOLVED
                 yield p, a, f, cost, True
         for a, by_a in analog if _may_solve(claims.points) else ():
             p, remainder = divmod(capacity // f - a, 4)
             if p > 0 and remainder == 0:
-                cost = by_a + by_f + _cost(claims.points, p) + SOLVED
+                cost = by_a + by_f + _claims_cost(claims.points, p) + SOLVED
                 yield p, a, f, cost, True
 
 
@@ -255,13 +259,13 @@ def _with_costs(
     """Return candidate values, each with the cost of contradicted claims."""
     claimed = {claim.value for claim in claims}
     unclaimed_cost = UNSTATED if claims else 0.0
-    return [(value, _cost(claims, value)) for value in sorted(claimed)] + [
-        (value, _cost(claims, value) + unclaimed_cost)
+    return [(value, _claims_cost(claims, value)) for value in sorted(claimed)] + [
+        (value, _claims_cost(claims, value) + unclaimed_cost)
         for value in sorted(set(other_values) - claimed)
     ]
 
 
-def _cost(claims: Sequence[Claim], value: int) -> float:
+def _claims_cost(claims: Sequence[Claim], value: int) -> float:
     return sum(claim.cost(value) for claim in claims)
 
 
@@ -287,7 +291,7 @@ def _counts_from_size(claims: Claims, count: int) -> list[tuple[int, float, bool
     frames = claims.frames
     if any(claim.value == count for claim in frames):
         return []
-    cost = _cost(frames, count)
+    cost = _claims_cost(frames, count)
     if not frames or any(claim.full and count > claim.value for claim in frames):
         return [(count, cost + UNSTATED, False)]
     if any(claim.wraps and claim.cost(count) < claim.weight for claim in frames):
@@ -308,13 +312,13 @@ def _with_trailing(layout: Layout, data: bytes, end: int) -> Layout:
     unused_bytes = end - layout.end
     if unused_bytes < 0:
         return replace(layout, trailing=-unused_bytes, cost=layout.cost + TRAILING)
-    is_padding = unused_bytes < BLOCK and end % BLOCK == 0
+    is_padding = unused_bytes < BLOCK_BYTES and end % BLOCK_BYTES == 0
     size = layout.width * layout.row
     if is_padding and data.count(b"\0", layout.end, end) == unused_bytes:
         # A last frame of zeros is more likely padding, too.
         last_frame = layout.end - size
         zeros = (
-            0 < size < BLOCK - unused_bytes
+            0 < size < BLOCK_BYTES - unused_bytes
             and data.count(b"\0", last_frame, layout.end) == size
         )
         return replace(layout, cost=layout.cost + DIRTY) if zeros else layout
@@ -327,7 +331,7 @@ def _with_trailing(layout: Layout, data: bytes, end: int) -> Layout:
     )
 
 
-def _decide(
+def _choose_by_evidence(
     candidates: Sequence[Layout],
     truncated_layout: Layout | None,
     evidence_of: Callable[[Layout], Evidence],
@@ -343,10 +347,10 @@ def _decide(
         if layout.solved and layout.trailing:
             continue
         if layout.needs_evidence and not (
-            evidence.outliers <= MAX_OUTLIERS and evidence.rough <= SMOOTH
+            evidence.outliers <= MAX_OUTLIERS and evidence.rough <= MAX_SMOOTH_ROUGHNESS
         ):
             continue
-        if layout.trailing >= BLOCK and _is_noise(layout, evidence):
+        if layout.trailing >= BLOCK_BYTES and _is_noise(layout, evidence):
             continue
         penalty = 4.0 * (evidence.outliers > outliers + 0.02)
         penalty += 4.0 * (evidence.rough > 3.0 * smallest_step + 0.02)
@@ -355,12 +359,13 @@ def _decide(
         return LayoutResult(
             None, truncated_layout, () if truncated_layout else tuple(candidates[:3])
         )
-    scored.sort(key=_order)
+    scored.sort(key=_layout_order)
     best = scored[0]
     rivals = [
         layout
         for layout in scored
-        if layout.cost < best.cost + DECISIVE and _rows(layout) != _rows(best)
+        if layout.cost < best.cost + DECISIVE_COST_GAP
+        and _row_key(layout) != _row_key(best)
     ]
     if rivals:
         return LayoutResult(None, truncated_layout, (best, *rivals[:2]))
@@ -374,6 +379,6 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
     )
 
 
-def _rows(layout: Layout) -> tuple[int, ...]:
+def _row_key(layout: Layout) -> tuple[int, ...]:
     """Return the values that assign numbers to coordinates."""
     return layout.begin, layout.width, layout.points, layout.row

@@ -16,7 +16,7 @@ from animtool.formats.c3d.sections import (
 )
 
 # Number and length of the runs of consecutive frames that are examined.
-RUNS = 8
+SAMPLED_RUNS = 8
 RUN_FRAMES = 8
 # Range of captured positions, in any unit; other magnitudes are not positions.
 MAX_COORDINATE = 1e6
@@ -29,7 +29,7 @@ def evidence_of(layout: Layout, data: bytes, processor: Processor) -> Evidence:
     if layout.points == 0:
         return Evidence(0.0, math.nan)
     length = min(RUN_FRAMES, layout.frames)
-    begins = np.linspace(0, layout.frames - length, RUNS).astype(np.int64)
+    begins = np.linspace(0, layout.frames - length, SAMPLED_RUNS).astype(np.int64)
     size = layout.width * layout.row
     runs = []
     for begin in sorted(set(begins.tolist())):

@@ -23,17 +23,17 @@ from animtool.formats.c3d.claims import (
     Claim,
     claims_of,
     trial_fields,
-    word_of,
+    unsigned_word,
 )
 from animtool.formats.c3d.layout import (
     Layout,
     LayoutResult,
     choose_layout,
-    contradicted,
+    contradicted_claims,
 )
 from animtool.formats.c3d.plausibility import evidence_of
 from animtool.formats.c3d.sections import (
-    BLOCK,
+    BLOCK_BYTES,
     MalformedError,
     Sections,
     read_sections,
@@ -46,7 +46,7 @@ from animtool.motion.markers import Markers
 _AXIS = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the up axis after conversion, and the order and
 # signs of the coordinates that become x, y and z.
-_UP_ROTATIONS = {
+_UP_CONVERSIONS = {
     "-Y": (UpAxis.Y, (0, 1, 2), (1, -1, -1)),
     "-Z": (UpAxis.Z, (0, 1, 2), (1, -1, -1)),
     "+X": (UpAxis.Y, (1, 0, 2), (-1, 1, 1)),
@@ -55,7 +55,7 @@ _UP_ROTATIONS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Screen:
+class ScreenAxes:
     """The up axis, and the axis permutation that converts to it.
 
     Attributes:
@@ -75,18 +75,20 @@ class Screen:
         return positions[..., self.order] * self.signs
 
 
-def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> Screen:
+def read_screen(
+    file: MarkerFile, sections: Sections, option: UpAxis | None
+) -> ScreenAxes:
     """Return the up axis of ``X_SCREEN`` and ``Y_SCREEN``; an option overrides it."""
     if option is not None:
-        return Screen(UpAxis(option))
+        return ScreenAxes(UpAxis(option))
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
     if up is None and right is not None and right[1] == "Y":
         # Y points sideways and cannot be the default up axis.
         message = f"the file states no up axis; using Z, as X_SCREEN is {right}"
         file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
-        return Screen(UpAxis.Z)
+        return ScreenAxes(UpAxis.Z)
     if up is None:
-        return Screen(file.up(None, None))
+        return ScreenAxes(file.up(None, None))
     if right is not None and right[1] == up[1]:
         message = f"X_SCREEN is {right} and Y_SCREEN {up}, which are the same axis; "
         file.warn(
@@ -94,12 +96,12 @@ def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> 
             f"{message}{up} is used as up",
             f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
         )
-    if up not in _UP_ROTATIONS:
-        return Screen(UpAxis(up[1]))
-    axis, order, signs = _UP_ROTATIONS[up]
+    if up not in _UP_CONVERSIONS:
+        return ScreenAxes(UpAxis(up[1]))
+    axis, order, signs = _UP_CONVERSIONS[up]
     message = f"has {up} up; positions are rotated so that {axis} is up"
     file.note("C3D106", message)
-    return Screen(axis, np.array(order), np.array(signs, np.float64))
+    return ScreenAxes(axis, np.array(order), np.array(signs, np.float64))
 
 
 def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
@@ -174,24 +176,24 @@ def read_c3d(
         file.warn("C3D107", message, "check the number of points and frames")
     layout = _layout(file, sections, data)
     _check_scale(file, sections, layout)
-    length = file.unit(_unit(sections), unit, LengthUnit.MM)
-    rate = file.rate(_rate(file, sections, fps), fps)
+    length = file.unit(_length_unit(sections), unit, LengthUnit.MM)
+    rate = file.rate(_frame_rate(file, sections, fps), fps)
     screen = read_screen(file, sections, up)
     positions, words = _points(sections, layout, data)
-    names, columns = _names(file, sections, layout.points, subject)
+    names, columns = _marker_names(file, sections, layout.points, subject)
     positions, words = positions[:, columns], words[:, columns]
     positions[words < 0] = np.nan
-    positions = screen.converted(file.cleaned(positions, length.meters))
+    positions = screen.converted(file.clean_positions(positions, length.meters))
     visible = np.isfinite(positions[..., 0])
-    scale = abs(_scale(sections)) * length.meters
-    first_frame = _first(sections, layout.frames)
+    scale = abs(_point_scale(sections)) * length.meters
+    first_frame = _first_frame(sections, layout.frames)
     clock = Clock(rate, Fraction(first_frame), Fraction(1), layout.frames)
     return Markers(
         names,
         clock,
         positions,
         screen.up,
-        _cameras(words, visible),
+        _camera_counts(words, visible),
         _residuals(words, visible, scale),
         _filled_positions(sections, words, visible, columns),
         tuple(file.notices),
@@ -201,7 +203,7 @@ def read_c3d(
 def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     """Return the layout that fits the file; warn about contradicted claims."""
     claims = claims_of(sections)
-    ends = [*_ends(sections, len(data)), len(data)]
+    ends = [*_data_ends(sections, len(data)), len(data)]
     outcome = choose_layout(
         claims,
         data,
@@ -219,15 +221,15 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
         raise file.error("C3D001", message + "above the limit")
     contradictions = [
         _contradiction_text(*contradiction)
-        for contradiction in contradicted(claims, layout)
+        for contradiction in contradicted_claims(claims, layout)
     ]
     if contradictions:
         message = (
             "its header, parameters and size disagree; what matches the file size is "
         )
         file.warn("C3D101", f"{message}read: {'; '.join(contradictions)}")
-    if layout.trailing >= min(BLOCK, layout.width * layout.row) or (
-        layout.trailing and len(data) % BLOCK
+    if layout.trailing >= min(BLOCK_BYTES, layout.width * layout.row) or (
+        layout.trailing and len(data) % BLOCK_BYTES
     ):
         message = f"has {counted(layout.trailing, 'byte')} after the last of "
         message += f"{counted(layout.frames, 'frame')}, which are ignored"
@@ -235,13 +237,13 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     return layout
 
 
-def _ends(sections: Sections, size: int) -> list[int]:
+def _data_ends(sections: Sections, size: int) -> list[int]:
     """Return offsets where points may end before the file does: at rotations."""
-    block = word_of(sections, "ROTATION", "DATA_START")
+    block = unsigned_word(sections, "ROTATION", "DATA_START")
     rotations = sections.number("ROTATION", "USED")
     if not block or not rotations or not block > 2:
         return []
-    return [end for end in [BLOCK * (block - 1)] if end < size]
+    return [end for end in [BLOCK_BYTES * (block - 1)] if end < size]
 
 
 def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
@@ -280,7 +282,7 @@ def _contradiction_text(name: str, value: int, contradicting: list[Claim]) -> st
     return f"{value} {_QUANTITIES[name]}, not {claims}"
 
 
-def _first(sections: Sections, frames: int) -> int:
+def _first_frame(sections: Sections, frames: int) -> int:
     """Return the number of the first frame, which may exceed the header's range."""
     header = sections.header
     start, end = trial_fields(sections)
@@ -290,7 +292,7 @@ def _first(sections: Sections, frames: int) -> int:
     return header.first if header_fits else start
 
 
-def _scale(sections: Sections) -> float:
+def _point_scale(sections: Sections) -> float:
     """Return the scale of integers; negative means floats."""
     parameter_scale = sections.number("POINT", "SCALE")
     scale = sections.header.scale if parameter_scale is None else parameter_scale
@@ -313,7 +315,7 @@ def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
         file.warn("C3D101", f"{message}; using the parameters")
 
 
-def _rate(
+def _frame_rate(
     file: MarkerFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
     """Return the stated frame rate; parameters come before the header."""
@@ -328,7 +330,7 @@ def _rate(
     return parameter_rate
 
 
-def _unit(sections: Sections) -> str | None:
+def _length_unit(sections: Sections) -> str | None:
     texts = sections.texts("POINT", "UNITS")
     return texts[0] if texts else None
 
@@ -342,7 +344,7 @@ def _points(
     rows = rows.reshape(layout.frames, layout.points, 4)
     positions = np.ascontiguousarray(rows[..., :3])
     if layout.width == 2:
-        positions *= abs(_scale(sections))
+        positions *= abs(_point_scale(sections))
     fourth_words = rows[..., 3]
     usable = np.isfinite(fourth_words) & (np.abs(fourth_words) < 2**31)
     # The sign of the last word marks a point as not visible.
@@ -353,7 +355,7 @@ def _points(
     return positions, words
 
 
-def _names(
+def _marker_names(
     file: MarkerFile, sections: Sections, points: int, subject: str | None
 ) -> tuple[tuple[str, ...], IntArray]:
     """Return marker names and point indices, without model outputs."""
@@ -378,7 +380,7 @@ def _names(
     return file.names([labels[i] for i in columns.tolist()], subject), columns
 
 
-def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
+def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
     """Return the number of cameras (of seven) per position, if stated."""
     mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():

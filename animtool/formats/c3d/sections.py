@@ -18,7 +18,7 @@ import numpy.typing as npt
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-BLOCK = 512
+BLOCK_BYTES = 512
 MAGIC = 80
 # Limit of groups and parameters per file; the format allows 127 groups.
 MAX_PARAMETERS = 20_000
@@ -137,15 +137,15 @@ def read_sections(data: bytes) -> Sections:
     Raises:
         MalformedError: It is not a C3D file.
     """
-    if len(data) < BLOCK or data[1] != MAGIC:
+    if len(data) < BLOCK_BYTES or data[1] != MAGIC:
         raise MalformedError("does not start like a C3D file")
-    start = BLOCK * (data[0] - 1)
+    start = BLOCK_BYTES * (data[0] - 1)
     has_parameters = data[0] >= 2 and start + 4 <= len(data)
     kind = data[start + 3] if has_parameters else 0
     is_known = kind in {int(p) for p in Processor}
     if is_known:
         processor = Processor(kind)
-        sections = Sections(_header(data, processor), processor)
+        sections = Sections(_read_header(data, processor), processor)
     else:
         sections = Sections(*_header_only(data, kind), has_processor=False)
     if has_parameters:
@@ -157,8 +157,8 @@ def read_sections(data: bytes) -> Sections:
     return sections
 
 
-def _header(data: bytes, processor: Processor) -> Header:
-    words = (processor.integers(data[:BLOCK]) & 0xFFFF).tolist()
+def _read_header(data: bytes, processor: Processor) -> Header:
+    words = (processor.integers(data[:BLOCK_BYTES]) & 0xFFFF).tolist()
     scale, rate = (float(processor.floats(data[a : a + 4])[0]) for a in (12, 20))
     points, analog, first, last = words[1:5]
     block, samples = words[8:10]
@@ -172,7 +172,7 @@ def _header_only(data: bytes, kind: int) -> tuple[Header, Processor]:
         MalformedError: The header is impossible for every processor.
     """
     for processor in sorted(Processor, key=lambda p: (p != kind, p)):
-        header = _header(data, processor)
+        header = _read_header(data, processor)
         if _is_possible(header, len(data)):
             return header, processor
     raise MalformedError("has no parameters where its header points")
@@ -184,7 +184,7 @@ def _is_possible(header: Header, size: int) -> bool:
     return (
         header.points > 0
         and header.last >= header.first
-        and header.data_block <= max(255, 1 + size // BLOCK)
+        and header.data_block <= max(255, 1 + size // BLOCK_BYTES)
         and MIN_SCALE < abs(scale) < MAX_SCALE
         and MIN_RATE < rate < MAX_RATE
     )
@@ -202,14 +202,14 @@ def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
         body = at + 2 + length
         if length == 0 or number == 0 or body + 2 > len(data):
             break
-        name = _text(data[at + 2 : body]).upper()
+        name = _decoded_text(data[at + 2 : body]).upper()
         next_offset = (
             int(sections.processor.integers(data[body : body + 2])[0]) & 0xFFFF
         )
         if number < 0:
             names[-number] = name
         else:
-            value = _value(sections.processor, data, body + 2)
+            value = _parameter_value(sections.processor, data, body + 2)
             if value is not None:
                 before_group.append((number, name, value))
         if next_offset == 0:
@@ -223,7 +223,7 @@ def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
             sections.groups[names[number]][name] = value
 
 
-def _value(processor: Processor, data: bytes, at: int) -> Any:
+def _parameter_value(processor: Processor, data: bytes, at: int) -> Any:
     """Return a parameter's array or texts; None if it is broken."""
     if at + 2 > len(data):
         return None
@@ -238,22 +238,22 @@ def _value(processor: Processor, data: bytes, at: int) -> Any:
     if len(raw) < count * width:
         return None
     if kind == -1:
-        return _texts(raw, sizes)
+        return _split_texts(raw, sizes)
     if kind == 1:
         return np.frombuffer(raw, np.int8).astype(np.int64).reshape(sizes[::-1])
     convert = processor.integers if kind == 2 else processor.floats
     return convert(raw).reshape(sizes[::-1])
 
 
-def _texts(raw: bytes, sizes: Sequence[int]) -> list[str]:
+def _split_texts(raw: bytes, sizes: Sequence[int]) -> list[str]:
     if len(sizes) < 2:
-        return [_text(raw)]
+        return [_decoded_text(raw)]
     width = sizes[0]
     count = math.prod(sizes[1:])
-    return [_text(raw[i * width : (i + 1) * width]) for i in range(count)]
+    return [_decoded_text(raw[i * width : (i + 1) * width]) for i in range(count)]
 
 
-def _text(raw: bytes) -> str:
+def _decoded_text(raw: bytes) -> str:
     """Return text decoded as UTF-8, else Latin-1."""
     raw = raw.partition(b"\0")[0].strip()
     try:

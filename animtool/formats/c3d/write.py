@@ -13,14 +13,14 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.units import LengthUnit
 from animtool.formats.c3d.read import ANIMTOOL_GROUP
-from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
+from animtool.formats.c3d.sections import BLOCK_BYTES, MAGIC, Processor
 from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 # Maximum entries of a parameter, whose dimensions are single bytes.
-MAX_ENTRIES = 255
-MAX_NAME = 255
+MAX_PARAMETER_ENTRIES = 255
+MAX_NAME_BYTES = 255
 # Largest count in header and parameters, which are 16-bit.
 MAX_COUNT = 65535
 MAX_CAMERAS = 7
@@ -76,20 +76,20 @@ def _file_head(markers: Markers, path: Path) -> bytes:
     frames, count = markers.positions.shape[:2]
     blocks = 1
     # The start of the data is a parameter itself.
-    section = _parameters(markers, 2 + blocks)
-    blocks = -(-(_PARAMETER_HEAD + len(section)) // BLOCK)
+    section = _parameter_section(markers, 2 + blocks)
+    blocks = -(-(_PARAMETER_HEAD + len(section)) // BLOCK_BYTES)
     if count > MAX_COUNT or blocks > MAX_BLOCKS or frames == 0 or count == 0:
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
         message += f"and at least one frame, not {count} in {frames} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
-    section = _parameters(markers, 2 + blocks)
+    section = _parameter_section(markers, 2 + blocks)
     first, last = _clamped_range(markers.clock)
-    scale = _scale(markers)
+    scale = _residual_scale(markers)
     header = bytes([2, MAGIC]) + struct.pack("<5H", count, 0, first, last, 0)
     rate = float(markers.clock.rate)
     header += struct.pack("<fHHf", scale, 2 + blocks, ANALOG_SAMPLES, rate)
     text = bytes([1, MAGIC, blocks, int(Processor.INTEL)]) + section
-    return header.ljust(BLOCK, b"\0") + text.ljust(BLOCK * blocks, b"\0")
+    return header.ljust(BLOCK_BYTES, b"\0") + text.ljust(BLOCK_BYTES * blocks, b"\0")
 
 
 def _clamped_range(clock: Clock) -> tuple[int, int]:
@@ -106,7 +106,7 @@ def _frame_range(clock: Clock) -> tuple[int, int]:
     return first, first + clock.count - 1
 
 
-def _scale(markers: Markers) -> float:
+def _residual_scale(markers: Markers) -> float:
     """Return the scale [mm], negative for floats: the unit of residuals."""
     residuals = markers.residuals
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
@@ -116,49 +116,53 @@ def _scale(markers: Markers) -> float:
     return -max(float(largest), 1.0) / INTEGER_RANGE
 
 
-def _parameters(markers: Markers, data_block: int) -> bytes:
+def _parameter_section(markers: Markers, data_block: int) -> bytes:
     """Return the parameter section without its first four bytes."""
     frames, count = markers.positions.shape[:2]
     first, last = _frame_range(markers.clock)
     clamped_frames = min(frames, MAX_COUNT)
     x_screen, y_screen = ("+X", f"+{markers.up}")
     point: dict[str, bytes] = {
-        "USED": _integers([count]),
-        "SCALE": _floats([_scale(markers)]),
-        "RATE": _floats([float(markers.clock.rate)]),
-        "DATA_START": _integers([data_block]),
-        "FRAMES": _integers([clamped_frames]),
-        "UNITS": _texts([LengthUnit.MM.value]),
-        "X_SCREEN": _texts([x_screen]),
-        "Y_SCREEN": _texts([y_screen]),
+        "USED": _integer_parameter([count]),
+        "SCALE": _float_parameter([_residual_scale(markers)]),
+        "RATE": _float_parameter([float(markers.clock.rate)]),
+        "DATA_START": _integer_parameter([data_block]),
+        "FRAMES": _integer_parameter([clamped_frames]),
+        "UNITS": _text_parameter([LengthUnit.MM.value]),
+        "X_SCREEN": _text_parameter([x_screen]),
+        "Y_SCREEN": _text_parameter([y_screen]),
     }
     if frames > MAX_COUNT:
-        point["LONG_FRAMES"] = _floats([frames])
+        point["LONG_FRAMES"] = _float_parameter([frames])
     point.update(
-        _continued_parameter("LABELS", [_texts(n) for n in _chunks(markers.names)])
+        _continued_parameter(
+            "LABELS", [_text_parameter(n) for n in _chunk_texts(markers.names)]
+        )
     )
     blank = [""] * count
     point.update(
-        _continued_parameter("DESCRIPTIONS", [_texts(n) for n in _chunks(blank)])
+        _continued_parameter(
+            "DESCRIPTIONS", [_text_parameter(n) for n in _chunk_texts(blank)]
+        )
     )
     groups = {
         "POINT": point,
         "ANALOG": {
-            "USED": _integers([0]),
-            "LABELS": _texts([]),
-            "GEN_SCALE": _floats([1.0]),
-            "RATE": _floats([float(markers.clock.rate)]),
+            "USED": _integer_parameter([0]),
+            "LABELS": _text_parameter([]),
+            "GEN_SCALE": _float_parameter([1.0]),
+            "RATE": _float_parameter([float(markers.clock.rate)]),
         },
         "TRIAL": {
-            f"ACTUAL_{name}_FIELD": _integers([field & 0xFFFF, field >> 16])
+            f"ACTUAL_{name}_FIELD": _integer_parameter([field & 0xFFFF, field >> 16])
             for name, field in (("START", first), ("END", last))
         },
     }
     spans = filled_spans(markers)
     if spans:
         rows = [
-            _floats(np.array(spans[i : i + MAX_ENTRIES]))
-            for i in range(0, len(spans), MAX_ENTRIES)
+            _float_parameter(np.array(spans[i : i + MAX_PARAMETER_ENTRIES]))
+            for i in range(0, len(spans), MAX_PARAMETER_ENTRIES)
         ]
         groups[ANIMTOOL_GROUP] = _continued_parameter("FILLED", rows)
     out = b""
@@ -179,23 +183,26 @@ def _continued_parameter(name: str, values: Sequence[bytes]) -> dict[str, bytes]
     }
 
 
-def _chunks(texts: Sequence[str]) -> list[Sequence[str]]:
-    return [texts[i : i + MAX_ENTRIES] for i in range(0, len(texts), MAX_ENTRIES)]
+def _chunk_texts(texts: Sequence[str]) -> list[Sequence[str]]:
+    return [
+        texts[i : i + MAX_PARAMETER_ENTRIES]
+        for i in range(0, len(texts), MAX_PARAMETER_ENTRIES)
+    ]
 
 
-def _texts(texts: Sequence[str]) -> bytes:
-    raw = [text.encode("utf-8")[:MAX_NAME] for text in texts]
+def _text_parameter(texts: Sequence[str]) -> bytes:
+    raw = [text.encode("utf-8")[:MAX_NAME_BYTES] for text in texts]
     width = max((len(text) for text in raw), default=0)
     body = b"".join(text.ljust(width) for text in raw)
     return struct.pack("<bBBB", -1, 2, width, len(raw)) + body
 
 
-def _integers(values: Sequence[int]) -> bytes:
+def _integer_parameter(values: Sequence[int]) -> bytes:
     size = bytes([1, len(values)]) if len(values) > 1 else bytes([0])
     return b"\x02" + size + struct.pack(f"<{len(values)}H", *values)
 
 
-def _floats(values: Sequence[float] | FloatArray) -> bytes:
+def _float_parameter(values: Sequence[float] | FloatArray) -> bytes:
     array = np.asarray(values, "<f4")
     sizes = array.shape[::-1] if array.size > 1 else ()
     return b"\x04" + bytes([len(sizes), *sizes]) + array.tobytes()
@@ -216,21 +223,21 @@ def _file_chunks(markers: Markers, header: bytes) -> Iterator[bytes]:
     yield header
     size = len(header)
     for begin in range(0, len(markers), FRAMES_AT_ONCE):
-        rows = _rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
+        rows = _frame_rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
         size += len(rows)
         yield rows
     # Readers derive the number of frames from the size if the header cannot store it:
     # zeros up to a full block would become frames.
     if len(markers) < MAX_COUNT:
-        yield b"\0" * (-size % BLOCK)
+        yield b"\0" * (-size % BLOCK_BYTES)
 
 
-def _rows(markers: Markers, frames: slice) -> bytes:
+def _frame_rows(markers: Markers, frames: slice) -> bytes:
     positions = markers.positions[frames] * 1000.0
     visible = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
     words = np.zeros(visible.shape, np.int64)
     if markers.residuals is not None:
-        steps = markers.residuals[frames] * 1000.0 / abs(_scale(markers))
+        steps = markers.residuals[frames] * 1000.0 / abs(_residual_scale(markers))
         is_finite = np.isfinite(steps)
         residual_steps = np.rint(np.where(is_finite, steps, 0.0)).astype(np.int64)
         words += np.where(is_finite, np.clip(residual_steps, 1, RESIDUAL_STEPS), 0)

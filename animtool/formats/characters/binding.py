@@ -25,14 +25,14 @@ from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 
 # Matrices agree within this, relative to the size of the character [1].
-AGREE_TOLERANCE = 1e-5
+BIND_TOLERANCE = 1e-5
 # Tolerance for rigid bind transforms; smaller deviations are rounding [1].
 RIGID_TOLERANCE = 1e-3
 # A bind pose this close to rest equals rest, up to float32 rounding [1], [rad].
 REST_TOLERANCE = 3e-7
 
 
-class Binder:
+class SkinBinder:
     """Collects joint bind transforms from skins."""
 
     def __init__(
@@ -65,7 +65,7 @@ class Binder:
             matrices = skin.inverse_bind.copy()
             matrices[:, :3] *= self.folded_scales[nodes][:, None, None]
             mesh_world = self.worlds[index] if self.worlds else None
-            bound = self._bound(matrices, joints.tolist(), skin.where, mesh_world)
+            bound = self._bind_joints(matrices, joints.tolist(), skin.where, mesh_world)
             self._skins[index] = bound
         return self._skins[index]
 
@@ -73,10 +73,10 @@ class Binder:
         """Return the point transform of a mesh attached to a node."""
         matrix = np.eye(4)
         matrix[:3] *= self.folded_scales[node]
-        geometry, joints = self._bound(matrix[None], [int(self.joints[node])], "")
+        geometry, joints = self._bind_joints(matrix[None], [int(self.joints[node])], "")
         return geometry, joints[0]
 
-    def _bound(
+    def _bind_joints(
         self,
         matrices: FloatArray,
         joints: list[int],
@@ -101,9 +101,9 @@ class Binder:
             matrices = np.where(singular[:, None, None], np.eye(4), matrices)
         bind_matrices = np.asarray(np.linalg.inv(matrices), np.float64)
         if mesh_world is None:
-            geometry = self._geometry(bind_matrices)
+            geometry = self._rigid_geometry(bind_matrices)
         else:
-            geometry = self._geometry(mesh_world @ bind_matrices) @ mesh_world
+            geometry = self._rigid_geometry(mesh_world @ bind_matrices) @ mesh_world
         binds = geometry @ bind_matrices
         common = [k for k, joint in enumerate(joints) if joint in self._bind]
         if common:
@@ -115,14 +115,14 @@ class Binder:
         for joint, bind in zip(joints, binds, strict=True):
             joint_bind = self._bind.setdefault(joint, bind)
             size = max(1e-300, float(np.abs(joint_bind).max()))
-            if np.abs(joint_bind - bind).max() <= AGREE_TOLERANCE * size:
+            if np.abs(joint_bind - bind).max() <= BIND_TOLERANCE * size:
                 bound_joints.append(joint)
                 continue
             self._helpers.append((joint, bind))
             bound_joints.append(len(self._rig.joints) + len(self._helpers) - 1)
         return geometry, bound_joints
 
-    def _geometry(self, bind_matrices: FloatArray) -> FloatArray:
+    def _rigid_geometry(self, bind_matrices: FloatArray) -> FloatArray:
         """Return the transform that makes a skin's binds rigid, if one does."""
         linear = bind_matrices[:, :3, :3]
         squares = linear @ linear.swapaxes(1, 2)

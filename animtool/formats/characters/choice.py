@@ -6,11 +6,11 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import NodeTree, parents_first, roots
+from animtool.formats.characters.nodes import NodeTree, parents_first, root_nodes
 
 # The path that means the whole file.
 FILE_PATH = "/"
-MAX_NAMED = 8
+MAX_LISTED_CHARACTERS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     Node trees belong to the same character if a skin of a mesh in one uses joints of
     the other.
     """
-    order, tree = parents_first(file.nodes), roots(file.nodes)
+    order, tree = parents_first(file.nodes), root_nodes(file.nodes)
     group = {root: root for root in set(tree)}
 
     def group_of(root: int) -> int:
@@ -59,11 +59,13 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
             members[of].append(node)
     return tuple(
         CharacterNodes(path, tuple(nodes))
-        for path, nodes in zip(_paths(file, members), members.values(), strict=True)
+        for path, nodes in zip(
+            _character_paths(file, members), members.values(), strict=True
+        )
     )
 
 
-def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
+def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     """Return distinct paths of characters, from the names of their root joints."""
     from animtool.core.names import numbered_names
 
@@ -137,6 +139,6 @@ def _others_note(
     if not other_paths:
         return []
     message = f"reading {best.path} of {counted(len(candidates), 'character')}: "
-    message += f"others are {listed(other_paths, MAX_NAMED)}"
+    message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
     hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
     return [Fault(several, message, where, (), hint, Severity.NOTE)]

@@ -10,7 +10,7 @@ from animtool.core.names import numbered_names
 from animtool.core.quantities import CONTROL
 from animtool.formats.characters.nodes import Node
 
-MAX_NAMED = 6
+MAX_LISTED_JOINTS = 6
 _CONTROL = re.compile(f"[{CONTROL}]")
 
 
@@ -38,7 +38,7 @@ def renamed_notice(code: str, renamed: list[tuple[str, str]], path: str) -> list
     """Return a note about joints whose names differ from the file's."""
     if not renamed:
         return []
-    shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
+    shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_LISTED_JOINTS)
     message = f"{counted(len(renamed), 'joint')} renamed to make names unique: {shown}"
     return [Fault(code, message, path, severity=Severity.NOTE)]
 

@@ -81,7 +81,7 @@ class NodeTree(Protocol):
         """Index of the default scene; -1 if there is none."""
 
 
-def roots(nodes: tuple[Node, ...]) -> list[int]:
+def root_nodes(nodes: tuple[Node, ...]) -> list[int]:
     """Return the root node above each node; a root maps to itself."""
     tree = list(range(len(nodes)))
     for node in parents_first(nodes):

@@ -21,11 +21,11 @@ from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
-MAX_NAMED = 8
+MAX_LISTED_TAKES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class TakeWords:
+class TakeMessages:
     """Words and codes of messages about the takes of a format.
 
     Attributes:
@@ -44,7 +44,7 @@ class TakeWords:
 
 
 def choose_take(
-    words: TakeWords,
+    words: TakeMessages,
     path: str,
     names: list[str],
     take: str | None,
@@ -77,7 +77,8 @@ def choose_take(
         return index, []
     count = counted(len(candidates), words.noun)
     message = f"reading {words.noun} {names[index]!r} of {count}"
-    hint = f"read another with {argument('source.take')}: {listed(names, MAX_NAMED)}"
+    listed_names = listed(names, MAX_LISTED_TAKES)
+    hint = f"read another with {argument('source.take')}: {listed_names}"
     return index, [Fault(words.several, message, path, (), hint, Severity.NOTE)]
 
 

@@ -18,7 +18,7 @@ from animtool.formats.fbx.elements import (
 from animtool.formats.file_notices import FileNotices
 
 MAGIC = b"Kaydara FBX Binary  \x00"
-HEADER = 27
+HEADER_BYTES = 27
 _SCALARS = {
     "Y": struct.Struct("<h"),
     "I": struct.Struct("<i"),
@@ -31,9 +31,9 @@ _SCALARS = {
 _ARRAYS = {"f": "<f4", "d": "<f8", "l": "<i8", "i": "<i4", "b": "u1", "c": "u1"}
 _BATCH_TYPES = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
 # The maximum ratio of deflate compression.
-MAX_INFLATION = 1032
+MAX_INFLATION_RATIO = 1032
 # Lists of at least this many single values are read at once.
-MIN_BATCH = 12
+MIN_BATCH_VALUES = 12
 
 
 def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
@@ -42,8 +42,8 @@ def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     Raises:
         FormatError: A length or an offset points outside its record (FBX002).
     """
-    if len(content) < HEADER:
-        _fail(
+    if len(content) < HEADER_BYTES:
+        _raise_fault(
             notes,
             len(content),
             f"the file has {len(content)} bytes: the header is cut off",
@@ -52,14 +52,14 @@ def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
         message = "the file has big-endian numbers, which are not supported"
         notes.fail("FBX003", "byte 22", message, "export the file again")
     (version,) = struct.unpack_from("<I", content, 23)
-    return version, _Records(content, version, notes).root()
+    return version, _RecordReader(content, version, notes).root()
 
 
-def _fail(notes: FileNotices, where: int, message: str) -> NoReturn:
+def _raise_fault(notes: FileNotices, where: int, message: str) -> NoReturn:
     notes.fail("FBX002", f"byte {where}", message, "export the file again")
 
 
-class _Records:
+class _RecordReader:
     """The records of a file; lengths are checked before reading."""
 
     def __init__(self, content: bytes, version: int, notes: FileNotices) -> None:
@@ -71,7 +71,7 @@ class _Records:
 
     def root(self) -> Element:
         root = Element("", [], "byte 0")
-        self._children(root, HEADER, len(self.content), 0)
+        self._children(root, HEADER_BYTES, len(self.content), 0)
         return root
 
     def _children(self, parent: Element, at: int, end: int, depth: int) -> None:
@@ -85,7 +85,7 @@ class _Records:
                 parent, at, (record_end, count, length, name_length), end, depth
             )
         if depth == 0 or at > end:
-            _fail(self.notes, at, "the records of the file have no end")
+            _raise_fault(self.notes, at, "the records of the file have no end")
 
     def _record(
         self,
@@ -103,10 +103,10 @@ class _Records:
             if record_end > len(self.content):
                 message = f"the file ends at byte {len(self.content)}, but a record "
                 message += f"goes on to byte {record_end}: it is cut off or damaged"
-            _fail(self.notes, at, message)
+            _raise_fault(self.notes, at, message)
         if length > record_end - values_start or count > length:
             message = f"{count} values of {length} bytes do not fit in their record"
-            _fail(self.notes, at, message)
+            _raise_fault(self.notes, at, message)
         self.count += 1
         if self.count > MAX_ELEMENTS or depth > MAX_DEPTH:
             message = f"more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels"
@@ -128,18 +128,18 @@ class _Records:
         values: list[Any] = []
         for _ in range(count):
             if at >= end:
-                _fail(self.notes, at, "values are missing")
+                _raise_fault(self.notes, at, "values are missing")
             kind = chr(self.content[at])
             scalar = _SCALARS.get(kind)
             if scalar is not None:
                 if at + 1 + scalar.size > end:
-                    _fail(self.notes, at, "a value is cut off")
+                    _raise_fault(self.notes, at, "a value is cut off")
                 values.append(scalar.unpack_from(self.content, at + 1)[0])
                 at += 1 + scalar.size
             elif kind in "SR":
                 size = self._number(at + 1, end)
                 if size > end - at - 5:
-                    _fail(self.notes, at, f"text of {size} bytes is cut off")
+                    _raise_fault(self.notes, at, f"text of {size} bytes is cut off")
                 raw = self.content[at + 5 : at + 5 + size]
                 values.append(raw.decode("utf-8", "replace") if kind == "S" else raw)
                 at += 5 + size
@@ -147,12 +147,14 @@ class _Records:
                 value, at = self._array(kind, at, end)
                 values.append(value)
             else:
-                _fail(self.notes, at, f"unknown value type {excerpt(repr(kind))}")
+                _raise_fault(
+                    self.notes, at, f"unknown value type {excerpt(repr(kind))}"
+                )
         return values
 
     def _value_batch(self, at: int, count: int, end: int) -> Any:
         """Return a long list of single numbers of one type; else None."""
-        kind = chr(self.content[at]) if count >= MIN_BATCH and at < end else ""
+        kind = chr(self.content[at]) if count >= MIN_BATCH_VALUES and at < end else ""
         if kind not in _BATCH_TYPES:
             return None
         rows = np.dtype([("kind", "u1"), ("value", _BATCH_TYPES[kind])])
@@ -163,7 +165,7 @@ class _Records:
 
     def _number(self, at: int, end: int) -> int:
         if at + 4 > end:
-            _fail(self.notes, at, "a length is cut off")
+            _raise_fault(self.notes, at, "a length is cut off")
         return int(struct.unpack_from("<I", self.content, at)[0])
 
     def _array(self, kind: str, at: int, end: int) -> tuple[Any, int]:
@@ -171,13 +173,13 @@ class _Records:
         first, dtype = at + 13, np.dtype(_ARRAYS[kind])
         byte_count = count * dtype.itemsize
         if compression not in {0, 1}:
-            _fail(self.notes, at, f"unknown array encoding {compression}")
+            _raise_fault(self.notes, at, f"unknown array encoding {compression}")
         stored_size = size if compression else byte_count
         if stored_size > end - first:
-            _fail(self.notes, at, f"an array of {stored_size} bytes is cut off")
-        if compression and byte_count > size * MAX_INFLATION:
+            _raise_fault(self.notes, at, f"an array of {stored_size} bytes is cut off")
+        if compression and byte_count > size * MAX_INFLATION_RATIO:
             message = f"{size} bytes cannot hold an array of {byte_count} bytes"
-            _fail(self.notes, at, message)
+            _raise_fault(self.notes, at, message)
         self.array_bytes += byte_count
         if self.array_bytes > MAX_ARRAY_BYTES:
             message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
@@ -193,10 +195,10 @@ class _Records:
         try:
             array_bytes = engine.decompress(data, size) if size else b""
         except zlib.error as error:
-            _fail(self.notes, at, f"an array cannot be inflated: {error}")
+            _raise_fault(self.notes, at, f"an array cannot be inflated: {error}")
         if len(array_bytes) != size:
             message = (
                 f"an array inflates to {len(array_bytes)} bytes, but states {size}"
             )
-            _fail(self.notes, at, message)
+            _raise_fault(self.notes, at, message)
         return array_bytes

@@ -11,10 +11,10 @@ from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.record import dataclass
-from animtool.formats.fbx.joined import JoinedKeys, joined_keys
+from animtool.formats.fbx.joined import JoinedKeys, join_keys
 from animtool.formats.fbx.layers import (
     OUTER_ROTATIONS,
-    PIVOTS,
+    PIVOT_PROPERTIES,
     ROTATION,
     SCALING,
     TRANSLATION,
@@ -23,13 +23,13 @@ from animtool.formats.fbx.layers import (
 from animtool.formats.fbx.models import INHERIT, Model
 from animtool.formats.fbx.poses import RowKind
 from animtool.formats.fbx.rig import FbxRig
-from animtool.formats.fbx.sampling import ON_FRAME, FbxFrames, FbxSampler
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.sampling import FRAME_TOLERANCE, FbxFrames, FbxSampler
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
-_TARGETS = ("local_translation", "local_rotation", "scale")
+_TARGET_PARTS = ("local_translation", "local_rotation", "scale")
 # Values closer to rest than this are at rest.
 REST_TOLERANCE = 1e-12
 
@@ -102,9 +102,9 @@ class _ClipBuilder:
                     self.sampled[component].add(j)
             elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
                 channels.append(
-                    self._static_channel(self._target(j, component), rest[j])
+                    self._static_channel(self._channel_target(j, component), rest[j])
                 )
-        return channels + self._samples(component)
+        return channels + self._sampled_channels(component)
 
     def shapes(self) -> list[ClipChannel]:
         """Return the channels of shapes."""
@@ -120,9 +120,9 @@ class _ClipBuilder:
             channel, full_percent = self.fbx_rig.shapes[row]
             track = self.sampler.track(row)
             assert track is not None
-            keys = joined_keys(track, np.array([channel.percent]))
+            keys = join_keys(track, np.array([channel.percent]))
             if keys is None:
-                ticks = self._times()
+                ticks = self._sample_times()
                 values = self.sampler.weight(row, ticks)[:, None]
                 self.errors.count += 1
                 channels.append(self._key_channel(target, ticks, values, Interp.LINEAR))
@@ -132,14 +132,14 @@ class _ClipBuilder:
             )
         return channels
 
-    def _target(self, j: int, component: int) -> str:
-        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGETS[component]}"
+    def _channel_target(self, j: int, component: int) -> str:
+        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGET_PARTS[component]}"
 
     def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
         """Return clip channels with the file's keys; empty if they cannot be kept."""
         model = self.models[self.fbx_rig.rows[j].model]
         track = self._track(model, (TRANSLATION, ROTATION, SCALING)[component])
-        keys = None if track is None else joined_keys(track, model.base[component])
+        keys = None if track is None else join_keys(track, model.base[component])
         if keys is None:
             return []
         if component == 1:
@@ -151,12 +151,12 @@ class _ClipBuilder:
     def _translation_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
-        shift = self._shift(model)
+        shift = self._pivot_offset(model)
         if shift is None:
             return []
         factor = self.fbx_rig.factors[j]
         basis = self.sampler.scene.settings.basis if model.parent < 0 else np.eye(3)
-        target = self._target(j, 0)
+        target = self._channel_target(j, 0)
         return [self._channel(target, keys, basis * factor, basis @ shift * factor)]
 
     def _scale_channels(
@@ -165,15 +165,15 @@ class _ClipBuilder:
         inherits = model.inherit == INHERIT or model.parent < 0
         if not inherits or self.fbx_rig.rows[j].kind is not RowKind.FULL:
             return []
-        return [self._channel(self._target(j, 2), keys, np.eye(3), np.zeros(3))]
+        return [self._channel(self._channel_target(j, 2), keys, np.eye(3), np.zeros(3))]
 
     def _track(self, model: Model, name: str) -> PropertyTrack | None:
         take = self.sampler.take
         return None if take is None else take.tracks.get((model.object.id, name))
 
-    def _shift(self, model: Model) -> FloatArray | None:
+    def _pivot_offset(self, model: Model) -> FloatArray | None:
         """Return the pivots' constant translation offset; None if it moves."""
-        if any(self._track(model, name) is not None for name in PIVOTS):
+        if any(self._track(model, name) is not None for name in PIVOT_PROPERTIES):
             return None
         offset, pivot, stretch, centre = model.pivots
         if not (stretch.any() or centre.any() or pivot.any()):
@@ -201,7 +201,9 @@ class _ClipBuilder:
         pre_rotation = so3.normalize(pre_rotation)
         channels = []
         if so3.angle_between(pre_rotation, self.defaults[1][j]) > REST_TOLERANCE:
-            channels.append(self._static_channel(self._target(j, 1), pre_rotation))
+            channels.append(
+                self._static_channel(self._channel_target(j, 1), pre_rotation)
+            )
         order = np.eye(3)[list(euler.axes_of(model.order))] * (np.pi / 180.0)
         target = f"joint/{self.fbx_rig.rig.names[j]}.rotation"
         return [*channels, self._channel(target, keys, order, np.zeros(3), model.order)]
@@ -226,7 +228,7 @@ class _ClipBuilder:
         count = len(keys.ticks)
         return ClipChannel(
             target,
-            self._codes(keys.ticks),
+            self._key_frames(keys.ticks),
             keys.values @ linear.T + shift,
             keys.interps,
             ((Tangent.FREE, Tangent.FREE),) * count,
@@ -238,9 +240,9 @@ class _ClipBuilder:
             post=keys.post,
         )
 
-    def _codes(self, ticks: IntArray) -> FloatArray:
+    def _key_frames(self, ticks: IntArray) -> FloatArray:
         """Return key times [frames], snapped to a frame within a tick."""
-        per_tick = float(self.frames.fps) / TICKS
+        per_tick = float(self.frames.fps) / TICKS_PER_SECOND
         codes = ticks * per_tick
         frames = np.round(codes)
         return np.where(np.abs(codes - frames) <= 2.0 * per_tick, frames, codes)
@@ -257,7 +259,7 @@ class _ClipBuilder:
         auto = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
         return ClipChannel(
             target,
-            self._codes(ticks),
+            self._key_frames(ticks),
             values,
             (interp,) * keys,
             (auto,) * keys,
@@ -266,7 +268,7 @@ class _ClipBuilder:
             np.zeros((keys, 3)),
         )
 
-    def _times(self) -> IntArray:
+    def _sample_times(self) -> IntArray:
         """Return the times of all frames and of keys between them [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
@@ -278,18 +280,22 @@ class _ClipBuilder:
             np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1) - 1
         ]
         distance = np.minimum(np.abs(tick_after - keys), np.abs(keys - tick_before))
-        keys = keys[distance > ON_FRAME * TICKS / float(self.frames.fps)]
+        keys = keys[
+            distance > FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)
+        ]
         return ticks if len(keys) > len(ticks) else np.union1d(ticks, keys)
 
-    def _samples(self, component: int) -> list[ClipChannel]:
+    def _sampled_channels(self, component: int) -> list[ClipChannel]:
         """Return sampled channels of a part; record their errors."""
         rows = self.sampled[component]
         if not rows:
             return []
-        ticks = self._times()
+        ticks = self._sample_times()
         middles = (ticks[1:] + ticks[:-1]) // 2
         columns = self.sampler.animated[component].tolist()
-        values, middle_values = (self._values(component, at) for at in (ticks, middles))
+        values, middle_values = (
+            self._sampled_values(component, at) for at in (ticks, middles)
+        )
         channels = []
         for column, j in enumerate(columns):
             if j not in rows:
@@ -313,11 +319,13 @@ class _ClipBuilder:
                     self.errors.scale = max(self.errors.scale, float(error))
             interp = Interp.SLERP if component == 1 else Interp.LINEAR
             channels.append(
-                self._key_channel(self._target(j, component), ticks, samples, interp)
+                self._key_channel(
+                    self._channel_target(j, component), ticks, samples, interp
+                )
             )
         return channels
 
-    def _values(self, component: int, ticks: IntArray) -> FloatArray:
+    def _sampled_values(self, component: int, ticks: IntArray) -> FloatArray:
         motion = self.sampler.at(ticks)
         channel = (motion.translations, motion.rotations, motion.scales)[component]
         assert channel is not None

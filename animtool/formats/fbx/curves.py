@@ -11,10 +11,10 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 
 CONSTANT, NEXT, LINEAR, CUBIC = range(4)
-THIRD = 1.0 / 3.0
+ONE_THIRD = 1.0 / 3.0
 MAX_KEYS = 20_000_000
 # Largest time that is read [tick]; 2^62 leaves room for sums.
 MAX_TICKS = 2**61
@@ -70,16 +70,16 @@ class FbxCurve:
     def at(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F,)`` [ticks]."""
         first, last = int(self.times[0]), int(self.times[-1])
-        values = self._inside(np.clip(ticks, first, last))
+        values = self._interpolate(np.clip(ticks, first, last))
         for extrapolation, is_post in ((self.pre, False), (self.post, True)):
             rows = ticks > last if is_post else ticks < first
             if rows.any() and extrapolation.mode != "C" and last > first:
-                values[rows] = self._outside(
+                values[rows] = self._extrapolate(
                     ticks[rows], extrapolation, is_post=is_post
                 )
         return values
 
-    def _outside(
+    def _extrapolate(
         self, ticks: IntArray, extrapolation: FbxExtrapolation, *, is_post: bool
     ) -> FloatArray:
         first, last = int(self.times[0]), int(self.times[-1])
@@ -89,7 +89,7 @@ class FbxCurve:
             slope = self.in_slopes[-2] if is_post else self.out_slopes[0]
             end = self.values[-1 if is_post else 0]
             return np.asarray(
-                end + slope * (ticks - (last if is_post else first)) / TICKS
+                end + slope * (ticks - (last if is_post else first)) / TICKS_PER_SECOND
             )
         if extrapolation.count == 0:
             return np.full(len(ticks), self.values[-1 if is_post else 0])
@@ -101,7 +101,7 @@ class FbxCurve:
         is_backward = np.full(len(ticks), not is_post)
         if extrapolation.mode == "M":
             is_backward = (repeats % 2 == 0) == is_post
-        repeated_values = self._inside(
+        repeated_values = self._interpolate(
             np.where(is_backward, last - remainder, first + remainder)
         )
         if extrapolation.mode == "A":
@@ -111,7 +111,7 @@ class FbxCurve:
             )
         return repeated_values
 
-    def _inside(self, ticks: IntArray) -> FloatArray:
+    def _interpolate(self, ticks: IntArray) -> FloatArray:
         """Return the values at times between the first key and the last."""
         if len(self.times) == 1:
             return np.full(len(ticks), self.values[0])
@@ -135,7 +135,7 @@ class FbxCurve:
         )
         cubic = mode == CUBIC
         if cubic.any():
-            k, seconds = k[cubic], span[cubic] / TICKS
+            k, seconds = k[cubic], span[cubic] / TICKS_PER_SECOND
             weights = self.weights[k]
             u = bezier_parameter(fraction[cubic], weights)
             a = start_values[cubic] + self.out_slopes[k] * weights[:, 0] * seconds
@@ -153,7 +153,7 @@ def bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
     Uses Newton's method, or bisection if that leaves the bounds.
     """
     u = fraction.copy()
-    has_weights = np.flatnonzero(np.abs(weights - THIRD).max(axis=1) > 1e-9)
+    has_weights = np.flatnonzero(np.abs(weights - ONE_THIRD).max(axis=1) > 1e-9)
     if not len(has_weights):
         return u
     s, a, b = (

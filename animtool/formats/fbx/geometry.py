@@ -10,14 +10,21 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.formats.fbx.elements import Element, floats, integers
-from animtool.formats.fbx.layers import PERCENT
-from animtool.formats.fbx.objects import NUMBERED, ROOTS, FbxFile, Id, Object, scalar
-from animtool.formats.fbx.takes import old_shapes, shape_id
+from animtool.formats.fbx.layers import DEFORM_PERCENT
+from animtool.formats.fbx.objects import (
+    FIRST_NUMBERED_VERSION,
+    ROOT_IDS,
+    FbxFile,
+    Object,
+    ObjectId,
+    scalar,
+)
+from animtool.formats.fbx.takes import shape_id, shapes_before_7000
 
 LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
-_BLENDER = "blender (stable fbx io)"
+_BLENDER_EXPORTER = "blender (stable fbx io)"
 # Maximum cells of a table of faces or weights.
-MAX_CELLS = 100_000_000
+MAX_TABLE_CELLS = 100_000_000
 
 
 @dataclass(slots=True, eq=False)
@@ -33,7 +40,7 @@ class Cluster:
         where: Location of its element in the file.
     """
 
-    bone: Id
+    bone: ObjectId
     from_mesh: FloatArray
     world: FloatArray
     indices: IntArray
@@ -52,7 +59,7 @@ class ShapeChannel:
         targets: For each target its full weight [%] and offsets ``(V, 3)``.
     """
 
-    id: Id
+    id: ObjectId
     name: str
     percent: float
     targets: list[tuple[float, FloatArray]]
@@ -79,14 +86,14 @@ class FbxGeometry:
     shapes: list[ShapeChannel] = field(default_factory=list)
 
 
-def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
+def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
     """Return the mesh of each node that shows one, by node id.
 
     Raises:
         FormatError: Numbers of a mesh, skin or shape are invalid (FBX005, FBX008), or
             it is deformed in an unsupported way (FBX004).
     """
-    if file.version < NUMBERED:
+    if file.version < FIRST_NUMBERED_VERSION:
         old_meshes = [
             model_object
             for model_object in file.of_kind("Model")
@@ -101,18 +108,18 @@ def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
         shown_meshes += [
             (model_object, model) for model in file.targets(model_object.id, "Model")
         ]
-    meshes_by_id: dict[Id, FbxGeometry | None] = {}
-    meshes: dict[Id, FbxGeometry] = {}
+    meshes_by_id: dict[ObjectId, FbxGeometry | None] = {}
+    meshes: dict[ObjectId, FbxGeometry] = {}
     for holder, model in shown_meshes:
         if holder.id not in meshes_by_id:
-            meshes_by_id[holder.id] = _geometry(file, holder, model)
+            meshes_by_id[holder.id] = _read_mesh(file, holder, model)
         mesh = meshes_by_id[holder.id]
         if mesh is not None:
             meshes.setdefault(model.id, mesh)
     return meshes
 
 
-def _geometry(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry | None:
+def _read_mesh(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry | None:
     notes, element, name = file.notes, mesh_object.element, model.name
     coordinates = floats(element, "Vertices", notes)
     corners = integers(element, "PolygonVertexIndex", notes)
@@ -122,14 +129,14 @@ def _geometry(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry 
         message = f"{len(coordinates)} numbers of {name!r} do not make points"
         notes.fail("FBX008", element.where, message)
     points = coordinates.reshape(-1, 3)
-    faces = _faces(file, mesh_object, corners, len(points), name)
+    faces = _read_faces(file, mesh_object, corners, len(points), name)
     geometry = FbxGeometry(mesh_object.name, points, faces)
     _add_skin(file, mesh_object, geometry, name)
     _add_shapes(file, mesh_object, geometry, model)
     return geometry
 
 
-def _faces(
+def _read_faces(
     file: FbxFile, mesh_object: Object, corners: IntArray | None, count: int, name: str
 ) -> IntArray:
     """Return faces; FBX bit-inverts the last corner index of each."""
@@ -142,7 +149,7 @@ def _faces(
         file.notes.fail("FBX008", mesh_object.element.where, message)
     last_corners = np.flatnonzero(is_last)
     sizes = np.diff(np.concatenate([[-1], last_corners]))
-    if int(sizes.max()) * len(sizes) > MAX_CELLS:
+    if int(sizes.max()) * len(sizes) > MAX_TABLE_CELLS:
         message = f"faces of {name!r} have up to {int(sizes.max())} corners"
         file.notes.fail("FBX013", mesh_object.element.where, message)
     rows = np.repeat(np.arange(len(sizes)), sizes)
@@ -172,7 +179,7 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
         )
     for skin in skins:
         for deformer in file.sources(skin.id, "Deformer", "Cluster"):
-            cluster = _cluster(file, deformer, len(mesh.points), name)
+            cluster = _read_cluster(file, deformer, len(mesh.points), name)
             if cluster is not None:
                 mesh.clusters.append(cluster)
         kind = skin.element.find("SkinningType")
@@ -191,12 +198,14 @@ def _has_weights(file: FbxFile, skin: Object) -> bool:
     return any(cluster is not None and len(cluster) for cluster in indices)
 
 
-def _cluster(file: FbxFile, source: Object, points: int, name: str) -> Cluster | None:
+def _read_cluster(
+    file: FbxFile, source: Object, points: int, name: str
+) -> Cluster | None:
     notes, element = file.notes, source.element
     bones = [
         bone_object
         for bone_object in file.sources(source.id, "Model")
-        if bone_object.id not in ROOTS
+        if bone_object.id not in ROOT_IDS
     ]
     indices = integers(element, "Indexes", notes)
     weights = floats(element, "Weights", notes)
@@ -223,7 +232,9 @@ def _cluster(file: FbxFile, source: Object, points: int, name: str) -> Cluster |
     if (weights < -1e-6).any():
         message = f"cluster {source.name!r} has negative weights"
         notes.fail("FBX008", element.where, message)
-    matrices = [_matrix(file, element, key) for key in ("Transform", "TransformLink")]
+    matrices = [
+        _read_matrix(file, element, key) for key in ("Transform", "TransformLink")
+    ]
     return Cluster(
         bones[0].id,
         matrices[0],
@@ -234,7 +245,7 @@ def _cluster(file: FbxFile, source: Object, points: int, name: str) -> Cluster |
     )
 
 
-def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
+def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     """Return a column-vector matrix; files store row-vector ones."""
     numbers = floats(element, name, file.notes, 16)
     if numbers is None:
@@ -288,8 +299,10 @@ def _add_shapes(
     file: FbxFile, mesh_object: Object, mesh: FbxGeometry, model: Object
 ) -> None:
     notes = file.notes
-    for shape in old_shapes(file, model) if file.version < NUMBERED else ():
-        offsets = _offsets(file, shape, shape.text(0), len(mesh.points))
+    for shape in (
+        shapes_before_7000(file, model) if file.version < FIRST_NUMBERED_VERSION else ()
+    ):
+        offsets = _shape_offsets(file, shape, shape.text(0), len(mesh.points))
         percent = scalar(model, shape.text(0), 0.0, notes)
         channel_id = shape_id(model.id, shape.text(0))
         mesh.shapes.append(
@@ -297,12 +310,14 @@ def _add_shapes(
         )
     for group in file.sources(mesh_object.id, "Deformer", "BlendShape"):
         for channel in file.sources(group.id, "Deformer", "BlendShapeChannel"):
-            channel_ = _channel(file, channel, len(mesh.points))
+            channel_ = _read_shape_channel(file, channel, len(mesh.points))
             if channel_ is not None:
                 mesh.shapes.append(channel_)
 
 
-def _channel(file: FbxFile, source: Object, points: int) -> ShapeChannel | None:
+def _read_shape_channel(
+    file: FbxFile, source: Object, points: int
+) -> ShapeChannel | None:
     notes, element = file.notes, source.element
     shapes = file.sources(source.id, "Geometry", "Shape")
     if not shapes:
@@ -320,15 +335,17 @@ def _channel(file: FbxFile, source: Object, points: int) -> ShapeChannel | None:
             )
             notes.fail("FBX008", element.where, message)
         full_weights = np.array([100.0])
-    percent = scalar(source, PERCENT, 0.0, notes)
-    if PERCENT not in source.properties:
-        percents = floats(element, PERCENT, notes)
+    percent = scalar(source, DEFORM_PERCENT, 0.0, notes)
+    if DEFORM_PERCENT not in source.properties:
+        percents = floats(element, DEFORM_PERCENT, notes)
         percent = (
             float(percents[0]) if percents is not None and len(percents) else percent
         )
     targets = []
     for shape, at in zip(shapes, full_weights.tolist(), strict=False):
-        offsets = _offsets(file, shape.element, shape.name, points, point_percents)
+        offsets = _shape_offsets(
+            file, shape.element, shape.name, points, point_percents
+        )
         targets.append((at, offsets))
     targets.sort(key=lambda target_: target_[0])
     return ShapeChannel(source.id, source.name, percent, targets)
@@ -340,10 +357,12 @@ def _counts_points(file: FbxFile) -> bool:
     creators = [
         creator for top in (file.root, header) if top for creator in top.all("Creator")
     ]
-    return any(creator.text(0).lower().startswith(_BLENDER) for creator in creators)
+    return any(
+        creator.text(0).lower().startswith(_BLENDER_EXPORTER) for creator in creators
+    )
 
 
-def _offsets(
+def _shape_offsets(
     file: FbxFile,
     element: Element,
     name: str,

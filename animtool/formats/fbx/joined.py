@@ -12,16 +12,16 @@ from animtool.formats.fbx.curves import (
     CONSTANT,
     CUBIC,
     NEXT,
-    THIRD,
+    ONE_THIRD,
     FbxCurve,
     FbxExtrapolation,
 )
 from animtool.formats.fbx.layers import PropertyTrack
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.maths.curves import Extrapolation, Interp
 
 # Handle weights closer than this are equal.
-SAME_WEIGHT = 1e-9
+WEIGHT_TOLERANCE = 1e-9
 _EXTRAPOLATIONS = {
     "C": Extrapolation.HOLD,
     "K": Extrapolation.LINEAR,
@@ -54,7 +54,7 @@ class JoinedKeys:
     post: Extrapolation
 
 
-def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
+def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     """Return keys of all components of a property; None if not exact.
 
     A key of one component splits the segments of the others without changing values.
@@ -70,13 +70,13 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
         return None
     ticks = np.unique(np.concatenate([curve_.times for curve_ in keyed_curves]))
     segmented_curves = [
-        _segmented_curve(curve_, ticks) for curve_ in curves if curve_ is not None
+        _split_curve(curve_, ticks) for curve_ in curves if curve_ is not None
     ]
     interps = _segment_interpolations(segmented_curves, len(ticks) - 1)
-    weights = _weights(segmented_curves)
+    weights = _common_weights(segmented_curves)
     if interps is None or weights is None:
         return None
-    seconds = np.diff(ticks) / TICKS
+    seconds = np.diff(ticks) / TICKS_PER_SECOND
     count, width = len(ticks), len(curves)
     ins, outs = np.zeros((count, 1 + width)), np.zeros((count, 1 + width))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
@@ -138,7 +138,7 @@ class _SegmentedCurve:
     in_slopes: FloatArray
 
 
-def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
+def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     starts, ends = ticks[:-1], ticks[1:]
     k = np.searchsorted(curve.times, starts, "right") - 1
     in_range = (k >= 0) & (k < len(curve.times) - 1)
@@ -151,7 +151,7 @@ def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
             all_false,
             all_true,
             all_false,
-            np.full((len(k), 2), THIRD),
+            np.full((len(k), 2), ONE_THIRD),
             zeros,
             zeros,
         )
@@ -160,7 +160,7 @@ def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     is_cubic = in_range & (modes == CUBIC)
     is_stepped = in_range & ((modes == CONSTANT) | (modes == NEXT))
     is_split = in_range & ((starts != key_ticks) | (ends != next_ticks))
-    span = (next_ticks - key_ticks) / TICKS
+    span = (next_ticks - key_ticks) / TICKS_PER_SECOND
     value_change = curve.values[k + 1] - curve.values[k]
     level = (value_change == 0) & (
         ~is_cubic | ((curve.out_slopes[k] == 0) & (curve.in_slopes[k] == 0))
@@ -168,7 +168,9 @@ def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     slope = value_change / span
     ends_of = [
         np.where(
-            is_cubic, _slope_at(curve, k, (at - key_ticks) / TICKS / span, span), slope
+            is_cubic,
+            _slope_at(curve, k, (at - key_ticks) / TICKS_PER_SECOND / span, span),
+            slope,
         )
         for at in (starts, ends)
     ]
@@ -188,11 +190,11 @@ def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
             is_stepped,
             level,
             is_split | holds_next,
-            _never(k),
+            _nan_weights(k),
             out_slopes,
             in_slopes,
         )
-    weights = np.where(is_cubic[:, None], curve.weights[k], THIRD)
+    weights = np.where(is_cubic[:, None], curve.weights[k], ONE_THIRD)
     return _SegmentedCurve(
         is_cubic,
         is_stepped,
@@ -204,7 +206,7 @@ def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     )
 
 
-def _never(k: IntArray) -> FloatArray:
+def _nan_weights(k: IntArray) -> FloatArray:
     """Return NaN weights, for curves without weighted keys."""
     return np.full((len(k), 2), np.nan)
 
@@ -248,16 +250,16 @@ def _segment_interpolations(
     return [interpolations[choice] for choice in choices.tolist()][:count]
 
 
-def _weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:
+def _common_weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:
     """Return the tangent weights common to all components; else None."""
-    weights = np.full(curves[0].weights.shape, THIRD)
+    weights = np.full(curves[0].weights.shape, ONE_THIRD)
     is_fixed = np.zeros(len(weights), bool)
     for curve_ in curves:
         is_cubic = curve_.is_cubic & ~curve_.is_flat
-        is_third = np.abs(curve_.weights - THIRD).max(axis=1) <= SAME_WEIGHT
+        is_third = np.abs(curve_.weights - ONE_THIRD).max(axis=1) <= WEIGHT_TOLERANCE
         if not (is_third | ~curve_.is_split | ~is_cubic).all():
             return None
-        differs = np.abs(curve_.weights - weights).max(axis=1) > SAME_WEIGHT
+        differs = np.abs(curve_.weights - weights).max(axis=1) > WEIGHT_TOLERANCE
         if (is_fixed & is_cubic & differs).any():
             return None
         weights = np.where(is_cubic[:, None], curve_.weights, weights)

@@ -14,12 +14,12 @@ from animtool.formats.fbx.curves import (
     MAX_KEYS,
     MAX_TICKS,
     NEXT,
-    THIRD,
+    ONE_THIRD,
     FbxCurve,
     FbxExtrapolation,
 )
 from animtool.formats.fbx.elements import Element, floats, integers, number
-from animtool.formats.fbx.settings import TICKS, in_ticks
+from animtool.formats.fbx.settings import TICKS_PER_SECOND, in_ticks
 from animtool.formats.fbx.tangents import CURVED, NEXT_VALUE, STEPPED, TCB, key_slopes
 from animtool.formats.file_notices import FileNotices
 
@@ -50,7 +50,7 @@ def curve_of_object(
     check_times(times, element, notes)
     if values is None or flags is None or counts is None or data is None:
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
-    raw = _bits(data, notes)
+    raw = _attribute_bits(data, notes)
     lengths_match = len(flags) == len(counts) and raw.size == 4 * len(flags)
     lengths_match = lengths_match and bool(
         (counts >= 0).all() and (counts <= count).all()
@@ -71,7 +71,7 @@ def curve_of_object(
     ):
         notes.fail("FBX006", element.where, "a slope of a key is not finite")
     packed_weights = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
-    weights = np.full((count, 2), THIRD)
+    weights = np.full((count, 2), ONE_THIRD)
     for side, (flag, numbers) in enumerate(
         ((0x1000000, packed_weights & 0xFFFF), (0x2000000, packed_weights >> 16))
     ):
@@ -79,13 +79,15 @@ def curve_of_object(
         weights[is_weighted, side] = np.minimum(numbers[is_weighted] * WEIGHT_STEP, 1.0)
     modes = np.where(cubic, CUBIC, np.where(is_stepped, CONSTANT, LINEAR))
     modes[is_stepped & (flags & NEXT_VALUE != 0)] = NEXT
-    out_slopes, in_slopes = key_slopes(times / TICKS, values, flags, key_data, weights)
-    return validated_curve(
+    out_slopes, in_slopes = key_slopes(
+        times / TICKS_PER_SECOND, values, flags, key_data, weights
+    )
+    return validate_curve(
         FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
     )
 
 
-def _bits(data: Element, notes: FileNotices) -> Any:
+def _attribute_bits(data: Element, notes: FileNotices) -> Any:
     """Return key attributes as float32 bits; text files write integers."""
     values = data.values[0] if len(data.values) == 1 else np.array(data.values)
     array = np.asarray(values)
@@ -97,7 +99,7 @@ def _bits(data: Element, notes: FileNotices) -> Any:
     return array.astype(np.int64).astype(np.uint32).view(np.int32)
 
 
-def validated_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
+def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
     """Return a curve with its extrapolation; raise for invalid numbers."""
     times = curve.times
     check_times(times, element, notes)

@@ -19,10 +19,10 @@ from animtool.maths import so3
 
 ADDITIVE, OVERRIDE, PASSTHROUGH = range(3)
 TRANSLATION, ROTATION, SCALING = "Lcl Translation", "Lcl Rotation", "Lcl Scaling"
-PERCENT = "DeformPercent"
+DEFORM_PERCENT = "DeformPercent"
 # Other animatable transform properties: offsets and pivots of rotation and scaling, and
 # the rotations before and after.
-PIVOTS = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
+PIVOT_PROPERTIES = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
 OUTER_ROTATIONS = ("PreRotation", "PostRotation")
 # Weights from here on count as 1 [1].
 FULL_WEIGHT = 0.99999
@@ -119,10 +119,10 @@ class PropertyTrack:
                 result = values
             else:
                 weights = layer_values.layer.weights(ticks)[:, None]
-                result = self._blended(layer_values.layer, result, values, weights)
+                result = self._blend_layer(layer_values.layer, result, values, weights)
         return result
 
-    def _blended(
+    def _blend_layer(
         self, layer: Layer, below: FloatArray, above: FloatArray, weights: FloatArray
     ) -> FloatArray:
         additive = layer.mode == ADDITIVE

@@ -10,12 +10,12 @@ from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import Element, number
 from animtool.formats.file_notices import FileNotices
 
-_PROPERTIES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
+_PROPERTY_NAMES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
 # Suffix of a shape's channel name.
 SHAPE_SUFFIX = " (Shape)"
 _GEOMETRY_ELEMENTS = ("Vertices", "PolygonVertexIndex", "Shape")
 # Elements that change the pose, but are not supported in such files.
-_UNSUPPORTED = (
+_UNSUPPORTED_PROPERTIES = (
     *("PreRotation", "PostRotation", "RotationOrder", "RotationPivot", "ScalingPivot"),
     *("RotationOffset", "ScalingOffset", "GeometricTranslation", "GeometricRotation"),
     *("GeometricScaling", "InheritType"),
@@ -42,7 +42,7 @@ def _add_model(
 ) -> None:
     name = model.text(0)
     for child in model.children:
-        if child.name in _UNSUPPORTED:
+        if child.name in _UNSUPPORTED_PROPERTIES:
             message = f"{child.name} of {name!r} is not supported in files this old"
             notes.fail("FBX004", child.where, excerpt(message))
     kind = model.find("Type")
@@ -51,26 +51,26 @@ def _add_model(
     new_model = Element(
         "Model", [f"Model::{name}", subtype], model.where, geometry_elements
     )
-    new_model.children.append(_properties(model, notes))
+    new_model.children.append(_property_elements(model, notes))
     objects.children.append(new_model)
     for children in model.all("Children"):
         for child in children.values:
             if isinstance(child, str):
-                _connect(links, f"Model::{child}", f"Model::{name}")
+                _add_connection(links, f"Model::{child}", f"Model::{name}")
     skin = f"Deformer::{name}"
     bones = list(model.all("Link"))
     if bones:
         objects.children.append(Element("Deformer", [skin, "Skin"], model.where))
-        _connect(links, skin, f"Model::{name}")
+        _add_connection(links, skin, f"Model::{name}")
     for bone in bones:
         cluster = f"SubDeformer::{name} {bone.text(0)}"
         values = [cluster, "Cluster"]
         objects.children.append(Element("Deformer", values, bone.where, bone.children))
-        _connect(links, cluster, skin)
-        _connect(links, f"Model::{bone.text(0)}", cluster)
+        _add_connection(links, cluster, skin)
+        _add_connection(links, f"Model::{bone.text(0)}", cluster)
 
 
-def _properties(model: Element, notes: FileNotices) -> Element:
+def _property_elements(model: Element, notes: FileNotices) -> Element:
     properties = Element("Properties60", [], model.where)
     for channel in model.all("Channel"):
         if channel.text(0) != "Transform":
@@ -81,7 +81,7 @@ def _properties(model: Element, notes: FileNotices) -> Element:
                 properties.children.append(Element("Property", row, channel.where))
             continue
         for channels in channel.all("Channel"):
-            name = _PROPERTIES.get(channels.text(0))
+            name = _PROPERTY_NAMES.get(channels.text(0))
             if name is None:
                 continue
             values = [1.0 if channels.text(0) == "S" else 0.0] * 3
@@ -95,5 +95,5 @@ def _properties(model: Element, notes: FileNotices) -> Element:
     return properties
 
 
-def _connect(links: Element, child: str, parent: str) -> None:
+def _add_connection(links: Element, child: str, parent: str) -> None:
     links.children.append(Element("Connect", ["OO", child, parent], links.where))

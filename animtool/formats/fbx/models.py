@@ -16,22 +16,29 @@ from animtool.core.record import dataclass
 from animtool.formats.fbx.angles import XYZ, rotations_of
 from animtool.formats.fbx.layers import (
     OUTER_ROTATIONS,
-    PIVOTS,
+    PIVOT_PROPERTIES,
     ROTATION,
     SCALING,
     TRANSLATION,
     PropertyTrack,
 )
-from animtool.formats.fbx.objects import ROOTS, FbxFile, Id, Object, scalar, vector
+from animtool.formats.fbx.objects import (
+    ROOT_IDS,
+    FbxFile,
+    Object,
+    ObjectId,
+    scalar,
+    vector,
+)
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 
 # Factor order by RotationOrder: in XYZ, X rotates first, so its factor is last.
-_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
+_ROTATION_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
 COMPONENTWISE, INHERIT, IGNORE = range(3)
 MAX_MODELS = 100_000
-_ZERO = (0.0, 0.0, 0.0)
-_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
+_ZERO_VECTOR = (0.0, 0.0, 0.0)
+_TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 
 @dataclass(slots=True, eq=False)
@@ -76,11 +83,11 @@ class Model:
         self, take: AnimTake | None, ticks: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales at times ``(F,)`` [ticks]."""
-        values = _state(self, take, ticks)
+        values = _transform_state(self, take, ticks)
         pre, post = self.pre, self.post
         if take is not None and self.active:
             pre_track, post_track = (
-                _track(self, take, name) for name in OUTER_ROTATIONS
+                _property_track(self, take, name) for name in OUTER_ROTATIONS
             )
             if pre_track is not None:
                 pre = rotations_of(pre_track.at(self.outer_angles[0], ticks), XYZ)
@@ -91,7 +98,7 @@ class Model:
         rotations = rotations_of(values[:, 1], self.order)
         rotations = so3.multiply(so3.multiply(pre, rotations), post)
         scales = values[:, 2]
-        offset, pivot, stretch, centre = _pivots(self, take, ticks)
+        offset, pivot, stretch, centre = _pivot_offsets(self, take, ticks)
         pivot_offset = stretch + centre - pivot - scales * centre
         translations = values[:, 0] + offset + pivot
         if pivot_offset.any():
@@ -111,19 +118,19 @@ def read_models(file: FbxFile) -> list[Model]:
         for element in file.of_kind("Model")
         if not _is_default_camera(file, element)
     ]
-    objects = [element for element in objects if element.id not in ROOTS]
+    objects = [element for element in objects if element.id not in ROOT_IDS]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
-    parents = {element.id: _parent(file, element) for element in objects}
-    children: dict[Id | None, list[Object]] = {}
+    parents = {element.id: _parent_model(file, element) for element in objects}
+    children: dict[ObjectId | None, list[Object]] = {}
     for element in objects:
         children.setdefault(parents[element.id], []).append(element)
     models: list[Model] = []
     stack = [(element, -1) for element in reversed(children.get(None, []))]
     while stack:
         element, parent = stack.pop()
-        node, index = _model(file, element, parent), len(models)
+        node, index = _read_model(file, element, parent), len(models)
         if parent >= 0 and node.inherit == COMPONENTWISE:
             node.scale_from = parent
         elif parent >= 0 and node.inherit == IGNORE:
@@ -145,30 +152,30 @@ def _is_default_camera(file: FbxFile, node: Object) -> bool:
     return node.subtype.startswith("Camera") and node.id not in file.outgoing
 
 
-def _parent(file: FbxFile, node: Object) -> Id | None:
+def _parent_model(file: FbxFile, node: Object) -> ObjectId | None:
     parents = [model.id for model in file.targets(node.id, "Model")]
-    parents = [id_ for id_ in parents if id_ not in ROOTS]
+    parents = [id_ for id_ in parents if id_ not in ROOT_IDS]
     if len(set(parents)) > 1:
         message = f"the node {node.name!r} has {len(set(parents))} parents"
         file.notes.fail("FBX009", node.element.where, message)
     return parents[0] if parents else None
 
 
-def _model(file: FbxFile, node: Object, parent: int) -> Model:
+def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
     notes = file.notes
 
-    def triple(name: str, default: tuple[float, ...] = _ZERO) -> FloatArray:
+    def triple(name: str, default: tuple[float, ...] = _ZERO_VECTOR) -> FloatArray:
         return np.array(vector(node, name, default, notes))
 
     base = np.stack(
         [triple(TRANSLATION), triple(ROTATION), triple(SCALING, (1.0,) * 3)]
     )
     active = bool(scalar(node, "RotationActive", 0, notes))
-    order, pre, post = 0, _ZERO, _ZERO
+    order, pre, post = 0, _ZERO_VECTOR, _ZERO_VECTOR
     if active:
         order = int(scalar(node, "RotationOrder", 0, notes))
         pre, post = (tuple(triple(f"{name}Rotation")) for name in ("Pre", "Post"))
-    if not 0 <= order < len(_ORDERS):
+    if not 0 <= order < len(_ROTATION_ORDERS):
         message = (
             f"the node {node.name!r} has rotation order {order}, which is not supported"
         )
@@ -190,10 +197,10 @@ def _model(file: FbxFile, node: Object, parent: int) -> Model:
         node,
         parent,
         base,
-        _ORDERS[order],
+        _ROTATION_ORDERS[order],
         pre_and_post[0],
         so3.conjugate(pre_and_post[1]),
-        np.stack([triple(name) for name in PIVOTS]),
+        np.stack([triple(name) for name in PIVOT_PROPERTIES]),
         inherit,
         geometric,
         active,
@@ -201,25 +208,31 @@ def _model(file: FbxFile, node: Object, parent: int) -> Model:
     )
 
 
-def _track(model: Model, take: AnimTake | None, name: str) -> PropertyTrack | None:
+def _property_track(
+    model: Model, take: AnimTake | None, name: str
+) -> PropertyTrack | None:
     return None if take is None else take.tracks.get((model.object.id, name))
 
 
-def _state(model: Model, take: AnimTake | None, ticks: IntArray) -> FloatArray:
+def _transform_state(
+    model: Model, take: AnimTake | None, ticks: IntArray
+) -> FloatArray:
     """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
     states = np.repeat(model.base[None], len(ticks), axis=0)
-    for k, name in enumerate(_PROPERTIES):
-        track = _track(model, take, name)
+    for k, name in enumerate(_TRANSFORM_PROPERTIES):
+        track = _property_track(model, take, name)
         if track is not None:
             states[:, k] = track.at(model.base[k], ticks)
     return states
 
 
-def _pivots(model: Model, take: AnimTake | None, ticks: IntArray) -> list[FloatArray]:
+def _pivot_offsets(
+    model: Model, take: AnimTake | None, ticks: IntArray
+) -> list[FloatArray]:
     """Return rotation offset and pivot, scaling offset and pivot."""
     pivots = list(model.pivots)
-    for k, name in enumerate(PIVOTS):
-        track = _track(model, take, name)
+    for k, name in enumerate(PIVOT_PROPERTIES):
+        track = _property_track(model, take, name)
         if track is not None:
             pivots[k] = track.at(model.pivots[k], ticks)
     return pivots
@@ -229,18 +242,24 @@ def has_pivots(model: Model, take: AnimTake | None) -> bool:
     """Return whether a node has an offset or a pivot, saved or in a take."""
     if model.pivots.any():
         return True
-    return any(_track(model, take, name) is not None for name in PIVOTS)
+    return any(
+        _property_track(model, take, name) is not None for name in PIVOT_PROPERTIES
+    )
 
 
 def animated_components(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
     """Return whether translation, rotation and scale change in a take."""
 
     def varies(name: str, base: FloatArray) -> bool:
-        track = _track(model, take, name)
+        track = _property_track(model, take, name)
         return track is not None and track.constant(base) is None
 
-    changes = [varies(name, model.base[k]) for k, name in enumerate(_PROPERTIES)]
-    changes[0] |= any(varies(name, model.pivots[k]) for k, name in enumerate(PIVOTS))
+    changes = [
+        varies(name, model.base[k]) for k, name in enumerate(_TRANSFORM_PROPERTIES)
+    ]
+    changes[0] |= any(
+        varies(name, model.pivots[k]) for k, name in enumerate(PIVOT_PROPERTIES)
+    )
     if model.active:
         changes[1] |= any(
             varies(name, model.outer_angles[k])

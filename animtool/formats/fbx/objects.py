@@ -17,14 +17,14 @@ from animtool.formats.fbx.text import looks_like_text, read_text
 from animtool.formats.file_notices import FileNotices
 
 # Supported versions; the layout of others is unknown.
-OLDEST, NEWEST = 5000, 7999
+MIN_VERSION, MAX_VERSION = 5000, 7999
 # First version with objects; before, models contain their children and skins.
-WITH_OBJECTS = 6000
+FIRST_OBJECT_VERSION = 6000
 # First version in which objects have numeric ids, and curves are objects.
-NUMBERED = 7000
+FIRST_NUMBERED_VERSION = 7000
 
-Id = int | str
-ROOTS = (0, "Model::Scene", "Model::RootNode")
+ObjectId = int | str
+ROOT_IDS = (0, "Model::Scene", "Model::RootNode")
 
 
 @dataclass(slots=True, eq=False)
@@ -41,7 +41,7 @@ class Object:
         defaults: Default values of its kind.
     """
 
-    id: Id
+    id: ObjectId
     kind: str
     name: str
     subtype: str
@@ -75,20 +75,24 @@ class FbxFile:
     version: int
     is_text: bool
     root: Element
-    objects: dict[Id, Object]
+    objects: dict[ObjectId, Object]
     settings: Object
     notes: FileNotices
-    incoming: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
-    outgoing: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
+    incoming: dict[ObjectId, list[tuple[ObjectId, str]]] = field(default_factory=dict)
+    outgoing: dict[ObjectId, list[tuple[ObjectId, str]]] = field(default_factory=dict)
 
     def sources(
-        self, object_id: Id, kind: str, subtype: str | None = None
+        self, object_id: ObjectId, kind: str, subtype: str | None = None
     ) -> list[Object]:
         """Return objects of a kind connected to an object as sources."""
         objects = [self.objects.get(id_) for id_, _ in self.incoming.get(object_id, ())]
-        return [id_ for id_ in objects if id_ is not None and _is(id_, kind, subtype)]
+        return [
+            id_
+            for id_ in objects
+            if id_ is not None and _is_of_kind(id_, kind, subtype)
+        ]
 
-    def targets(self, object_id: Id, kind: str) -> list[Object]:
+    def targets(self, object_id: ObjectId, kind: str) -> list[Object]:
         """Return objects of a kind that an object is connected to."""
         objects = [self.objects.get(id_) for id_, _ in self.outgoing.get(object_id, ())]
         return [id_ for id_ in objects if id_ is not None and id_.kind == kind]
@@ -98,11 +102,11 @@ class FbxFile:
         return [
             candidate
             for candidate in self.objects.values()
-            if _is(candidate, kind, subtype)
+            if _is_of_kind(candidate, kind, subtype)
         ]
 
 
-def _is(candidate: Object, kind: str, subtype: str | None) -> bool:
+def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
     return candidate.kind == kind and (subtype is None or candidate.subtype == subtype)
 
 
@@ -143,24 +147,26 @@ def open_objects(path: Path | str) -> FbxFile:
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
     version, root = (read_text if is_text else read_binary)(content, notes)
     version = _stated_version(root, version)
-    if not OLDEST <= version <= NEWEST:
-        message = f"version {version} is not supported, only {OLDEST} to {NEWEST}"
+    if not MIN_VERSION <= version <= MAX_VERSION:
+        message = (
+            f"version {version} is not supported, only {MIN_VERSION} to {MAX_VERSION}"
+        )
         hint = (
             "save it as FBX 2020 with Autodesk's FBX Converter or any tool that "
             "imports it"
         )
         notes.fail("FBX003", root.where, message, hint)
-    if version < WITH_OBJECTS:
+    if version < FIRST_OBJECT_VERSION:
         root = with_objects(root, notes)
-    templates = _templates(root)
-    objects: dict[Id, Object] = {}
+    templates = _default_properties(root)
+    objects: dict[ObjectId, Object] = {}
     settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
     elements = [child for file in root.all("Objects") for child in file.children]
     for element in [*elements, *root.all("GlobalSettings")]:
         if element.name == "GlobalSettings":
-            settings.properties |= _properties(element)
+            settings.properties |= _read_properties(element)
             continue
-        child = _object(element, version, templates)
+        child = _read_object(element, version, templates)
         if child is None:
             continue
         if child.id in objects:
@@ -171,7 +177,7 @@ def open_objects(path: Path | str) -> FbxFile:
             continue
         objects[child.id] = child
     file = FbxFile(path, version, is_text, root, objects, settings, notes)
-    _connect(file)
+    _connect_objects(file)
     return file
 
 
@@ -184,7 +190,7 @@ def _stated_version(root: Element, version: int) -> int:
         and version_element.values
         and isinstance(version_element.values[0], int)
     ):
-        return version_element.values[0] if version < WITH_OBJECTS else version
+        return version_element.values[0] if version < FIRST_OBJECT_VERSION else version
     return version
 
 
@@ -201,13 +207,13 @@ def plain_name(text: str) -> tuple[str, str]:
     return (kind, name) if colons else ("", text)
 
 
-def _object(
+def _read_object(
     element: Element, version: int, templates: dict[str, dict[str, list[Any]]]
 ) -> Object | None:
     values = element.values
-    name_index = 1 if version >= NUMBERED else 0
+    name_index = 1 if version >= FIRST_NUMBERED_VERSION else 0
     kind, name = plain_name(element.text(name_index))
-    id_: Id = f"{kind or element.name}::{name}"
+    id_: ObjectId = f"{kind or element.name}::{name}"
     if name_index:
         if not values or not isinstance(values[0], int):
             return None
@@ -215,12 +221,12 @@ def _object(
     elif not values:
         return None
     subtype = element.text(name_index + 1)
-    properties = _properties(element)
+    properties = _read_properties(element)
     defaults = templates.get(element.name, {})
     return Object(id_, element.name, name, subtype, element, properties, defaults)
 
 
-def _properties(element: Element) -> dict[str, list[Any]]:
+def _read_properties(element: Element) -> dict[str, list[Any]]:
     """Return the properties of an object, of either layout."""
     entries: dict[str, list[Any]] = {}
     for group, name, value_index in (
@@ -238,7 +244,7 @@ def _properties(element: Element) -> dict[str, list[Any]]:
     return entries
 
 
-def _templates(root: Element) -> dict[str, dict[str, list[Any]]]:
+def _default_properties(root: Element) -> dict[str, dict[str, list[Any]]]:
     """Return the default properties of each kind of object."""
     templates: dict[str, dict[str, list[Any]]] = {}
     for definitions in root.all("Definitions"):
@@ -247,16 +253,16 @@ def _templates(root: Element) -> dict[str, dict[str, list[Any]]]:
                 # Node attributes have a template per class; none of them affects
                 # motion.
                 if kind.text(0) != "NodeAttribute":
-                    templates.setdefault(kind.text(0), _properties(template))
+                    templates.setdefault(kind.text(0), _read_properties(template))
     return templates
 
 
-def _connect(file: FbxFile) -> None:
+def _connect_objects(file: FbxFile) -> None:
     for connections in file.root.all("Connections"):
         for connection in connections.children:
             if connection.name not in {"C", "Connect"} or len(connection.values) < 3:
                 continue
-            source, target = (_id(value) for value in connection.values[1:3])
+            source, target = (_object_id(value) for value in connection.values[1:3])
             if source is None or target is None:
                 continue
             name = connection.text(3)
@@ -264,7 +270,7 @@ def _connect(file: FbxFile) -> None:
             file.outgoing.setdefault(source, []).append((target, name))
 
 
-def _id(value: Any) -> Id | None:
+def _object_id(value: Any) -> ObjectId | None:
     if isinstance(value, str):
         kind, name = plain_name(value)
         return f"{kind}::{name}"

@@ -13,12 +13,12 @@ from animtool.formats.fbx.curves import (
     LINEAR,
     MAX_TICKS,
     NEXT,
-    THIRD,
+    ONE_THIRD,
     FbxCurve,
 )
 from animtool.formats.fbx.elements import Element
-from animtool.formats.fbx.keys import check_times, validated_curve
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.keys import check_times, validate_curve
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.fbx.tangents import (
     CURVED,
     NEXT_VALUE,
@@ -53,10 +53,12 @@ def curve_of_channel(
         return None
     version = element.find("KeyVer")
     key_version = None if version is None or not version.values else version.values[0]
-    keys = _Keys(key, notes, key_version if isinstance(key_version, int) else layout)
+    keys = _KeyCursor(
+        key, notes, key_version if isinstance(key_version, int) else layout
+    )
     rows = []
     while keys.in_slopes():
-        rows.append(_key(keys))
+        rows.append(_read_key(keys))
     if keys.guessed:
         message = f"tangents of kind {listed(sorted(map(repr, keys.guessed)))} are "
         message += "read as automatic ones, between the keys"
@@ -70,16 +72,18 @@ def curve_of_channel(
     )
     weights = np.stack([np.array(column) for column in columns[5:7]], axis=1)
     check_times(times, element, notes)
-    out_slopes, in_slopes = key_slopes(times / TICKS, values, flags, slopes, weights)
+    out_slopes, in_slopes = key_slopes(
+        times / TICKS_PER_SECOND, values, flags, slopes, weights
+    )
     step_modes = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
     modes = np.where(flags & STEPPED != 0, step_modes, LINEAR)
     modes[flags & CURVED != 0] = CUBIC
-    return validated_curve(
+    return validate_curve(
         FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
     )
 
 
-class _Keys:
+class _KeyCursor:
     """Cursor over the key values of a channel."""
 
     def __init__(self, element: Element, notes: FileNotices, layout: int) -> None:
@@ -121,19 +125,19 @@ class _Keys:
         return self.notes.fail("FBX006", self.element.where, message)
 
 
-def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
+def _read_key(keys: _KeyCursor) -> tuple[int, float, int, float, float, float, float]:
     """Return time, value, flags, two slopes and two weights of the next key."""
     time, value, mode = keys.time(), keys.number(), keys.letter()
     if mode == "L":
-        return time, value, STRAIGHT, 0.0, 0.0, THIRD, THIRD
+        return time, value, STRAIGHT, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode == "C":
         step_letter = keys.letter() if keys.layout >= STEP_LETTERS else ""
         flags = STEPPED | (NEXT_VALUE if step_letter == "n" else 0)
-        return time, value, flags, 0.0, 0.0, THIRD, THIRD
+        return time, value, flags, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode != "U":
         keys.fail(f"interpolation {mode!r} of a key is not read")
-    flags, out_slopes, in_slopes, weight_lists = _tangent(keys)
-    weights = [THIRD, THIRD]
+    flags, out_slopes, in_slopes, weight_lists = _read_tangent(keys)
+    weights = [ONE_THIRD, ONE_THIRD]
     for _ in range(weight_lists):
         _set_weights(keys, weights)
     return time, value, flags, out_slopes, in_slopes, weights[0], weights[1]
@@ -141,10 +145,15 @@ def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
 
 # Undocumented tangent kinds: count of numbers, and of weight lists in older layouts and
 # in that of 6100.
-_UNDOCUMENTED = {"p": (2, 1, 2), "q": (2, 1, 2), "t": (3, 0, 0), "d": (1, 1, 1)}
+_UNDOCUMENTED_TANGENTS = {
+    "p": (2, 1, 2),
+    "q": (2, 1, 2),
+    "t": (3, 0, 0),
+    "d": (1, 1, 1),
+}
 
 
-def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
+def _read_tangent(keys: _KeyCursor) -> tuple[int, float, float, int]:
     """Return flags and slopes of a cubic key, and the count of weight lists."""
     kind = keys.letter()
     if kind in {"s", "b"}:
@@ -159,16 +168,16 @@ def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
     is_6100 = keys.layout >= LAYOUT
     if kind == "a":
         return automatic, 0.0, 0.0, 1 if is_6100 else 0
-    if kind not in _UNDOCUMENTED:
+    if kind not in _UNDOCUMENTED_TANGENTS:
         keys.fail(f"tangents {kind!r} of a key are not read")
-    numbers, older_lists, new_lists = _UNDOCUMENTED[kind]
+    numbers, older_lists, new_lists = _UNDOCUMENTED_TANGENTS[kind]
     for _ in range(numbers):
         keys.number()
     keys.guessed.add(kind)
     return automatic, 0.0, 0.0, new_lists if is_6100 else older_lists
 
 
-def _set_weights(keys: _Keys, weights: list[float]) -> None:
+def _set_weights(keys: _KeyCursor, weights: list[float]) -> None:
     kind = keys.letter()
     if kind not in {"a", "r", "l", "n", "c"}:
         keys.fail(f"weights {kind!r} of a key are not read")

@@ -26,7 +26,7 @@ from animtool.formats.fbx.models import (
     has_pivots,
 )
 from animtool.formats.fbx.scene import FbxScene
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 
@@ -44,7 +44,7 @@ class RowKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class JointRow:
     """A joint: a node and the component of its transform."""
 
     model: int
@@ -71,7 +71,7 @@ class NodeTransforms:
                 self.take, self.ticks
             )
             # Children that ignore this scale divide by it.
-            scales = _no_zeros(scales) if i in self._ignored_scales else scales
+            scales = _without_zeros(scales) if i in self._ignored_scales else scales
             self._locals[i] = translations, rotations, scales
         return self._locals[i]
 
@@ -97,13 +97,13 @@ class NodeTransforms:
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(rotations) * scale[:, None, :]
             if ignores_scale and model.parent >= 0:
-                inverse_parent_scale = _inverse(self.local_scale(model.parent))
+                inverse_parent_scale = _inverse_scales(self.local_scale(model.parent))
                 local[:, :3, :3] = inverse_parent_scale[:, :, None] * local[:, :3, :3]
             local[:, :3, 3] = translations
             world = world @ local
         return np.asarray(world)
 
-    def row(self, row: Row) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def row(self, row: JointRow) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a joint, in file units."""
         model = self.models[row.model]
         translations, rotations, scales = self.local(row.model)
@@ -114,7 +114,7 @@ class NodeTransforms:
             return translations, rotations, scales
         if row.kind is RowKind.FULL:
             if model.inherit == IGNORE:
-                scales = self.local_scale(row.model) * _inverse(
+                scales = self.local_scale(row.model) * _inverse_scales(
                     self.local_scale(model.parent)
                 )
             return translations, rotations, scales
@@ -122,20 +122,20 @@ class NodeTransforms:
         if row.kind is RowKind.OUTER:
             identities = np.zeros_like(rotations)
             identities[:, 3] = 1.0
-            return translations, identities, _inverse(parent_scale)
+            return translations, identities, _inverse_scales(parent_scale)
         return np.zeros_like(translations), rotations, self.local_scale(row.model)
 
 
-def _inverse(scales: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / _no_zeros(scales))
+def _inverse_scales(scales: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / _without_zeros(scales))
 
 
-def _no_zeros(scales: FloatArray) -> FloatArray:
+def _without_zeros(scales: FloatArray) -> FloatArray:
     smallest = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
     return np.asarray(np.where(np.abs(scales) < MIN_SCALE, smallest, scales))
 
 
-class Changes:
+class AnimatedParts:
     """Which joint transforms a take changes."""
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
@@ -147,7 +147,7 @@ class Changes:
         """Return whether a node's local scale is animated."""
         return any(self.animated[node][2] for node in scale_chain(self.models, i))
 
-    def row(self, row: Row) -> tuple[bool, bool, bool]:
+    def row(self, row: JointRow) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
         translates, rotates, scales = self.animated[row.model]
@@ -164,7 +164,7 @@ class Changes:
         return translates, rotates, scales or leaves
 
 
-def rows_of(scene: FbxScene, nodes: Sequence[int]) -> list[Row]:
+def rows_of(scene: FbxScene, nodes: Sequence[int]) -> list[JointRow]:
     """Return the joints of nodes, in node order."""
     is_non_uniform: dict[int, bool] = {}
     rows = []
@@ -175,9 +175,9 @@ def rows_of(scene: FbxScene, nodes: Sequence[int]) -> list[Row]:
             if parent not in is_non_uniform:
                 is_non_uniform[parent] = _has_non_uniform_scale(scene, parent)
             if is_non_uniform[parent]:
-                rows += [Row(i, RowKind.OUTER), Row(i, RowKind.INNER)]
+                rows += [JointRow(i, RowKind.OUTER), JointRow(i, RowKind.INNER)]
                 continue
-        rows.append(Row(i, RowKind.FULL))
+        rows.append(JointRow(i, RowKind.FULL))
     return rows
 
 
@@ -197,7 +197,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             # them by extrapolation.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
             if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
-                span = int(times[-1] - times[0]) or TICKS
+                span = int(times[-1] - times[0]) or TICKS_PER_SECOND
                 ticks = np.concatenate([ticks - span, ticks, ticks + span])
         local_scale = NodeTransforms(scene, take, ticks).local_scale(chain[0])
         spread = local_scale.max(axis=1) - local_scale.min(axis=1)
@@ -207,7 +207,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
 
 
 def uniform_scales(
-    scene: FbxScene, rows: Sequence[Row]
+    scene: FbxScene, rows: Sequence[JointRow]
 ) -> tuple[FloatArray, BoolArray]:
     """Return saved scales ``(J, 3)``, and which are uniform and static."""
     rest = NodeTransforms(scene, None, _REST_TICKS)
@@ -215,7 +215,7 @@ def uniform_scales(
     smallest, largest = scales.min(axis=1), scales.max(axis=1)
     is_uniform = (smallest > 0) & (largest - smallest <= SAME_SCALE * np.abs(largest))
     for take in scene.takes:
-        changes = Changes(scene.models, take)
+        changes = AnimatedParts(scene.models, take)
         of_take = NodeTransforms(scene, take, np.array([take.begin], np.int64))
         for j, row in enumerate(rows):
             if not is_uniform[j] or not _is_touched(scene.models, row, take):
@@ -227,7 +227,7 @@ def uniform_scales(
     return scales, np.asarray(is_uniform)
 
 
-def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
+def _is_touched(models: Sequence[Model], row: JointRow, take: AnimTake) -> bool:
     """Return whether a take animates a joint's scale."""
     chain, model = scale_chain(models, row.model), models[row.model]
     if model.parent >= 0 and model.inherit != INHERIT:

@@ -11,7 +11,7 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.names import printable
-from animtool.formats.characters.stream import TakeWords, choose_take, finish_stream
+from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.fbx.clip_keys import clip_of_fbx
 from animtool.formats.fbx.rig import build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
@@ -29,7 +29,7 @@ from animtool.rig.skeleton import Rig
 
 # Codes for an unknown character, and for one of several.
 CHARACTER_CODES = "FBX014", "FBX115"
-WORDS = TakeWords(
+MESSAGES = TakeMessages(
     "take",
     "has no animation of the character: it keeps its saved pose",
     unknown="FBX015",
@@ -80,7 +80,7 @@ def read_fbx(
         if animates_rig(fbx_rig, candidate, scene)
     ]
     default = scene.default
-    index, notes = choose_take(WORDS, str(path), names, take, candidates, default)
+    index, notes = choose_take(MESSAGES, str(path), names, take, candidates, default)
     anim_take = None if index < 0 else scene.takes[index]
     sampler = FbxSampler(scene, fbx_rig, anim_take)
     frames = frames_of(scene, anim_take, rate, sampler.numbers)

@@ -12,7 +12,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
-from animtool.formats.characters.binding import Binder
+from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import (
     joint_names,
@@ -23,8 +23,8 @@ from animtool.formats.characters.names import (
 from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
 from animtool.formats.fbx.poses import (
+    JointRow,
     NodeTransforms,
-    Row,
     RowKind,
     rows_of,
     uniform_scales,
@@ -33,7 +33,7 @@ from animtool.formats.fbx.scene import FbxScene
 from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
-MAX_NAMED = 6
+MAX_LISTED_MESHES = 6
 # Tolerance for a mesh that moved since binding, relative to its size: rounding of files
 # [1].
 MOVED_TOLERANCE = 1e-4
@@ -60,7 +60,7 @@ class FbxRig:
     """
 
     rig: Rig
-    rows: list[Row]
+    rows: list[JointRow]
     joints: IntArray
     folded_scales: FloatArray
     factors: FloatArray
@@ -113,7 +113,7 @@ def build_rig(
             folded_scales[row.model] = length * (
                 float(scales[j].mean()) if is_folded[j] else 1.0
             )
-    names, notices = _names(scene, rows)
+    names, notices = _joint_names(scene, rows)
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     joint_list = []
     for j, row in enumerate(rows):
@@ -168,7 +168,7 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
     if not names:
         return []
     message = "skinned meshes follow only their bones, but their own nodes were moved "
-    message += f"after binding: {listed(names, MAX_NAMED)}"
+    message += f"after binding: {listed(names, MAX_LISTED_MESHES)}"
     hint = "as in Blender and glTF; Maya also moves them with their node"
     path = str(scene.path)
     return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
@@ -182,7 +182,9 @@ def _only_carries_skin(scene: FbxScene, node: int) -> bool:
     return not any(node in skin.joints for skin in scene.skins)
 
 
-def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]]:
+def _joint_names(
+    scene: FbxScene, rows: Sequence[JointRow]
+) -> tuple[list[str], list[Fault]]:
     inner_nodes = [row.model for row in rows if row.kind is not RowKind.OUTER]
     inner_names, renamed = joint_names(
         [scene.nodes[node] for node in inner_nodes], inner_nodes
@@ -205,7 +207,9 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
         message = (
             f"{counted(len(added), 'joint')} added above joints that do not inherit "
         )
-        message += f"the non-uniform scale of their parent: {listed(added, MAX_NAMED)}"
+        message += (
+            f"the non-uniform scale of their parent: {listed(added, MAX_LISTED_MESHES)}"
+        )
         notices.append(Fault("FBX112", message, path, severity=Severity.NOTE))
     return names, notices
 
@@ -232,10 +236,10 @@ def _add_shapes_and_meshes(
         fbx_rig.rig = replace(fbx_rig.rig, shapes=shapes)
         return
     shapes = tuple(
-        _shape(name, fbx_rig.meshes[node], channel, scene.models[node].geometric)
+        _build_shape(name, fbx_rig.meshes[node], channel, scene.models[node].geometric)
         for name, (node, channel) in zip(names, channels, strict=True)
     )
-    binder = Binder(
+    binder = SkinBinder(
         scene,
         fbx_rig.rig,
         fbx_rig.joints,
@@ -244,7 +248,7 @@ def _add_shapes_and_meshes(
         scene.bind_worlds(),
     )
     meshes = tuple(
-        _mesh(scene, node, fbx_rig.meshes[node], binder) for node in mesh_nodes
+        _build_mesh(scene, node, fbx_rig.meshes[node], binder) for node in mesh_nodes
     )
     fbx_rig.rig = binder.rig(meshes, shapes)
     fbx_rig.notices += binder.notices
@@ -258,7 +262,9 @@ def _full_percent(channel: ShapeChannel) -> float:
     return percent if abs(percent) > 100 * SAME_WEIGHT else 100.0
 
 
-def _shape(name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray) -> Shape:
+def _build_shape(
+    name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray
+) -> Shape:
     rotation, full_percent = geometric[:3, :3].T, _full_percent(channel)
     inbetweens = [
         Inbetween(at / full_percent, LoadedArray(offsets @ rotation))
@@ -269,10 +275,10 @@ def _shape(name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray) -
     return Shape(name, mesh, full_offsets, None, tuple(inbetweens))
 
 
-def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
+def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Mesh:
     mesh, geometric = scene.meshes[node], scene.models[node].geometric
     points = mesh.points @ geometric[:3, :3].T + geometric[:3, 3]
-    skin, geometry = _skin(scene, node, mesh, binder)
+    skin, geometry = _build_skin(scene, node, mesh, binder)
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
@@ -285,8 +291,8 @@ def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
     )
 
 
-def _skin(
-    scene: FbxScene, node: int, mesh: FbxGeometry, binder: Binder
+def _build_skin(
+    scene: FbxScene, node: int, mesh: FbxGeometry, binder: SkinBinder
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh: its bones, or the node that shows it."""
     index = scene.nodes[node].skin
@@ -322,6 +328,6 @@ def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
     if not names:
         return []
     message = "scales of rest or bind transforms that a rig file cannot store: "
-    message += listed(list(names), MAX_NAMED)
+    message += listed(list(names), MAX_LISTED_MESHES)
     hint = "takes of the file keep them; a rig file made from it does not"
     return [Fault("FBX111", message, where, (), hint, Severity.WARNING)]

@@ -13,28 +13,28 @@ from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
-from animtool.formats.fbx.layers import PERCENT, PropertyTrack
-from animtool.formats.fbx.poses import Changes, NodeTransforms
+from animtool.formats.fbx.layers import DEFORM_PERCENT, PropertyTrack
+from animtool.formats.fbx.poses import AnimatedParts, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.scene import FbxScene
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 # Frames per block: 60 joints take 2 MB.
-BLOCK = 1024
+BLOCK_FRAMES = 1024
 # Limit of a take's animated numbers over all frames.
 MAX_VALUES = 60_000_000
 # Minimum numbers counted per frame: each frame takes time, however few numbers change.
 MIN_VALUES = 40
 MAX_TICKS = 2.0**61
 # Keys closer to a frame than this are on it [frame].
-ON_FRAME = 1e-3
+FRAME_TOLERANCE = 1e-3
 # Maximum keys between frames at which joint errors are measured.
-MAX_MEASURED = 256
+MAX_MEASURED_KEYS = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class FbxFrames:
     def ticks(self, codes: FloatArray) -> IntArray:
         """Return times of frame numbers [ticks]."""
         # A single product of two floats: frames are as exact as their ticks.
-        per_frame = float(Fraction(TICKS) / self.fps)
+        per_frame = float(Fraction(TICKS_PER_SECOND) / self.fps)
         return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
             np.int64
         )
@@ -60,7 +60,7 @@ class FbxSampler:
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
         """Sample a rig by a take; None keeps the saved pose."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
-        changes = Changes(scene.models, take)
+        changes = AnimatedParts(scene.models, take)
         flags = np.array([changes.row(row) for row in fbx_rig.rows]).reshape(-1, 3)
         flags[:, 2] &= ~fbx_rig.is_folded
         self.animated = [np.flatnonzero(flags[:, k]) for k in range(3)]
@@ -69,7 +69,7 @@ class FbxSampler:
             [row for row in rows if self._is_animated(row)], np.int64
         )
         begin = 0 if take is None else take.begin
-        self.rest = self._rest(np.array([begin], np.int64))
+        self.rest = self._static_values(np.array([begin], np.int64))
         self.is_scaled = bool(len(self.animated[2]) or (self.rest[2] != 1.0).any())
 
     @property
@@ -82,7 +82,7 @@ class FbxSampler:
         """Return the track of a shape's weight; None if not animated."""
         channel = self.fbx_rig.shapes[row][0]
         take = self.take
-        return None if take is None else take.tracks.get((channel.id, PERCENT))
+        return None if take is None else take.tracks.get((channel.id, DEFORM_PERCENT))
 
     def _is_animated(self, row: int) -> bool:
         track = self.track(row)
@@ -97,7 +97,7 @@ class FbxSampler:
             return np.full(len(ticks), channel.percent / full_percent)
         return np.asarray(track.at(base, ticks)[:, 0] / full_percent)
 
-    def _rest(self, ticks: IntArray) -> list[FloatArray]:
+    def _static_values(self, ticks: IntArray) -> list[FloatArray]:
         """Return the static values of each channel."""
         fbx_rig, count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         state = NodeTransforms(self.scene, self.take, ticks)
@@ -170,14 +170,18 @@ def frames_of(
         begin, end = int(keys[0]), int(keys[-1])
     # Covers the span: from the frame at or before its start to the frame at or after
     # its end.
-    first_frame = _nearest(begin, rate)
-    first_frame -= _is_off(begin, rate) and first_frame * TICKS > begin * rate
-    last_frame = _nearest(end, rate)
-    last_frame += _is_off(end, rate) and last_frame * TICKS < end * rate
+    first_frame = _nearest_frames(begin, rate)
+    first_frame -= (
+        _is_off_frame(begin, rate) and first_frame * TICKS_PER_SECOND > begin * rate
+    )
+    last_frame = _nearest_frames(end, rate)
+    last_frame += (
+        _is_off_frame(end, rate) and last_frame * TICKS_PER_SECOND < end * rate
+    )
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
     if count > MAX_FRAMES or count * max(width, MIN_VALUES) > MAX_VALUES:
-        message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
+        message = f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
         message += f"{rate_label(rate)} are {count} frames of {width} numbers, above "
         message += "the limit"
         hint = f"lower the rate with {argument('source.fps')}"
@@ -195,14 +199,14 @@ def between_notices(
     keys = np.zeros(0, np.int64) if take is None else take.key_times()
     if take is None or not len(keys):
         return []
-    codes = keys / float(Fraction(TICKS) / frames.fps)
-    off_frame = np.flatnonzero(np.abs(codes - np.round(codes)) > ON_FRAME)
+    codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
+    off_frame = np.flatnonzero(np.abs(codes - np.round(codes)) > FRAME_TOLERANCE)
     if not len(off_frame):
         return []
-    measured_frames = off_frame[:: max(1, len(off_frame) // MAX_MEASURED)]
+    measured_frames = off_frame[:: max(1, len(off_frame) // MAX_MEASURED_KEYS)]
     frame_before = np.floor(codes[measured_frames])
     positions = [
-        forward(fbx_rig.rig, *sampler.at(ticks).dense()).positions
+        forward_kinematics(fbx_rig.rig, *sampler.at(ticks).dense()).positions
         for ticks in (
             frames.ticks(frame_before),
             frames.ticks(frame_before + 1.0),
@@ -231,9 +235,11 @@ def outside_notices(
     if take is None or not moving:
         return []
     keys = np.unique(np.concatenate([curve.times for curve in moving]))
-    codes = keys / float(Fraction(TICKS) / frames.fps)
+    codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
     last = frames.first + frames.count - 1
-    is_outside = (codes < frames.first - ON_FRAME) | (codes > last + ON_FRAME)
+    is_outside = (codes < frames.first - FRAME_TOLERANCE) | (
+        codes > last + FRAME_TOLERANCE
+    )
     count = int(is_outside.sum())
     if not count:
         return []
@@ -248,12 +254,12 @@ def outside_notices(
     return [Fault("FBX123", message, path, (), hint, severity, where=take.where)]
 
 
-def _nearest(ticks: int, rate: Fraction) -> int:
-    return round(ticks * rate / TICKS)
+def _nearest_frames(ticks: int, rate: Fraction) -> int:
+    return round(ticks * rate / TICKS_PER_SECOND)
 
 
-def _is_off(ticks: int, rate: Fraction) -> bool:
-    frames = ticks * rate / TICKS
+def _is_off_frame(ticks: int, rate: Fraction) -> bool:
+    frames = ticks * rate / TICKS_PER_SECOND
     return abs(frames - round(frames)) > Fraction(1, 1000)
 
 
@@ -264,7 +270,7 @@ def take_stream(fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> Take
     def sample(codes: FloatArray) -> Motion:
         return sampler.at(frames.ticks(codes))
 
-    return sampled_stream(fbx_rig.rig, clock, sample, BLOCK)
+    return sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:

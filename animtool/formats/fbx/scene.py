@@ -13,11 +13,11 @@ from animtool.core.units import UpAxis
 from animtool.formats.characters.nodes import Node, SkinEntry
 from animtool.formats.fbx.geometry import FbxGeometry, has_free_points, read_geometry
 from animtool.formats.fbx.models import Model, read_models
-from animtool.formats.fbx.objects import FbxFile, Id, open_objects
+from animtool.formats.fbx.objects import FbxFile, ObjectId, open_objects
 from animtool.formats.fbx.settings import FbxSettings, read_settings
 from animtool.formats.fbx.takes import AnimTake, default_take, read_takes
 
-MAX_NAMED = 6
+MAX_LISTED_OBJECTS = 6
 
 
 @dataclass(slots=True, eq=False)
@@ -78,9 +78,9 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     geometry = read_geometry(file)
     meshes = {index[of]: mesh for of, mesh in geometry.items() if of in index}
     takes = read_takes(file)
-    skins, bind = _skins(meshes, index)
+    skins, bind = _skin_entries(meshes, index)
     of_node = dict(zip((i for i in meshes if meshes[i].clusters), skins, strict=True))
-    nodes = _nodes(models, meshes, {i: n for n, i in enumerate(of_node)})
+    nodes = _build_nodes(models, meshes, {i: n for n, i in enumerate(of_node)})
     _note_drivers(file)
     default = default_take(file, takes)
     return FbxScene(
@@ -94,12 +94,12 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
         tuple(skins),
         bind,
         [],
-        _left_out(file),
+        _left_out_labels(file),
     )
 
 
-def _skins(
-    meshes: dict[int, FbxGeometry], index: dict[Id, int]
+def _skin_entries(
+    meshes: dict[int, FbxGeometry], index: dict[ObjectId, int]
 ) -> tuple[list[SkinEntry], list[FloatArray]]:
     """Return the skins; a mesh's node is the last joint if it has weights."""
     skins, bind = [], []
@@ -119,7 +119,7 @@ def _skins(
     return skins, bind
 
 
-def _nodes(
+def _build_nodes(
     models: list[Model], meshes: dict[int, FbxGeometry], skins: dict[int, int]
 ) -> tuple[Node, ...]:
     children: list[list[int]] = [[] for _ in models]
@@ -143,7 +143,7 @@ def _nodes(
 
 
 # Labels of object kinds for appearance or unsupported surfaces.
-_LEFT_OUT = {
+_LEFT_OUT_LABELS = {
     "Material": "materials",
     "Texture": "textures",
     "Video": "images",
@@ -158,14 +158,14 @@ _LEFT_OUT = {
 }
 
 
-def _left_out(file: FbxFile) -> tuple[str, ...]:
+def _left_out_labels(file: FbxFile) -> tuple[str, ...]:
     """Return labels of contents that neither rigs nor takes can store."""
     element_kinds = ("Material", "Texture", "Video")
     labels = {
-        _LEFT_OUT[key]: None
+        _LEFT_OUT_LABELS[key]: None
         for item in file.objects.values()
         for key in (item.kind if item.kind in element_kinds else item.subtype,)
-        if key in _LEFT_OUT
+        if key in _LEFT_OUT_LABELS
     }
     return tuple(sorted(labels))
 
@@ -174,7 +174,7 @@ def _note_drivers(file: FbxFile) -> None:
     """Add a note about constraints and drivers, which are not evaluated."""
     drivers = file.of_kind("Constraint")
     if drivers:
-        names = listed([repr(driver.name) for driver in drivers], MAX_NAMED)
+        names = listed([repr(driver.name) for driver in drivers], MAX_LISTED_OBJECTS)
         message = f"constraints are not evaluated: {names}"
         hint = "driven nodes follow their curves only; bake them before exporting"
         file.notes.warn("FBX107", drivers[0].element.where, message, hint)

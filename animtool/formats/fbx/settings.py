@@ -15,10 +15,10 @@ from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.objects import FbxFile, scalar
 
 # Ticks per second. Times of files that count others are converted, see `in_ticks`.
-TICKS = 46_186_158_000
+TICKS_PER_SECOND = 46_186_158_000
 # Ticks per second of files whose TCDefinition is 0, which FBX 2019.5 introduced.
 _NEW_TICKS = 141_120_000
-# Values of TCDefinition: 127 is `TICKS`.
+# Values of TCDefinition: 127 is `TICKS_PER_SECOND`.
 _NEW, _OLD = 0, 127
 # Frame rate by TimeMode, as numbered in `FbxTime::EMode`.
 _RATES = {
@@ -41,7 +41,7 @@ _RATES = {
     17: Fraction(60000, 1001),
     18: Fraction(120000, 1001),
 }
-CUSTOM = 14
+CUSTOM_TIME_MODE = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +75,8 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     if not 1e-9 <= factor <= 1e12:
         message = f"UnitScaleFactor is {factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
-    up_and_basis = (up, np.eye(3)) if up is not None else _axes(file)
-    return FbxSettings(factor / 100.0, *up_and_basis, _rate(file))
+    up_and_basis = (up, np.eye(3)) if up is not None else _up_and_basis(file)
+    return FbxSettings(factor / 100.0, *up_and_basis, _stated_rate(file))
 
 
 def counts_new_ticks(file: FbxFile) -> bool:
@@ -98,10 +98,10 @@ def in_ticks(times: IntArray) -> IntArray:
 
     Times beyond any take are clamped, so that they stay out of range.
 
-    >>> (in_ticks(np.array([-141_120_000, 5_880_000])) / TICKS).tolist()
+    >>> (in_ticks(np.array([-141_120_000, 5_880_000])) / TICKS_PER_SECOND).tolist()
     [-1.0, 0.041666666666666664]
     """
-    ratio = Fraction(TICKS, _NEW_TICKS)
+    ratio = Fraction(TICKS_PER_SECOND, _NEW_TICKS)
     limit = 2**62 // (ratio.numerator // ratio.denominator + 1)
     quotient, remainder = np.divmod(np.clip(times, -limit, limit), ratio.denominator)
     half = ratio.denominator // 2
@@ -109,7 +109,7 @@ def in_ticks(times: IntArray) -> IntArray:
     return np.asarray(quotient * ratio.numerator + parts, np.int64)
 
 
-def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
+def _up_and_basis(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """Return the up axis, and the rotation from file axes to it.
 
     Files with Y or Z up keep their axes if they face the common direction; others are
@@ -132,9 +132,9 @@ def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     return UpAxis.Y, basis
 
 
-def _rate(file: FbxFile) -> Fraction:
+def _stated_rate(file: FbxFile) -> Fraction:
     mode = int(scalar(file.settings, "TimeMode", 0.0, file.notes))
-    if mode == CUSTOM:
+    if mode == CUSTOM_TIME_MODE:
         rate = scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
         if not 0.01 <= rate <= 100_000:
             message = f"CustomFrameRate is {rate:g}, and must be positive"

@@ -13,9 +13,9 @@ from animtool.formats.fbx.curves import MAX_TICKS, FbxCurve
 from animtool.formats.fbx.elements import Element, number
 from animtool.formats.fbx.keys import curve_of_object
 from animtool.formats.fbx.layers import (
+    DEFORM_PERCENT,
     OUTER_ROTATIONS,
-    PERCENT,
-    PIVOTS,
+    PIVOT_PROPERTIES,
     ROTATION,
     SCALING,
     TRANSLATION,
@@ -25,11 +25,11 @@ from animtool.formats.fbx.layers import (
 )
 from animtool.formats.fbx.legacy import SHAPE_SUFFIX
 from animtool.formats.fbx.objects import (
-    NUMBERED,
-    WITH_OBJECTS,
+    FIRST_NUMBERED_VERSION,
+    FIRST_OBJECT_VERSION,
     FbxFile,
-    Id,
     Object,
+    ObjectId,
     plain_name,
     scalar,
 )
@@ -37,12 +37,20 @@ from animtool.formats.fbx.old_keys import LAYOUT, LAYOUT_OF_5000, curve_of_chann
 from animtool.formats.fbx.settings import counts_new_ticks, in_ticks
 
 # Component names of each animatable property, as in curve nodes.
-_VECTORS = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *OUTER_ROTATIONS)
-COMPONENTS: dict[str, tuple[str, ...]] = dict.fromkeys(_VECTORS, ("d|X", "d|Y", "d|Z"))
-COMPONENTS[PERCENT] = ("d|DeformPercent",)
-_CHANNELS = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
-_CHANNELS |= {name: name for name in (*PIVOTS, *OUTER_ROTATIONS)}
-_DEFAULTS = dict.fromkeys(COMPONENTS, 0.0) | {SCALING: 1.0}
+_VECTOR_PROPERTIES = (
+    TRANSLATION,
+    ROTATION,
+    SCALING,
+    *PIVOT_PROPERTIES,
+    *OUTER_ROTATIONS,
+)
+COMPONENTS: dict[str, tuple[str, ...]] = dict.fromkeys(
+    _VECTOR_PROPERTIES, ("d|X", "d|Y", "d|Z")
+)
+COMPONENTS[DEFORM_PERCENT] = ("d|DeformPercent",)
+_CHANNEL_PROPERTIES = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
+_CHANNEL_PROPERTIES |= {name: name for name in (*PIVOT_PROPERTIES, *OUTER_ROTATIONS)}
+_CHANNEL_DEFAULTS = dict.fromkeys(COMPONENTS, 0.0) | {SCALING: 1.0}
 # Properties that affect the pose, but cannot be animated.
 _NEVER_ANIMATED = {
     "RotationOrder",
@@ -73,7 +81,7 @@ class AnimTake:
     begin: int
     end: int
     layers: list[str] = field(default_factory=list)
-    tracks: dict[tuple[Id, str], PropertyTrack] = field(default_factory=dict)
+    tracks: dict[tuple[ObjectId, str], PropertyTrack] = field(default_factory=dict)
     visible: bool = False
 
     def curves(self) -> list[FbxCurve]:
@@ -99,9 +107,9 @@ def read_takes(file: FbxFile) -> list[AnimTake]:
         FormatError: A curve is malformed (FBX005, FBX006), or a layer has an
             unsupported mode (FBX004).
     """
-    if file.version < NUMBERED:
-        return _old_takes(file)
-    reader = _Stacks(file)
+    if file.version < FIRST_NUMBERED_VERSION:
+        return _takes_before_7000(file)
+    reader = _StackReader(file)
     return [reader.take(stack) for stack in file.of_kind("AnimationStack")]
 
 
@@ -129,12 +137,12 @@ def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
     ][0]
 
 
-class _Stacks:
+class _StackReader:
     """Animation stacks and their connections; each curve is read once."""
 
     def __init__(self, file: FbxFile) -> None:
         self.file = file
-        self._curves: dict[Id, FbxCurve | None] = {}
+        self._curves: dict[ObjectId, FbxCurve | None] = {}
         self._times: dict[bytes, IntArray] = {}
         self._new_ticks = counts_new_ticks(file)
 
@@ -197,7 +205,7 @@ class _Stacks:
     ) -> LayerValues:
         components = COMPONENTS[name]
         curves = self._node_curves(node)
-        default = _DEFAULTS[name]
+        default = _CHANNEL_DEFAULTS[name]
         defaults = [
             scalar(node, component, default, self.file.notes)
             for component in components
@@ -236,7 +244,7 @@ class _Stacks:
         values = stack.values(name)
         if not values or not isinstance(values[0], int):
             return 0
-        ticks = _in_range(values[0])
+        ticks = _ticks_in_range(values[0])
         return int(in_ticks(np.array([ticks]))[0]) if self._new_ticks else ticks
 
     def _layer(self, layer_object: Object) -> Layer:
@@ -261,11 +269,11 @@ class _Stacks:
         )
 
 
-def _in_range(ticks: int) -> int:
+def _ticks_in_range(ticks: int) -> int:
     return max(-MAX_TICKS, min(ticks, MAX_TICKS))
 
 
-def _old_takes(file: FbxFile) -> list[AnimTake]:
+def _takes_before_7000(file: FbxFile) -> list[AnimTake]:
     old_takes = []
     for takes in file.root.all("Takes"):
         for element in takes.all("Take"):
@@ -273,20 +281,22 @@ def _old_takes(file: FbxFile) -> list[AnimTake]:
             span = element.find("LocalTime")
             if span is not None and len(span.values) > 1:
                 take.begin, take.end = (
-                    _in_range(int(number(span, i, file.notes))) for i in (0, 1)
+                    _ticks_in_range(int(number(span, i, file.notes))) for i in (0, 1)
                 )
             for model in element.all("Model"):
-                _old_model(file, take, model)
+                _read_old_model(file, take, model)
             old_takes.append(take)
     return old_takes
 
 
-def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
+def _read_old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
     kind, name = plain_name(model.text(0))
-    object_id: Id = f"{kind or 'Model'}::{name}"
+    object_id: ObjectId = f"{kind or 'Model'}::{name}"
     if object_id not in file.objects:
         return
-    shapes = {shape.text(0) for shape in old_shapes(file, file.objects[object_id])}
+    shapes = {
+        shape.text(0) for shape in shapes_before_7000(file, file.objects[object_id])
+    }
     for channel in model.all("Channel"):
         channel_name = channel.text(0)
         if channel_name == "Visibility":
@@ -294,32 +304,32 @@ def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
         if channel.find("Layer") is not None:
             message = f"take {take.name!r}: layers of {name!r} are not supported"
             file.notes.fail("FBX004", channel.where, excerpt(message))
-        if file.version < WITH_OBJECTS:
+        if file.version < FIRST_OBJECT_VERSION:
             channel_name = channel_name.removesuffix(SHAPE_SUFFIX)
         if channel_name in shapes:
-            _old_track(
-                file, take, shape_id(object_id, channel_name), PERCENT, [channel]
+            _read_old_track(
+                file, take, shape_id(object_id, channel_name), DEFORM_PERCENT, [channel]
             )
         channels = channel.all("Channel") if channel_name == "Transform" else (channel,)
         for property_channel in channels:
-            property_name = _CHANNELS.get(property_channel.text(0))
+            property_name = _CHANNEL_PROPERTIES.get(property_channel.text(0))
             if property_name is not None:
-                axis_channels = _axes(property_channel)
-                _old_track(file, take, object_id, property_name, axis_channels)
+                axis_channels = _axis_channels(property_channel)
+                _read_old_track(file, take, object_id, property_name, axis_channels)
 
 
-def old_shapes(file: FbxFile, model: Object) -> list[Element]:
+def shapes_before_7000(file: FbxFile, model: Object) -> list[Element]:
     """Return the shapes of a model's mesh (before FBX 7000)."""
     holders = [model, *file.sources(model.id, "Geometry", "Mesh")]
     return [shape for holder in holders for shape in holder.element.all("Shape")]
 
 
-def shape_id(object_id: Id, name: str) -> Id:
+def shape_id(object_id: ObjectId, name: str) -> ObjectId:
     """Return the id of a shape channel in files before 7000."""
     return f"Shape::{object_id}::{name}"
 
 
-def _axes(channel: Element) -> list[Element | None]:
+def _axis_channels(channel: Element) -> list[Element | None]:
     channels: list[Element | None] = [None] * 3
     for axis_channel in channel.all("Channel"):
         axis = "XYZ".find(axis_channel.text(0)) if axis_channel.text(0) else -1
@@ -328,15 +338,15 @@ def _axes(channel: Element) -> list[Element | None]:
     return channels
 
 
-def _old_track(
+def _read_old_track(
     file: FbxFile,
     take: AnimTake,
-    object_id: Id,
+    object_id: ObjectId,
     name: str,
     axis_channels: list[Element | None],
 ) -> None:
-    defaults, curves = [_DEFAULTS[name]] * len(axis_channels), []
-    layout = LAYOUT if file.version >= WITH_OBJECTS else LAYOUT_OF_5000
+    defaults, curves = [_CHANNEL_DEFAULTS[name]] * len(axis_channels), []
+    layout = LAYOUT if file.version >= FIRST_OBJECT_VERSION else LAYOUT_OF_5000
     for k, axis_channel in enumerate(axis_channels):
         default = None if axis_channel is None else axis_channel.find("Default")
         if default is not None:

@@ -16,7 +16,7 @@ STEPPED, STRAIGHT, CURVED = 0x2, 0x4, 0x8
 AUTO, TCB, USER, NEXT_VALUE = 0x100, 0x200, 0x400, 0x100
 CLAMPED, TIME_INDEPENDENT, PROGRESSIVE = 0x1000, 0x2000, 0x4000
 # Slopes into and out of a key closer than this are equal [1/s].
-SAME_SLOPE = 1e-4
+SLOPE_TOLERANCE = 1e-4
 # Automatic tangents with a larger bias get steeper by the square of the excess.
 FULL_BIAS, BIAS_GAIN = 5.0, 40.0
 
@@ -41,7 +41,7 @@ def key_slopes(
     cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
     tcb = cubic & (flags & TCB != 0)
     auto = cubic & ~tcb & (flags & USER == 0)
-    chords = _chords(seconds, values)
+    chords = _chord_slopes(seconds, values)
     out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
     straight = (flags & (STEPPED | CURVED)) == 0
     out_slopes[straight] = in_slopes[straight] = np.append(chords, 0.0)[straight]
@@ -49,20 +49,22 @@ def key_slopes(
     in_slopes[tcb] = 0.0
     into = np.concatenate([[0.0], in_slopes[:-1]])
     if auto.any():
-        _set_auto(seconds, values, flags, weights, chords, (auto, into, out_slopes))
+        _set_auto_slopes(
+            seconds, values, flags, weights, chords, (auto, into, out_slopes)
+        )
     if tcb.any():
-        _set_tcb(chords, key_data, (tcb, into, out_slopes))
+        _set_tcb_slopes(chords, key_data, (tcb, into, out_slopes))
     # The last key has no segment after it.
     return out_slopes, np.append(into[1:], in_slopes[-1:])
 
 
-def _chords(seconds: FloatArray, values: FloatArray) -> FloatArray:
+def _chord_slopes(seconds: FloatArray, values: FloatArray) -> FloatArray:
     """Return chord slopes between keys; 0 between keys of equal time."""
     steps = np.diff(seconds)
     return np.asarray(np.diff(values) / np.where(steps > 0, steps, np.inf))
 
 
-def _set_auto(
+def _set_auto_slopes(
     seconds: FloatArray,
     values: FloatArray,
     flags: IntArray,
@@ -85,7 +87,7 @@ def _set_auto(
     inner_keys = np.flatnonzero(is_auto[1:-1]) + 1
     if not len(inner_keys):
         return
-    is_broken = np.abs(into[inner_keys] + out_slopes[inner_keys]) > SAME_SLOPE
+    is_broken = np.abs(into[inner_keys] + out_slopes[inner_keys]) > SLOPE_TOLERANCE
     bias_out = out_slopes[inner_keys].copy()
     bias_in = np.where(is_broken, -into[inner_keys], bias_out)
     in_and_out = [
@@ -145,7 +147,7 @@ def _inner_slopes(
     return np.asarray(np.where((key_flags & CLAMPED != 0) & is_extremum, 0.0, slope))
 
 
-def _set_tcb(
+def _set_tcb_slopes(
     chords: FloatArray,
     key_data: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],

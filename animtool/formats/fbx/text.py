@@ -25,7 +25,7 @@ _TOKEN = re.compile(
 # more than 40.
 MAX_DIGITS = 100
 # Lists of at least this many numbers are parsed at once.
-MIN_BATCH = 8
+MIN_BATCH_NUMBERS = 8
 _VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
 _COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
@@ -48,10 +48,10 @@ def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
         comment = _COMMENT.match(content)
         digits = comment.groups() if comment else (b"0",)
         version = int(b"".join(digits)) * 10
-    return version, _Parser(content, notes).root()
+    return version, _TextParser(content, notes).root()
 
 
-class _Parser:
+class _TextParser:
     """One-pass parser of elements."""
 
     def __init__(self, content: bytes, notes: FileNotices) -> None:
@@ -152,8 +152,8 @@ class _Parser:
 
 
 def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
-    if len(parts) < MIN_BATCH:
-        element.values += [_number(text_) for text_ in parts]
+    if len(parts) < MIN_BATCH_NUMBERS:
+        element.values += [_parse_number(text_) for text_ in parts]
         return
     is_real = b"." in text or b"e" in text or b"E" in text
     kind: Any = np.float64 if is_real else np.int64
@@ -190,7 +190,7 @@ def _join_pieces(element: Element) -> None:
     element.values = values_
 
 
-def _number(text: bytes) -> int | float:
+def _parse_number(text: bytes) -> int | float:
     text = text.strip()
     if b"." not in text and b"e" not in text and b"E" not in text:
         return int(text)

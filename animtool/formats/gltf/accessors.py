@@ -36,7 +36,7 @@ WIDTHS = {
 # Limit of the numbers of all accessors: a constant, plus some per byte of the file, as
 # accessors may share bytes. Zeros without stored bytes have their own limit.
 MAX_NUMBERS, NUMBERS_PER_BYTE = 8_000_000, 4
-MAX_ZEROS = 8_000_000
+MAX_ZERO_NUMBERS = 8_000_000
 
 AnyArray = npt.NDArray[Any]
 
@@ -53,7 +53,7 @@ class BufferView:
 
 
 @dataclass(frozen=True, slots=True)
-class Sparse:
+class SparseValues:
     """Elements of an accessor that replace those in its view."""
 
     count: int
@@ -75,7 +75,7 @@ class Accessor:
     view: int  # index; -1 for zeros
     offset: int
     normalized: bool
-    sparse: Sparse | None
+    sparse: SparseValues | None
 
     @property
     def width(self) -> int:
@@ -152,10 +152,10 @@ class Accessors:
         if index in self._arrays:
             return self._arrays[index]
         accessor = self.get(index)
-        self._budget(accessor)
-        values = self._base(accessor)
+        self._check_budget(accessor)
+        values = self._dense_values(accessor)
         if accessor.sparse is not None:
-            values = self._with_sparse(accessor, accessor.sparse, values)
+            values = self._replace_sparse(accessor, accessor.sparse, values)
         if finite and accessor.component == FLOAT:
             check_finite(values, accessor)
         self._arrays[index] = values
@@ -172,17 +172,17 @@ class Accessors:
                 np.maximum(values, -1.0, out=values)
         return values
 
-    def _budget(self, accessor: Accessor) -> None:
+    def _check_budget(self, accessor: Accessor) -> None:
         count = accessor.count * accessor.width
         self._numbers += count
         self._zeros += count if accessor.view < 0 else 0
         opened_bytes = self.container.bytes + self.buffers.opened_bytes
         limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
-        if self._numbers > limit or self._zeros > MAX_ZEROS:
+        if self._numbers > limit or self._zeros > MAX_ZERO_NUMBERS:
             message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.where, message)
 
-    def _base(self, accessor: Accessor) -> AnyArray:
+    def _dense_values(self, accessor: Accessor) -> AnyArray:
         kind = COMPONENTS[accessor.component]
         shape = (accessor.count, accessor.width)
         if accessor.view < 0:
@@ -195,8 +195,8 @@ class Accessors:
             content, start, accessor.count, accessor.width, step, kind
         )
 
-    def _with_sparse(
-        self, accessor: Accessor, sparse: Sparse, base: AnyArray
+    def _replace_sparse(
+        self, accessor: Accessor, sparse: SparseValues, base: AnyArray
     ) -> AnyArray:
         where = f"{accessor.where}/sparse"
         at = self._used_view(sparse.index_view, f"{where}/indices")
@@ -329,7 +329,7 @@ class Accessors:
                 message = f"reads up to byte {end} of a bufferView of {view_.length}"
                 self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
 
-    def _sparse(self, item: JsonItem, count: int) -> Sparse | None:
+    def _sparse(self, item: JsonItem, count: int) -> SparseValues | None:
         sparse = item.child("sparse")
         if sparse is None:
             return None
@@ -347,7 +347,7 @@ class Accessors:
         for entry, view in zip((indices, values), views, strict=True):
             if view < 0:
                 entry.missing("bufferView")
-        return Sparse(
+        return SparseValues(
             sparse_count,
             views[0],
             indices.size("byteOffset", 0),

@@ -28,7 +28,7 @@ class TargetPath(StrEnum):
     VISIBLE = "visible"
 
 
-_WIDTHS = {
+_PATH_WIDTHS = {
     TargetPath.TRANSLATION: 3,
     TargetPath.ROTATION: 4,
     TargetPath.SCALE: 3,
@@ -92,14 +92,14 @@ def _node_target(
     if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
         target.notes.warn("GLT106", target.pointer, message)
-    return ChannelTarget(node, -1, path, -1, _WIDTHS[path])
+    return ChannelTarget(node, -1, path, -1, _PATH_WIDTHS[path])
 
 
-_NODE = re.compile(
+_NODE_POINTER = re.compile(
     r"/nodes/(\d+)/(translation|rotation|scale|weights"
     rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
 )
-_MESH = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
+_MESH_POINTER = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
 def _pointer_target(
@@ -120,7 +120,7 @@ def _pointer_target(
         message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
         target.notes.warn("GLT106", where, message)
         return None
-    if match := _NODE.fullmatch(text):
+    if match := _NODE_POINTER.fullmatch(text):
         node = int(match[1][:9])
         if node >= len(nodes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
@@ -128,7 +128,7 @@ def _pointer_target(
         if match[3] is None or path is TargetPath.WEIGHTS:
             weight_index = -1 if match[3] is None else int(match[3][:9])
             return _node_target(target, nodes, meshes, node, path, weight_index)
-    elif match := _MESH.fullmatch(text):
+    elif match := _MESH_POINTER.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")

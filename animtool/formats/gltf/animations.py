@@ -80,7 +80,9 @@ class GltfTrack:
         """
         values = self.values
         if len(self.times) == 1:
-            return np.repeat(_unit(values, self.path), len(times), axis=0)
+            return np.repeat(
+                _normalize_rotations(values, self.path), len(times), axis=0
+            )
         segment = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
@@ -106,14 +108,18 @@ def interpolate(
     a = np.stack([track.values[segment] for track in tracks], axis=1)
     b = np.stack([track.values[segment + 1] for track in tracks], axis=1)
     if first.interpolation is SamplerInterpolation.STEP:
-        return _unit(np.where(fraction < 1.0, a, b), path)
+        return _normalize_rotations(np.where(fraction < 1.0, a, b), path)
     if first.interpolation is SamplerInterpolation.CUBIC:
         outs = [track.outs[segment] for track in tracks if track.outs is not None]
         ins = [track.ins[segment + 1] for track in tracks if track.ins is not None]
         out, into = np.stack(outs, axis=1), np.stack(ins, axis=1)
-        return _unit(_hermite(a, out, into, b, fraction, length), path)
+        return _normalize_rotations(_hermite(a, out, into, b, fraction, length), path)
     if path is TargetPath.ROTATION:
-        return so3.slerp(_unit(a, path), _unit(b, path), fraction[:, :, 0])
+        return so3.slerp(
+            _normalize_rotations(a, path),
+            _normalize_rotations(b, path),
+            fraction[:, :, 0],
+        )
     return np.asarray(a + (b.astype(np.float64) - a) * fraction)
 
 
@@ -136,7 +142,7 @@ def _hermite(
     )
 
 
-def _unit(values: FloatArray, path: TargetPath) -> FloatArray:
+def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
     """Return rotations normalised; other values unchanged."""
     rows = np.asarray(values, np.float64)
     if path is not TargetPath.ROTATION:
@@ -168,16 +174,16 @@ class Animation:
         return first, max(float(track.times[-1]) for track in self.tracks)
 
 
-class _Samplers:
+class _SamplerReader:
     """Samplers of an animation; each input is read once."""
 
     def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
         self.accessors = accessors
-        self.ends = [self._ends(sampler) for sampler in self.items]
+        self.ends = [self._sampler_ends(sampler) for sampler in self.items]
         self.checked: set[int] = set()
 
-    def _ends(self, item: JsonItem) -> tuple[int, int]:
+    def _sampler_ends(self, item: JsonItem) -> tuple[int, int]:
         count = len(self.accessors.entries)
         ends = []
         for key in ("input", "output"):
@@ -220,12 +226,12 @@ def read_animations(
 ) -> tuple[Animation, ...]:
     """Return the animations of a file, with checked keys."""
     return tuple(
-        _animation(item, accessors, nodes, meshes)
+        _read_animation(item, accessors, nodes, meshes)
         for item in root.children("animations")
     )
 
 
-def _animation(
+def _read_animation(
     item: JsonItem,
     accessors: Accessors,
     nodes: Sequence[Node],
@@ -234,7 +240,7 @@ def _animation(
     for key in ("channels", "samplers"):
         if key not in item.values:
             item.missing(key)
-    samplers = _Samplers(item, accessors)
+    samplers = _SamplerReader(item, accessors)
     tracks: list[GltfTrack] = []
     targets: dict[tuple[int, int, str, int], str] = {}
     times: dict[int, tuple[FloatArray, bool]] = {}
@@ -252,7 +258,7 @@ def _animation(
             message = f"two channels of the animation move {target.path}"
             channel.notes.fail("GLT012", f"{targets[target_key]}/target", message)
         targets[target_key] = channel.pointer
-        tracks.append(_track(channel, target, samplers, index, times))
+        tracks.append(_read_track(channel, target, samplers, index, times))
     if left_out:
         names = ", ".join(left_out)
         message = f"channels of unsupported targets are ignored: {names}"
@@ -266,10 +272,10 @@ def _animation(
     )
 
 
-def _track(
+def _read_track(
     channel: JsonItem,
     target: ChannelTarget,
-    samplers: _Samplers,
+    samplers: _SamplerReader,
     index: int,
     cache: dict[int, tuple[FloatArray, bool]],
 ) -> GltfTrack:
@@ -285,7 +291,7 @@ def _track(
         key_times = samplers.times(index)
         cache[source] = key_times, bool((np.diff(key_times) > 0).all())
     times, ascending = cache[source]
-    values = _values(channel, target, samplers, index)
+    values = _read_values(channel, target, samplers, index)
     cubic = interpolation is SamplerInterpolation.CUBIC
     rows = values.size
     row_count = len(times) * target.width * (3 if cubic else 1)
@@ -320,8 +326,8 @@ def _track(
     )
 
 
-def _values(
-    channel: JsonItem, target: ChannelTarget, samplers: _Samplers, index: int
+def _read_values(
+    channel: JsonItem, target: ChannelTarget, samplers: _SamplerReader, index: int
 ) -> Any:
     item, accessor = samplers.items[index], samplers.ends[index][1]
     accessors = samplers.accessors
@@ -381,7 +387,9 @@ def _sorted_keys(
     return times, table
 
 
-def _check_unit(keys: Any, channel: JsonItem, samplers: _Samplers, index: int) -> None:
+def _check_unit(
+    keys: Any, channel: JsonItem, samplers: _SamplerReader, index: int
+) -> None:
     """Warn about quaternions off unit length; raise for zero length."""
     accessor = samplers.ends[index][1]
     entry = samplers.accessors.get(accessor)

@@ -13,7 +13,7 @@ from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.container import Container
 from animtool.formats.gltf.json_items import JsonItem
 
-_DATA = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
+_DATA_URI = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
 
 
 class Buffers:
@@ -45,10 +45,10 @@ class Buffers:
     def bytes_of(self, index: int) -> memoryview:
         """Return the bytes of a buffer, opened on first use."""
         if index not in self._bytes:
-            self._bytes[index] = self._opened(index)
+            self._bytes[index] = self._open_buffer(index)
         return self._bytes[index]
 
-    def _opened(self, index: int) -> memoryview:
+    def _open_buffer(self, index: int) -> memoryview:
         buffer, length = self.items[index], self.size(index)
         uri = buffer.text("uri")
         if uri is None:
@@ -75,14 +75,14 @@ class Buffers:
 
     def _file(self, uri: str, buffer: JsonItem) -> Path:
         """Return the file of a URI."""
-        path = self._resolved(uri, buffer)
+        path = self._resolve_uri(uri, buffer)
         reason = not_a_file_reason(path)
         if reason is not None:
             message = f"the file {uri!r} {reason}"
             self.notes.fail("GLT007", buffer.at("uri"), message)
         return path
 
-    def _resolved(self, uri: str, buffer: JsonItem) -> Path:
+    def _resolve_uri(self, uri: str, buffer: JsonItem) -> Path:
         """Return the path of a URI, inside the folder of the glTF."""
         where = buffer.at("uri")
         try:
@@ -134,7 +134,7 @@ def decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
     media_type, comma, text = uri.partition(",")
     where = item.at("uri")
-    if not comma or not _DATA.fullmatch(media_type):
+    if not comma or not _DATA_URI.fullmatch(media_type):
         item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
     if not media_type.endswith(";base64"):
         return unquote_to_bytes(text)

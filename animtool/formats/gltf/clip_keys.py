@@ -19,8 +19,8 @@ from animtool.motion.take import Take
 from animtool.rig.joints import KEYED_PARTS, split_part
 
 # Tolerance of a handle's time from a third of its segment [1].
-THIRD_TOLERANCE = 1e-6
-_PATHS = {
+HANDLE_TOLERANCE = 1e-6
+_PATHS_BY_PART = {
     "local_translation": "translation",
     "local_rotation": "rotation",
     "scale": "scale",
@@ -75,9 +75,9 @@ def keys_of_clip(
             joint, part = split_part(name, KEYED_PARTS)
             if part in _ADDITIVE_PARTS:
                 has_additive.add((take.rig.index(joint), _ADDITIVE_PARTS[part]))
-            if part not in _PATHS:
+            if part not in _PATHS_BY_PART:
                 continue
-            at = (take.rig.index(joint), _PATHS[part])
+            at = (take.rig.index(joint), _PATHS_BY_PART[part])
         else:
             continue
         keys = _gltf_keys(channel, clip, start)
@@ -86,7 +86,7 @@ def keys_of_clip(
     return {at: keys for at, keys in all_keys.items() if at not in has_additive}
 
 
-_NATIVE = {
+_NATIVE_PARTS = {
     TargetPath.TRANSLATION: "translation",
     TargetPath.ROTATION: "rotation",
     TargetPath.SCALE: "scale",
@@ -121,7 +121,7 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
             interpolation = str(track.interpolation)
             if path is TargetPath.ROTATION and slopes[0] is None:
                 values = so3.normalize(values)
-            all_keys[row.row, _NATIVE[path]] = Keys(
+            all_keys[row.row, _NATIVE_PARTS[path]] = Keys(
                 key_times, values, interpolation, *slopes
             )
     return all_keys
@@ -146,11 +146,11 @@ def _gltf_keys(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None
     if interps == {Interp.STEP}:
         return Keys(seconds, channel.values, "STEP")
     if interps == {Interp.BEZIER} and channel.values.shape[1] != 4:
-        return _cubic(channel, seconds)
+        return _cubic_keys(channel, seconds)
     return None
 
 
-def _cubic(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
+def _cubic_keys(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
     """Return Bézier keys with handles at thirds as cubic splines."""
     lengths = np.diff(channel.times)
     outs, ins = channel.outs[:-1], channel.ins[1:]
@@ -162,7 +162,7 @@ def _cubic(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
         float(np.abs(outs[:, 0] - lengths / 3).max(initial=0.0)),
         float(np.abs(-ins[:, 0] - lengths / 3).max(initial=0.0)),
     )
-    if not is_free or deviation > THIRD_TOLERANCE * float(lengths.max(initial=1.0)):
+    if not is_free or deviation > HANDLE_TOLERANCE * float(lengths.max(initial=1.0)):
         return None
     third = (np.diff(seconds) / 3)[:, None]
     in_slopes, out_slopes = (

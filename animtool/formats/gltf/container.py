@@ -14,7 +14,7 @@ from animtool.formats.gltf.json_items import JsonItem
 
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
-HEADER, CHUNK_HEADER = 12, 8
+HEADER_BYTES, CHUNK_HEADER_BYTES = 12, 8
 _BOM = b"\xef\xbb\xbf"
 # Limit of JSON: a character has a few thousand nodes, and more JSON takes minutes to
 # read.
@@ -44,80 +44,84 @@ def read_container(path: Path, notes: FileNotices) -> Container:
     if not glb:
         text, binary = bytes(content), None
     else:
-        chunk, binary = _chunks(content, notes)
+        chunk, binary = _read_chunks(content, notes)
         text = bytes(chunk)
-    root = _parsed_json(text, notes)
+    root = _parse_json(text, notes)
     # Names with escapes are not found; none that is read has any.
     may_have_extensions = b'"extensions"' in text
     return Container(root, binary, glb, len(content), may_have_extensions)
 
 
-def _offset(where: int) -> str:
+def _byte_pointer(where: int) -> str:
     return f"byte {where}"
 
 
-def _fail(notes: FileNotices, where: int, message: str) -> NoReturn:
-    notes.fail("GLT002", _offset(where), message, "export the file again")
+def _raise_fault(notes: FileNotices, where: int, message: str) -> NoReturn:
+    notes.fail("GLT002", _byte_pointer(where), message, "export the file again")
 
 
 def _check_header(content: memoryview, notes: FileNotices) -> int:
     """Return the length in the header of a GLB, checked against the file."""
-    if len(content) < HEADER:
+    if len(content) < HEADER_BYTES:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
-        _fail(notes, len(content), message)
+        _raise_fault(notes, len(content), message)
     if bytes(content[:4]) != MAGIC:
         is_json = bytes(content[:1]) == b"{"
         hint = "rename it to .gltf" if is_json else "export the file again"
-        notes.fail("GLT002", _offset(0), "a GLB starts with the letters glTF", hint)
+        notes.fail(
+            "GLT002", _byte_pointer(0), "a GLB starts with the letters glTF", hint
+        )
     version, length = struct.unpack_from("<II", content, 4)
     if version != 2:
         message = f"version {version} of GLB is not supported, only 2"
-        notes.fail("GLT003", _offset(4), message, "export glTF 2.0")
-    if length < HEADER + CHUNK_HEADER:
+        notes.fail("GLT003", _byte_pointer(4), message, "export glTF 2.0")
+    if length < HEADER_BYTES + CHUNK_HEADER_BYTES:
         message = f"the length {length} is shorter than the header and one chunk"
-        _fail(notes, 8, message)
+        _raise_fault(notes, 8, message)
     if length > len(content):
         message = f"the header states {length} bytes, but the file has {len(content)}"
-        _fail(notes, 8, message)
+        _raise_fault(notes, 8, message)
     if length < len(content):
         message = f"{len(content) - length} bytes after the end are ignored"
-        notes.warn("GLT101", _offset(length), message)
+        notes.warn("GLT101", _byte_pointer(length), message)
     return int(length)
 
 
-def _chunks(
+def _read_chunks(
     content: memoryview, notes: FileNotices
 ) -> tuple[memoryview, memoryview | None]:
     """Return JSON and binary chunk of a GLB."""
     length = _check_header(content, notes)
     chunks: dict[int, memoryview] = {}
-    at = HEADER
+    at = HEADER_BYTES
     while at < length:
-        if at + CHUNK_HEADER > length:
+        if at + CHUNK_HEADER_BYTES > length:
             end = length if length == len(content) else at
-            _fail(notes, end, "the file ends in the header of a chunk")
+            _raise_fault(notes, end, "the file ends in the header of a chunk")
         size, kind = struct.unpack_from("<II", content, at)
-        if at + CHUNK_HEADER + size > length:
-            _fail(notes, at, f"a chunk of {size} bytes ends after the file")
-        if at == HEADER and (kind != JSON_CHUNK or not size):
+        if at + CHUNK_HEADER_BYTES + size > length:
+            _raise_fault(notes, at, f"a chunk of {size} bytes ends after the file")
+        if at == HEADER_BYTES and (kind != JSON_CHUNK or not size):
             state = "empty" if kind == JSON_CHUNK else "not the JSON"
-            _fail(notes, at, f"the first chunk is {state}")
+            _raise_fault(notes, at, f"the first chunk is {state}")
         if kind in chunks:
-            _fail(notes, at, "two chunks of a type that may occur once")
+            _raise_fault(notes, at, "two chunks of a type that may occur once")
         if size % 4:
             message = f"a chunk has {size} bytes, not a multiple of 4"
-            notes.warn("GLT101", _offset(at), message)
-        start = at + CHUNK_HEADER
-        if kind == BIN_CHUNK and at != HEADER + CHUNK_HEADER + len(chunks[JSON_CHUNK]):
+            notes.warn("GLT101", _byte_pointer(at), message)
+        start = at + CHUNK_HEADER_BYTES
+        if kind == BIN_CHUNK and at != HEADER_BYTES + CHUNK_HEADER_BYTES + len(
+            chunks[JSON_CHUNK]
+        ):
             message = "the binary chunk is not the second one: it is read all the same"
-            notes.warn("GLT101", _offset(at), message)
+            notes.warn("GLT101", _byte_pointer(at), message)
         if kind in {JSON_CHUNK, BIN_CHUNK}:
             chunks[kind] = content[start : start + size]
         at = start + size
     return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK)
 
 
-def _parsed_json(text: bytes, notes: FileNotices) -> JsonItem:
+def _parse_json(text: bytes, notes: FileNotices) -> JsonItem:
     """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         notes.fail(
@@ -129,7 +133,7 @@ def _parsed_json(text: bytes, notes: FileNotices) -> JsonItem:
         notes.warn("GLT101", "", "a byte order mark before the JSON is ignored")
         text = text[len(_BOM) :]
     try:
-        value = json.loads(text.decode("utf-8"), parse_constant=_no_constant)
+        value = json.loads(text.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         reason = (
             str(error) if isinstance(error, ValueError) else "it is nested too deeply"
@@ -140,5 +144,5 @@ def _parsed_json(text: bytes, notes: FileNotices) -> JsonItem:
     return JsonItem(value, "", notes)
 
 
-def _no_constant(name: str) -> Any:
+def _refuse_constant(name: str) -> Any:
     raise ValueError(f"{name} is no JSON")

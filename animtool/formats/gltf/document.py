@@ -8,13 +8,13 @@ from typing import Any
 from animtool.core.errors import Severity, excerpt, listed
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import Node, SkinEntry, roots
+from animtool.formats.characters.nodes import Node, SkinEntry, root_nodes
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animation_targets import POINTER
 from animtool.formats.gltf.animations import Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
-from animtool.formats.gltf.json_items import JsonItem, escaped
+from animtool.formats.gltf.json_items import JsonItem, escape_pointer
 from animtool.formats.gltf.meshes import (
     QUANTIZATION,
     MeshEntry,
@@ -27,9 +27,9 @@ from animtool.formats.gltf.nodes import VISIBILITY, read_nodes, read_scenes
 from animtool.formats.gltf.unused import unused_parts
 
 # Required extensions that are supported.
-SUPPORTED = frozenset({QUANTIZATION, POINTER, VISIBILITY})
+SUPPORTED_EXTENSIONS = frozenset({QUANTIZATION, POINTER, VISIBILITY})
 # Extensions that files must list as required.
-MUST_BE_REQUIRED = frozenset({QUANTIZATION})
+EXTENSIONS_TO_REQUIRE = frozenset({QUANTIZATION})
 # Extensions for appearance only, which motion does not need.
 APPEARANCE_PREFIXES = (
     "KHR_materials_",
@@ -38,7 +38,7 @@ APPEARANCE_PREFIXES = (
     "MSFT_texture_",
     "ADOBE_mat",
 )
-APPEARANCE = frozenset(
+APPEARANCE_EXTENSIONS = frozenset(
     {
         "KHR_lights_punctual",
         "EXT_lights_ies",
@@ -52,12 +52,12 @@ APPEARANCE = frozenset(
         "VRM",
     }
 )
-UNPACKED_BY = {
+UNPACK_COMMANDS = {
     "EXT_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
     "KHR_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
     "KHR_draco_mesh_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
 }
-_NOT_READ = ("materials", "textures", "images", "samplers", "cameras")
+_UNREAD_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,15 +105,15 @@ def open_gltf(path: Path | str) -> Gltf:
     root = container.root
     _check_asset(root, notes)
     _check_extensions(container, notes, path)
-    accessors = _accessors(container, path, notes)
-    counts = [_count(root, key) for key in ("meshes", "skins")]
+    accessors = _read_accessors(container, path, notes)
+    counts = [_entry_count(root, key) for key in ("meshes", "skins")]
     nodes = read_nodes(root, notes, *counts)
     scenes, default_scene = read_scenes(root, notes, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
-    left_out = _left_out(container)
+    left_out = _left_out_labels(container)
     gltf = Gltf(
         path,
         nodes,
@@ -131,7 +131,7 @@ def open_gltf(path: Path | str) -> Gltf:
     return gltf
 
 
-def _accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
+def _read_accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
     unused_indices = unused_parts(container.root.values)
     return Accessors(
         container,
@@ -143,7 +143,7 @@ def _accessors(container: Container, path: Path, notes: FileNotices) -> Accessor
     )
 
 
-def _count(root: JsonItem, key: str) -> int:
+def _entry_count(root: JsonItem, key: str) -> int:
     entries: Any = root.values.get(key, [])
     return len(entries) if isinstance(entries, list) else 0
 
@@ -180,20 +180,20 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
         if not isinstance(name, str):
             notes.fail("GLT005", where, "the name of an extension must be text")
         if (
-            name in SUPPORTED
-            or name in APPEARANCE
+            name in SUPPORTED_EXTENSIONS
+            or name in APPEARANCE_EXTENSIONS
             or name.startswith(APPEARANCE_PREFIXES)
         ):
             continue
         hint = "export the file without it"
-        if name in UNPACKED_BY:
-            hint = f"unpack it with {UNPACKED_BY[name].format(path.name)}"
+        if name in UNPACK_COMMANDS:
+            hint = f"unpack it with {UNPACK_COMMANDS[name].format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
-    in_use = _extensions(root) if container.may_have_extensions else {}
+    in_use = _used_extensions(root) if container.may_have_extensions else {}
     for name, where in in_use.items():
         if name not in declared_names:
-            consequence = "" if name in SUPPORTED else ": ignored"
+            consequence = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{consequence}"
             notes.warn("GLT106", where, message)
 
@@ -206,7 +206,7 @@ def _check_lists(root: JsonItem, declared: list[Any], notes: FileNotices) -> Non
         if not isinstance(name, str):
             message = f"{excerpt(repr(name))} is not an extension name: ignored"
             notes.warn("GLT106", where, message)
-        elif name in MUST_BE_REQUIRED and name not in required:
+        elif name in EXTENSIONS_TO_REQUIRE and name not in required:
             notes.warn("GLT106", where, f"{name} is used, but not required")
     for i, name in enumerate(required):
         if isinstance(name, str) and name not in declared:
@@ -214,26 +214,26 @@ def _check_lists(root: JsonItem, declared: list[Any], notes: FileNotices) -> Non
             notes.warn("GLT106", f"{root.at('extensionsRequired')}/{i}", message)
 
 
-def _left_out(container: Container) -> tuple[str, ...]:
+def _left_out_labels(container: Container) -> tuple[str, ...]:
     """Return labels of contents and extensions that are not read."""
     root = container.root
-    labels = [key for key in _NOT_READ if root.values.get(key)]
-    names = _extensions(root) if container.may_have_extensions else {}
+    labels = [key for key in _UNREAD_LISTS if root.values.get(key)]
+    names = _used_extensions(root) if container.may_have_extensions else {}
     if "KHR_lights_punctual" in names:
         labels.append("lights")
     labels += [
         name
         for name in names
         if not (
-            name in SUPPORTED
-            or name in APPEARANCE
+            name in SUPPORTED_EXTENSIONS
+            or name in APPEARANCE_EXTENSIONS
             or name.startswith(APPEARANCE_PREFIXES)
         )
     ]
     return tuple(labels)
 
 
-def _extensions(root: JsonItem) -> dict[str, str]:
+def _used_extensions(root: JsonItem) -> dict[str, str]:
     """Return used extensions, each with the pointer to its first use."""
     pointers: dict[str, str] = {}
     stack: list[tuple[Any, str]] = [(root.values, "")]
@@ -242,9 +242,9 @@ def _extensions(root: JsonItem) -> dict[str, str]:
         if isinstance(value, dict):
             extensions = value.get("extensions")
             for name in extensions if isinstance(extensions, dict) else ():
-                pointers.setdefault(name, f"{where}/extensions/{escaped(name)}")
+                pointers.setdefault(name, f"{where}/extensions/{escape_pointer(name)}")
             stack += [
-                (value[key], f"{where}/{escaped(key)}")
+                (value[key], f"{where}/{escape_pointer(key)}")
                 for key in reversed(value)
                 if key not in {"extras", "extensions"}
                 and isinstance(value[key], dict | list)
@@ -273,14 +273,14 @@ def _check_skins(gltf: Gltf) -> None:
             continue
         checked_pairs.add((node.mesh, node.skin))
         for primitive in gltf.meshes[node.mesh].primitives:
-            _require(gltf.accessors, primitive)
+            _require_mesh_data(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:
                 joints = len(gltf.skins[node.skin].joints)
                 skin_weights(primitive, joints, gltf.accessors, gltf.notes)
-    tree = roots(gltf.nodes)
+    tree = root_nodes(gltf.nodes)
     _check_scenes(gltf, tree)
     for skin in gltf.skins:
-        if skin.skeleton >= 0 and not _is_above(gltf, skin.skeleton, skin.joints[0]):
+        if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: ignored"
             gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
         if len({tree[joint] for joint in skin.joints}) > 1:
@@ -306,7 +306,7 @@ def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
             gltf.notes.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
 
 
-def _require(accessors: Accessors, primitive: Primitive) -> None:
+def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:
     """Read the accessors of a mesh in use; raise if data is missing."""
     accessor_indices = [primitive.position, primitive.indices, *primitive.joints]
     accessor_indices += [
@@ -318,7 +318,7 @@ def _require(accessors: Accessors, primitive: Primitive) -> None:
             accessors.numbers(index)
 
 
-def _is_above(gltf: Gltf, ancestor: int, node: int) -> bool:
+def _is_ancestor(gltf: Gltf, ancestor: int, node: int) -> bool:
     while node >= 0 and node != ancestor:
         node = gltf.nodes[node].parent
     return node == ancestor

@@ -17,7 +17,7 @@ from animtool.core.record import dataclass
 from animtool.formats.gltf.container import BIN_CHUNK, JSON_CHUNK
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-_COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_COMPONENT_CODES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _TYPE_BY_SIZE = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 MAX_BYTES = 2**32 - 1
 
@@ -68,7 +68,7 @@ class GlbBuilder:
             view["target"] = target
         entry: dict[str, Any] = {
             "bufferView": self.add("bufferViews", view),
-            "componentType": _COMPONENTS[kind],
+            "componentType": _COMPONENT_CODES[kind],
             "count": len(data),
             "type": _TYPE_BY_SIZE[data.shape[1]],
         }

@@ -14,16 +14,16 @@ from animtool.formats.file_notices import FileNotices
 FLOAT32_LIMIT = 3.4028234663852886e38
 
 
-def escaped(key: str) -> str:
+def escape_pointer(key: str) -> str:
     """Return a key escaped for a JSON pointer.
 
-    >>> escaped("a/b~c")
+    >>> escape_pointer("a/b~c")
     'a~1b~0c'
     """
     return key.replace("~", "~0").replace("/", "~1")
 
 
-def by_animtool(item: JsonItem) -> dict[str, Any]:
+def animtool_extras(item: JsonItem) -> dict[str, Any]:
     """Return animtool's entry in an object's extras; empty if it has none."""
     extras = item.values.get("extras")
     entry = extras.get("animtool") if isinstance(extras, dict) else None
@@ -45,7 +45,7 @@ class JsonItem:
 
     def at(self, key: str) -> str:
         """Return the pointer of a property."""
-        return f"{self.pointer}/{escaped(key)}"
+        return f"{self.pointer}/{escape_pointer(key)}"
 
     def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
         """Raise a `FormatError` about a property."""
@@ -184,5 +184,5 @@ class JsonItem:
         if not isinstance(extension, dict):
             return None
         return JsonItem(
-            extension, f"{self.pointer}/extensions/{escaped(name)}", self.notes
+            extension, f"{self.pointer}/extensions/{escape_pointer(name)}", self.notes
         )

@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, Severity, counted
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import GltfTrack, SamplerInterpolation
 from animtool.formats.gltf.rig import GltfRig
-from animtool.formats.gltf.sampling import SAME_KEY, GltfSampler, MovingRow
+from animtool.formats.gltf.sampling import KEY_TIME_TOLERANCE, AnimatedRow, GltfSampler
 from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
 from animtool.maths.curves import Interp
@@ -26,7 +26,7 @@ _CHANNEL_PARTS = {
 # is below this [rad].
 ARC_TOLERANCE = 1e-4
 # Maximum number of times a segment between keys is halved.
-MAX_HALVINGS = 10
+MAX_ARC_HALVINGS = 10
 
 
 def clip_of_gltf(
@@ -46,12 +46,12 @@ def clip_of_gltf(
         tracks = {entry.row: entry for entry in sampler.tracks[path]}
         defaults = _default_rows(path, gltf_rig)
         for row in range(len(rest)):
-            target = _target(path, row, gltf_rig)
+            target = _clip_target(path, row, gltf_rig)
             if row not in tracks:
                 if np.abs(rest[row] - defaults[row]).max() > 0:
                     channels.append(_static_channel(target, rest[row], path, frames))
                 continue
-            channel, extra_keys = _channel(target, tracks[row], path, frames)
+            channel, extra_keys = _track_channel(target, tracks[row], path, frames)
             channels.append(channel)
             splines, added = (
                 splines + (extra_keys > 0),
@@ -83,7 +83,7 @@ def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
     return np.zeros((len(rig.shapes), 1))
 
 
-def _target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
+def _clip_target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
     if path is TargetPath.WEIGHTS:
         return f"shape/{gltf_rig.rig.shapes[row].name}"
     return f"joint/{gltf_rig.rig.names[row]}.{_CHANNEL_PARTS[path]}"
@@ -127,8 +127,8 @@ def _static_channel(
     return _clip_channel(target, times, value[None].copy(), interp)
 
 
-def _channel(
-    target: str, row_track: MovingRow, path: TargetPath, frames: GltfFrames
+def _track_channel(
+    target: str, row_track: AnimatedRow, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
     """Return the keys of a track, and the count of keys not in the file."""
     track = row_track.track
@@ -137,7 +137,7 @@ def _channel(
     step = track.interpolation is SamplerInterpolation.STEP
     if path is TargetPath.ROTATION:
         if track.interpolation is SamplerInterpolation.CUBIC:
-            return _arcs(target, track, frames)
+            return _slerp_keys(target, track, frames)
         values = so3.align_signs(so3.normalize(values))
         interp = Interp.STEP if step else Interp.SLERP
         return _clip_channel(target, times, values, interp), 0
@@ -154,15 +154,17 @@ def key_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
     """Return key times [frames], snapped to a frame within float32 rounding."""
     exact = seconds * float(frames.fps)
     frames_ = np.round(exact)
-    is_on_frame = np.abs(frames_ - exact) <= SAME_KEY * np.abs(exact)
+    is_on_frame = np.abs(frames_ - exact) <= KEY_TIME_TOLERANCE * np.abs(exact)
     return np.asarray(np.where(is_on_frame, frames_, exact) + float(frames.start))
 
 
-def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChannel, int]:
+def _slerp_keys(
+    target: str, track: GltfTrack, frames: GltfFrames
+) -> tuple[ClipChannel, int]:
     """Return slerp keys that approximate a cubic rotation, file keys included."""
     times = [track.times]
     a, b = track.times[:-1], track.times[1:]
-    for _ in range(MAX_HALVINGS):
+    for _ in range(MAX_ARC_HALVINGS):
         if not len(a):
             break
         middle = (a + b) / 2

@@ -12,13 +12,13 @@ from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import SkinEntry
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
-from animtool.formats.gltf.json_items import JsonItem, by_animtool, is_number
+from animtool.formats.gltf.json_items import JsonItem, animtool_extras, is_number
 from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
 QUANTIZATION = "KHR_mesh_quantization"
-QUANTIZED = (FLOAT, I8, U8, I16, U16)
+QUANTIZED_TYPES = (FLOAT, I8, U8, I16, U16)
 TRIANGLES, STRIP, FAN = 4, 5, 6
 # Tolerance of a vertex's weight sum [1]: float32 rounding is smaller, and integers are
 # exact.
@@ -74,14 +74,15 @@ class MeshEntry:
 
 def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
     """Return the meshes of a file, with checked numbers."""
-    return tuple(_mesh(item, accessors) for item in root.children("meshes"))
+    return tuple(_read_mesh(item, accessors) for item in root.children("meshes"))
 
 
-def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
+def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     if "primitives" not in item.values:
         item.missing("primitives")
     primitives = tuple(
-        _primitive(primitive, accessors) for primitive in item.children("primitives")
+        _read_primitive(primitive, accessors)
+        for primitive in item.children("primitives")
     )
     counts = [len(primitive.targets) for primitive in primitives]
     for i, count in enumerate(counts):
@@ -99,7 +100,7 @@ def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     is_list = isinstance(names, list) and len(names) == targets
     texts = tuple(map(str, names)) if is_list and names is not None else ()
     zeros = (0.0,) * targets
-    original_name = by_animtool(item).get("name")
+    original_name = animtool_extras(item).get("name")
     return MeshEntry(
         item.text("name"),
         primitives,
@@ -110,7 +111,7 @@ def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     )
 
 
-def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
+def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     attributes = item.required("attributes")
     read = _read_attributes(attributes, len(accessors.entries))
     vertex_count = _check_vertices(attributes, read, accessors)
@@ -173,7 +174,9 @@ def _morph_target(
         if name in target.values
     }
     for name, index in read.items():
-        accessor = _typed_accessor(target, name, index, accessors, "VEC3", QUANTIZED)
+        accessor = _typed_accessor(
+            target, name, index, accessors, "VEC3", QUANTIZED_TYPES
+        )
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
             target.notes.fail("GLT011", target.at(name), message)
@@ -208,7 +211,7 @@ def _typed_accessor(
         if accessor is not None:
             text = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
         item.notes.fail("GLT011", item.at(key), f"{key} cannot be {text}")
-    is_quantized = components is QUANTIZED and accessor.component != FLOAT
+    is_quantized = components is QUANTIZED_TYPES and accessor.component != FLOAT
     if is_quantized and not accessors.declares(QUANTIZATION):
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
         item.notes.warn("GLT106", item.at(key), message)
@@ -226,7 +229,7 @@ def _check_vertices(
         kind = "VEC4"
         components: tuple[int, ...] = (U8, U16)
         if name in {"POSITION", "NORMAL"}:
-            kind, components = "VEC3", QUANTIZED
+            kind, components = "VEC3", QUANTIZED_TYPES
         elif name.startswith("WEIGHTS_"):
             components = (FLOAT, U8, U16)
         accessor = _typed_accessor(attributes, name, index, accessors, kind, components)
@@ -307,10 +310,10 @@ def read_skins(
     root: JsonItem, accessors: Accessors, nodes: int
 ) -> tuple[SkinEntry, ...]:
     """Return the skins of a file, with checked matrices."""
-    return tuple(_skin(item, accessors, nodes) for item in root.children("skins"))
+    return tuple(_read_skin(item, accessors, nodes) for item in root.children("skins"))
 
 
-def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
+def _read_skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
     if "joints" not in item.values:
         item.missing("joints")
     joints = item.indices("joints", nodes, "node")

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.formats.characters.nodes import Node
 from animtool.formats.file_notices import FileNotices
-from animtool.formats.gltf.json_items import JsonItem, by_animtool
+from animtool.formats.gltf.json_items import JsonItem, animtool_extras
 from animtool.maths import so3
 
 # Tolerance of a quaternion's length, as in the reference validator, and of a matrix
@@ -31,14 +31,14 @@ def read_nodes(
     if len(items) > MAX_NODES:
         notes.fail("GLT013", "/nodes", f"{len(items)} nodes; the limit is {MAX_NODES}")
     children = [item.indices("children", len(items), "node") for item in items]
-    parents = _parents(items, children, notes)
+    parents = _parent_indices(items, children, notes)
     return tuple(
-        _node(item, parents[i], children[i], meshes, skins, notes)
+        _read_node(item, parents[i], children[i], meshes, skins, notes)
         for i, item in enumerate(items)
     )
 
 
-def _parents(
+def _parent_indices(
     items: list[JsonItem], child_lists: list[list[int]], notes: FileNotices
 ) -> list[int]:
     parents = [-1] * len(items)
@@ -65,7 +65,7 @@ def _parents(
     return parents
 
 
-def _node(
+def _read_node(
     item: JsonItem,
     parent: int,
     children: list[int],
@@ -82,7 +82,7 @@ def _node(
                 message = f"{key} of a node without a mesh is ignored"
                 notes.warn("GLT106", item.at(key), message)
         skin, weights = -1, None
-    translation, rotation, scale, has_matrix = _transform(item, notes)
+    translation, rotation, scale, has_matrix = _read_transform(item, notes)
     visibility = item.extension(VISIBILITY)
     visible = visibility is None or visibility.values.get("visible", True) is not False
     return Node(
@@ -97,11 +97,11 @@ def _node(
         None if weights is None else tuple(weights),
         visible,
         has_matrix,
-        mesh < 0 and by_animtool(item).get("above") is True,
+        mesh < 0 and animtool_extras(item).get("above") is True,
     )
 
 
-def _transform(
+def _read_transform(
     item: JsonItem, notes: FileNotices
 ) -> tuple[
     tuple[float, float, float],
@@ -120,7 +120,7 @@ def _transform(
             if component is not None:
                 message = f"{key} next to a matrix is ignored"
                 notes.warn("GLT106", item.at(key), message)
-        return (*_split(np.array(matrix), item, notes), True)
+        return (*_decompose(np.array(matrix), item, notes), True)
     translation, rotation, scale = (
         default if component is None else component
         for component, default in zip(
@@ -144,7 +144,7 @@ _NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
 _TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
-def _split(
+def _decompose(
     columns: FloatArray, item: JsonItem, notes: FileNotices
 ) -> tuple[
     tuple[float, float, float],

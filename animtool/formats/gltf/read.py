@@ -9,7 +9,7 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
-from animtool.formats.characters.stream import TakeWords, choose_take, finish_stream
+from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
@@ -25,10 +25,10 @@ from animtool.formats.gltf.timing import distinct_clip_names, frames_of
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
-MAX_NAMED = 8
+MAX_LISTED_CONTENTS = 8
 # Codes for an unknown character, and for one of several.
 CHARACTER_CODES = "GLT014", "GLT109"
-WORDS = TakeWords(
+MESSAGES = TakeMessages(
     "clip",
     "has no animation: the rig is read at rest",
     unknown="GLT015",
@@ -77,7 +77,7 @@ def read_gltf(
     )
     candidates = range(len(names))
     index, notes = choose_take(
-        WORDS, str(path), names, take, candidates, next(animated, 0)
+        MESSAGES, str(path), names, take, candidates, next(animated, 0)
     )
     animation = None if index < 0 else gltf.animations[index]
     notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *notes]
@@ -135,7 +135,9 @@ def _unread_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
     nodes = enumerate(gltf.nodes)
     hidden_names = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
     if hidden_names:
-        names.append(f"that nodes are hidden: {listed(hidden_names, MAX_NAMED)}")
+        names.append(
+            f"that nodes are hidden: {listed(hidden_names, MAX_LISTED_CONTENTS)}"
+        )
     if not names:
         return []
     message = f"ignored: {', '.join(names)}"

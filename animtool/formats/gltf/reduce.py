@@ -9,7 +9,7 @@ from animtool.formats.gltf.clip_keys import Keys
 from animtool.maths import so3
 
 
-def linear_keys(keys: Keys, tolerance: float) -> Keys:
+def reduce_keys(keys: Keys, tolerance: float) -> Keys:
     """Return keys that reproduce all others within a tolerance.
 
     Each step adds the sample with the largest error, until none exceeds the tolerance
@@ -17,7 +17,7 @@ def linear_keys(keys: Keys, tolerance: float) -> Keys:
     [rad].
 
     >>> line = Keys(np.arange(5.0), np.arange(5.0)[:, None])
-    >>> linear_keys(line, 1e-3).times.tolist()
+    >>> reduce_keys(line, 1e-3).times.tolist()
     [0.0, 4.0]
     """
     times, values = keys.times, keys.values
@@ -30,7 +30,7 @@ def linear_keys(keys: Keys, tolerance: float) -> Keys:
             continue
         inner = slice(a + 1, b)
         fraction = (times[inner] - times[a]) / (times[b] - times[a])
-        errors = _distances(values[a], values[b], fraction, values[inner])
+        errors = _segment_distances(values[a], values[b], fraction, values[inner])
         worst = int(errors.argmax())
         if errors[worst] > tolerance:
             middle = a + 1 + worst
@@ -39,7 +39,7 @@ def linear_keys(keys: Keys, tolerance: float) -> Keys:
     return Keys(times[is_key], values[is_key])
 
 
-def _distances(
+def _segment_distances(
     a: FloatArray, b: FloatArray, fraction: FloatArray, values: FloatArray
 ) -> FloatArray:
     """Return the distance of samples from the segment between two of them."""

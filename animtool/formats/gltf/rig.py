@@ -12,7 +12,7 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.formats.characters.binding import Binder
+from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import joint_names, renamed_notice
 from animtool.formats.characters.nodes import SAME_SCALE
@@ -23,7 +23,7 @@ from animtool.formats.gltf.vrm import humanoid_bones
 from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Rig
 
-MAX_NAMED = 6
+MAX_LISTED_JOINTS = 6
 _CONTROL = re.compile(f"[{CONTROL}]")
 
 
@@ -108,7 +108,7 @@ def build_rig(
     keys: tuple[tuple[int, int], ...] = ()
     rig, nodes = rig_without_meshes, np.array(joint_nodes, np.int64)
     if surfaces:
-        binder = Binder(gltf, rig_without_meshes, joints, folded_scales, scales)
+        binder = SkinBinder(gltf, rig_without_meshes, joints, folded_scales, scales)
         meshes, shapes, keys, mesh_notices = mesh_parts(gltf, character, binder)
         rig, nodes = binder.rig(meshes, shapes), binder.nodes(nodes)
         notices += [*mesh_notices, *binder.notices]
@@ -200,6 +200,6 @@ def scale_notice(gltf_rig: GltfRig, where: str) -> list[Fault]:
     if not names:
         return []
     message = "scales at rest that a rig cannot store: "
-    message += listed(names, MAX_NAMED)
+    message += listed(names, MAX_LISTED_JOINTS)
     hint = "takes of the file keep them"
     return [Fault("GLT111", message, where, (), hint, Severity.WARNING)]

@@ -24,14 +24,14 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 
 # Times this close to a key, relative to the time, equal the key in float32.
-SAME_KEY = 1.5 * float(np.finfo(np.float32).eps)
+KEY_TIME_TOLERANCE = 1.5 * float(np.finfo(np.float32).eps)
 # Frames per block, of which 60 joints take 30 MB, and per chunk that is evaluated at
 # once.
 BLOCK_FRAMES, CHUNK_FRAMES = 16384, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovingRow:
+class AnimatedRow:
     """A track and the channel row that it animates."""
 
     row: int
@@ -45,7 +45,7 @@ class GltfSampler:
 
     # Static values of each channel ``(rows, width)``.
     rest: dict[TargetPath, FloatArray]
-    tracks: dict[TargetPath, list[MovingRow]]
+    tracks: dict[TargetPath, list[AnimatedRow]]
     has_scale: bool  # whether any joint has a scale
     _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
 
@@ -73,14 +73,17 @@ class GltfSampler:
         rest, row_tracks = self.rest[path], self.tracks[path]
         rows = np.array([row_track.row for row_track in row_tracks], np.int64)
         if path is TargetPath.ROTATION and row_tracks:
-            keys = [self._keys(row_track.track, times) for row_track in row_tracks]
+            keys = [
+                self._consecutive_keys(row_track.track, times)
+                for row_track in row_tracks
+            ]
             channel_keys = [keys_ for keys_ in keys if keys_ is not None]
             if len(channel_keys) == len(keys):
                 return Channel(
                     rest, rows, _kernels.unpack_rotations(channel_keys, None)
                 )
         values = np.empty((len(times), len(row_tracks), rest.shape[1]))
-        groups = _groups(row_tracks)
+        groups = _group_tracks(row_tracks)
         factors = np.array([row_track.factor for row_track in row_tracks])[:, None]
         has_scale = bool((factors != 1.0).any())
         # A chunk stays in the processor's cache.
@@ -88,15 +91,15 @@ class GltfSampler:
             chunk = slice(at, min(at + CHUNK_FRAMES, len(times)))
             for columns in groups:
                 tracks = [row_tracks[k].track for k in columns]
-                values[chunk, columns] = self._values(tracks, times, chunk)
+                values[chunk, columns] = self._track_values(tracks, times, chunk)
             if has_scale:
                 values[chunk] *= factors
             if path is TargetPath.ROTATION:
-                _unit(values[chunk])
+                _normalize_in_place(values[chunk])
                 _align_signs(values[chunk], values[at - 1] if at else None)
         return Channel(rest, rows, values)
 
-    def _grid(
+    def _cached_segments(
         self, keys: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
         """Return `segments`, cached for tracks with the same keys."""
@@ -104,7 +107,7 @@ class GltfSampler:
             self._grids[id(keys)] = segments(keys, times)
         return self._grids[id(keys)]
 
-    def _keys(
+    def _consecutive_keys(
         self, track: GltfTrack, times: FloatArray
     ) -> npt.NDArray[np.float32] | None:
         """Return a track's values if the times are consecutive keys of the track.
@@ -113,12 +116,12 @@ class GltfSampler:
         """
         if track.values.dtype != np.float32 or len(track.times) == 1:
             return None
-        key_indices, _ = self._grid(track.times, times)
+        key_indices, _ = self._cached_segments(track.times, times)
         if not isinstance(key_indices, slice):
             return None
         return np.require(track.values[key_indices], "f4", ["C", "A"])
 
-    def _values(
+    def _track_values(
         self, tracks: list[GltfTrack], times: FloatArray, chunk: slice
     ) -> FloatArray:
         """Return values ``(F, N, W)`` of a group of tracks at a chunk of the times.
@@ -128,18 +131,18 @@ class GltfSampler:
         keys = tracks[0].times
         if len(keys) == 1:
             return np.stack([track.at(times[chunk]) for track in tracks], axis=1)
-        key_indices, fractions = self._grid(keys, times)
+        key_indices, fractions = self._cached_segments(keys, times)
         if isinstance(key_indices, slice):
             at = slice(key_indices.start + chunk.start, key_indices.start + chunk.stop)
             return np.stack([track.values[at] for track in tracks], axis=1)
-        if fractions is _ON_KEYS:
+        if fractions is _NO_TIMES:
             return np.stack(
                 [track.values[key_indices[chunk]] for track in tracks], axis=1
             )
         return interpolate(tracks, key_indices[chunk], fractions[chunk])
 
 
-def _groups(row_tracks: list[MovingRow]) -> list[list[int]]:
+def _group_tracks(row_tracks: list[AnimatedRow]) -> list[list[int]]:
     """Group columns of tracks with common key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
     for k, row_track in enumerate(row_tracks):
@@ -157,7 +160,7 @@ class NativeKeys:
     last: float
 
 
-_ON_KEYS = np.zeros(0)
+_NO_TIMES = np.zeros(0)
 
 
 def segments(
@@ -165,14 +168,14 @@ def segments(
 ) -> tuple[IntArray | slice, FloatArray]:
     """Return the key before each time, and the times; close times snap to the key.
 
-    If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
+    If all times are keys or outside the keys, the times are `_NO_TIMES` and the indices
     are those of the keys.
     """
     last_key = len(keys) - 1
     key_indices = np.searchsorted(keys, times, "right") - 1
     key_indices = np.clip(key_indices, 0, last_key)
     next_keys = np.minimum(key_indices + 1, last_key)
-    tolerance = SAME_KEY * np.abs(times)
+    tolerance = KEY_TIME_TOLERANCE * np.abs(times)
     to_next = np.abs(keys[next_keys] - times) <= tolerance
     key_indices = np.where(to_next, next_keys, key_indices)
     is_on_key = np.abs(keys[key_indices] - times) <= tolerance
@@ -181,13 +184,13 @@ def segments(
         if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
             return slice(
                 int(key_indices[0]), int(key_indices[0]) + len(key_indices)
-            ), _ON_KEYS
-        return np.asarray(key_indices), _ON_KEYS
+            ), _NO_TIMES
+        return np.asarray(key_indices), _NO_TIMES
     snapped_times = np.where(is_on_key, keys[key_indices], times)
     return np.minimum(key_indices, last_key - 1), snapped_times
 
 
-def _unit(rotations: FloatArray) -> None:
+def _normalize_in_place(rotations: FloatArray) -> None:
     """Normalise rotations ``(F, J, 4)`` in place."""
     squares = np.einsum("fjc,fjc->fj", rotations, rotations)
     np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)
@@ -221,9 +224,9 @@ def sampler_of(
         TargetPath.SCALE: gltf_rig.scales.copy(),
         TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
     }
-    tracks: dict[TargetPath, list[MovingRow]] = {path: [] for path in rest}
+    tracks: dict[TargetPath, list[AnimatedRow]] = {path: [] for path in rest}
     is_folded = folded_nodes(gltf)
-    for path, row_track in _rows(
+    for path, row_track in _animated_rows(
         gltf, gltf_rig, animation.tracks if animation else (), is_folded
     ):
         if _is_static(row_track.track):
@@ -262,11 +265,11 @@ def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
     return weights
 
 
-def _rows(
+def _animated_rows(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], is_folded: BoolArray
-) -> list[tuple[TargetPath, MovingRow]]:
+) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return the channel rows that tracks animate."""
-    rows: list[tuple[TargetPath, MovingRow]] = []
+    rows: list[tuple[TargetPath, AnimatedRow]] = []
     mesh_tracks: list[GltfTrack] = []
     for track in tracks:
         if track.path is TargetPath.WEIGHTS:
@@ -282,14 +285,14 @@ def _rows(
             parent = gltf.nodes[track.node].parent
             factor = 1.0 if parent < 0 else float(gltf_rig.folded_scales[parent])
             factor *= gltf_rig.rig.meters_per_unit
-        rows.append((track.path, MovingRow(joint, track, factor)))
+        rows.append((track.path, AnimatedRow(joint, track, factor)))
     rows += _weight_rows(gltf, gltf_rig, mesh_tracks)
     return rows
 
 
 def _weight_rows(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
-) -> list[tuple[TargetPath, MovingRow]]:
+) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return animated shapes; tracks of nodes come before those of meshes."""
     by_row: dict[int, GltfTrack] = {}
     for track in sorted(
@@ -301,13 +304,13 @@ def _weight_rows(
             if (track.node == node or (track.node < 0 and by_mesh)) and (
                 track.weight_index in {-1, target}
             ):
-                by_row.setdefault(row, _one_weight(track, target))
+                by_row.setdefault(row, _weight_track(track, target))
     return [
-        (TargetPath.WEIGHTS, MovingRow(row, track)) for row, track in by_row.items()
+        (TargetPath.WEIGHTS, AnimatedRow(row, track)) for row, track in by_row.items()
     ]
 
 
-def _one_weight(track: GltfTrack, target: int) -> GltfTrack:
+def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
     """Return the keys of one weight of a track."""
     if track.weight_index >= 0 or track.values.shape[1] == 1:
         return track

@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
-from animtool.formats.characters.binding import Binder
+from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import printable, shape_names
 from animtool.formats.gltf.document import Gltf
@@ -30,7 +30,7 @@ class _SharedVertices:
 
 
 def mesh_parts(
-    gltf: Gltf, character: CharacterNodes, binder: Binder
+    gltf: Gltf, character: CharacterNodes, binder: SkinBinder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
     """Return a character's meshes and shapes, the shapes' keys, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
@@ -41,7 +41,7 @@ def mesh_parts(
     empty: list[str] = []
     targets: list[tuple[str, list[LoadedArray], list[LoadedArray | None]]] = []
     for node in nodes:
-        mesh = _mesh(gltf, node, names[node], binder)
+        mesh = _build_mesh(gltf, node, names[node], binder)
         count = gltf.meshes[gltf.nodes[node].mesh].targets
         if mesh is None:
             empty.append(names[node])
@@ -52,7 +52,7 @@ def mesh_parts(
             continue
         meshes.append(mesh)
         keys += [(node, target) for target in range(count)]
-        targets.append((names[node], *_targets(gltf, node)))
+        targets.append((names[node], *_morph_offsets(gltf, node)))
     shape_names_ = iter(names_of_shapes(gltf, keys, names))
     of_node = iter(targets)
     for node in nodes:
@@ -115,7 +115,7 @@ def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
     )
 
 
-def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
+def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
     vertex_sets = _shared_vertices(gltf, node)
     starts = {vertices.primitive.vertices: vertices.first for vertices in vertex_sets}
@@ -130,20 +130,22 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     points = [
         gltf.accessors.floats(vertices.primitive.position) for vertices in vertex_sets
     ]
-    skin, geometry = _skin(gltf, node, vertex_sets, binder)
+    skin, geometry = _build_skin(gltf, node, vertex_sets, binder)
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
         LoadedArray(np.concatenate(points)),
         LoadedArray(np.concatenate(faces).astype(np.float64)),
-        _normals(gltf, vertex_sets),
+        _vertex_normals(gltf, vertex_sets),
         None if (geometry == np.eye(4)).all() else bind,
         skin,
-        None if _normals(gltf, vertex_sets) is not None else Subdivision.NONE,
+        None if _vertex_normals(gltf, vertex_sets) is not None else Subdivision.NONE,
     )
 
 
-def _normals(gltf: Gltf, vertex_sets: list[_SharedVertices]) -> LoadedArray | None:
+def _vertex_normals(
+    gltf: Gltf, vertex_sets: list[_SharedVertices]
+) -> LoadedArray | None:
     if any(vertices.primitive.normal < 0 for vertices in vertex_sets):
         return None
     accessors = gltf.accessors
@@ -151,8 +153,8 @@ def _normals(gltf: Gltf, vertex_sets: list[_SharedVertices]) -> LoadedArray | No
     return LoadedArray(np.concatenate(rows))
 
 
-def _skin(
-    gltf: Gltf, node: int, vertex_sets: list[_SharedVertices], binder: Binder
+def _build_skin(
+    gltf: Gltf, node: int, vertex_sets: list[_SharedVertices], binder: SkinBinder
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh: its joints, or the node that carries it."""
     index = gltf.nodes[node].skin
@@ -186,14 +188,14 @@ def _padded_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
     return padded
 
 
-def _targets(
+def _morph_offsets(
     gltf: Gltf, node: int
 ) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
     """Return point and normal offsets of each morph target."""
     vertex_sets = _shared_vertices(gltf, node)
     deltas: list[LoadedArray] = []
     normals: list[LoadedArray | None] = []
-    with_normals = _normals(gltf, vertex_sets) is not None
+    with_normals = _vertex_normals(gltf, vertex_sets) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
         point_rows: list[FloatArray] = []
         normal_rows: list[FloatArray] = []

@@ -18,7 +18,7 @@ from animtool.core.record import dataclass
 from animtool.formats.gltf.animations import Animation
 
 # Candidate rates in order: the first with all keys on frames is used.
-RATES = (
+RATES_BY_PREFERENCE = (
     *(Fraction(n) for n in (24, 30, 60, 25, 50, 48, 120, 100, 12, 15, 10)),
     *(Fraction(n * 1000, 1001) for n in (24, 30, 60)),
     *(Fraction(n) for n in (90, 72, 240, 200, 144, 1000)),
@@ -26,7 +26,7 @@ RATES = (
 DEFAULT_RATE = Fraction(30)
 # Keys closer to a frame than this [frame], or within the relative precision of their
 # time, are on it.
-ON_FRAME, TIME_PRECISION = 1e-3, 4e-7
+FRAME_TOLERANCE, TIME_PRECISION = 1e-3, 4e-7
 # Limit of a take's animated numbers over all frames.
 MAX_VALUES = 60_000_000
 
@@ -60,13 +60,16 @@ def frames_of(
         width: Animated numbers per frame.
     """
     if animation is None or not animation.tracks:
-        return GltfFrames(fps or RATES[0], Fraction(0), Fraction(0), 1)
+        return GltfFrames(fps or RATES_BY_PREFERENCE[0], Fraction(0), Fraction(0), 1)
     stated_rate, start = _recorded_timing(animation.extras)
     times = key_times(animation)
     rate = (
         fps
         or stated_rate
-        or next((rate_ for rate_ in RATES if _fits(times, rate_)), DEFAULT_RATE)
+        or next(
+            (rate_ for rate_ in RATES_BY_PREFERENCE if _fits_rate(times, rate_)),
+            DEFAULT_RATE,
+        )
     )
     first_time, last_time = animation.span
     first_frame = (
@@ -88,7 +91,9 @@ def frames_of(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
     notices = (
-        () if _fits(times, rate) else (_off_frame_fault(times, rate, path, animation),)
+        ()
+        if _fits_rate(times, rate)
+        else (_off_frame_fault(times, rate, path, animation),)
     )
     return GltfFrames(rate, start, start + first_frame, count, notices)
 
@@ -100,10 +105,10 @@ def key_times(animation: Animation) -> FloatArray:
 
 
 def _frame_tolerance(time: float, rate: Fraction) -> float:
-    return ON_FRAME + TIME_PRECISION * abs(time) * float(rate)
+    return FRAME_TOLERANCE + TIME_PRECISION * abs(time) * float(rate)
 
 
-def _distances(times: FloatArray, rate: Fraction) -> FloatArray:
+def _frame_distances(times: FloatArray, rate: Fraction) -> FloatArray:
     """Return the distance of keys from frames beyond float rounding [frame]."""
     frames = times * float(rate)
     return np.asarray(
@@ -111,14 +116,14 @@ def _distances(times: FloatArray, rate: Fraction) -> FloatArray:
     )
 
 
-def _fits(times: FloatArray, rate: Fraction) -> bool:
-    return bool((_distances(times, rate) <= ON_FRAME).all())
+def _fits_rate(times: FloatArray, rate: Fraction) -> bool:
+    return bool((_frame_distances(times, rate) <= FRAME_TOLERANCE).all())
 
 
 def _off_frame_fault(
     times: FloatArray, rate: Fraction, path: str, animation: Animation
 ) -> Fault:
-    is_off = _distances(times, rate) > ON_FRAME
+    is_off = _frame_distances(times, rate) > FRAME_TOLERANCE
     message = (
         f"{int(is_off.sum())} of {len(times)} key times fall between the frames at "
     )

@@ -32,7 +32,7 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     Raises:
         OptionError: The rig has neither joints nor shapes (RIG044).
     """
-    takes = [_upright(each_take) for each_take in (take, *options.others)]
+    takes = [_rotate_to_y_up(each_take) for each_take in (take, *options.others)]
     first_take = takes[0]
     rig = first_take.rig
     if not rig.joints and not rig.meshes:
@@ -49,17 +49,17 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         )
     clock = take.clock
     span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
-    contents = {path: _contents(builder, path)}
+    contents = {path: _output_parts(builder, path)}
     return TakeFiles(contents, span, len(rig.joints), notices)
 
 
-def _contents(builder: GlbBuilder, path: Path) -> Any:
+def _output_parts(builder: GlbBuilder, path: Path) -> Any:
     if path.suffix.lower() == ".gltf":
         return builder.text_parts()
     return builder.parts()
 
 
-def _upright(take: Take) -> Take:
+def _rotate_to_y_up(take: Take) -> Take:
     """Return a take rotated to Y up."""
     if take.rig.up is UpAxis.Y:
         return take

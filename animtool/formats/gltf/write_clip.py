@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
 from animtool.formats.gltf.clip_keys import Keys, keys_of_clip, native_keys
 from animtool.formats.gltf.glb import GlbBuilder
-from animtool.formats.gltf.reduce import linear_keys
+from animtool.formats.gltf.reduce import reduce_keys
 from animtool.formats.gltf.sampling import NativeKeys
 from animtool.formats.gltf.write_rig import RigIndices
 from animtool.motion.motion import Channel
@@ -26,7 +26,7 @@ STATIC_TOLERANCE = 1e-9
 
 
 @dataclass(slots=True)
-class _Animation:
+class _AnimationBuilder:
     """Builder of an animation's samplers and channels."""
 
     builder: GlbBuilder
@@ -102,7 +102,7 @@ def write_clip(
     """
     clock = take.clock
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
-    animation = _Animation(builder)
+    animation = _AnimationBuilder(builder)
     source_keys = {} if tolerance is not None else _source_keys(take)
     bounds = None
     if tolerance is not None:
@@ -116,7 +116,7 @@ def write_clip(
     for path, channel, rest in channels:
         if channel is None:
             continue
-        samples = _by_joint(channel, narrow=bounds is None)
+        samples = _samples_by_joint(channel, narrow=bounds is None)
         for j in range(len(rig.joints)):
             values = samples.get(j, channel.rest[j][None])
             keys = _joint_keys(path, values, rest[j], seconds)
@@ -124,10 +124,10 @@ def write_clip(
                 if (j, path) in source_keys:
                     keys = source_keys[j, path]
                 elif bounds is not None:
-                    keys = linear_keys(keys, _tolerance(path, j, bounds, take))
+                    keys = reduce_keys(keys, _key_tolerance(path, j, bounds, take))
             if keys is not None:
                 animation.add(rig_indices.joints[j], path, keys)
-    lost_notices = _weights(
+    lost_notices = _write_weights(
         animation, take, rig_indices, seconds, source_keys, tolerance
     )
     duration = float(seconds[-1])
@@ -162,7 +162,7 @@ def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
 
 
 def _add_static_key(
-    animation: _Animation, take: Take, rig_indices: RigIndices, times: FloatArray
+    animation: _AnimationBuilder, take: Take, rig_indices: RigIndices, times: FloatArray
 ) -> None:
     """Add a static key for a joint, of the first part without keys."""
     rig = take.rig
@@ -186,7 +186,7 @@ def _single_key(row: FloatArray, times: FloatArray) -> Keys:
     return Keys(times[:1], row.reshape(1, -1))
 
 
-def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
+def _samples_by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
     """Return the samples of each animated joint ``(F, K)``.
 
     ``narrow`` converts them to float32, the type stored in files.
@@ -194,11 +194,11 @@ def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
     values = channel.values
     if not len(values):
         return {}
-    table = _by_column(values, np.float32 if narrow else np.float64)
+    table = _columns_first(values, np.float32 if narrow else np.float64)
     return dict(zip(channel.animated.tolist(), table, strict=True))
 
 
-def _by_column(values: FloatArray, kind: type[np.floating[Any]]) -> Any:
+def _columns_first(values: FloatArray, kind: type[np.floating[Any]]) -> Any:
     """Return samples ``(F, J, K)`` as ``(J, F, K)`` of a dtype.
 
     The samples of a joint are copied as one element, in chunks of frames that stay in
@@ -231,15 +231,15 @@ def _joint_keys(
     return None if difference <= STATIC_TOLERANCE else _single_key(first_value, seconds)
 
 
-def _tolerance(path: str, joint: int, reaches: FloatArray, take: Take) -> float:
+def _key_tolerance(path: str, joint: int, reaches: FloatArray, take: Take) -> float:
     """Return the key tolerance of a joint: [m], [rad] or [1]."""
     reach_ = float(reaches[joint])
     if path == "translation":
         return reach_
-    return reach_ / max(SHELL_DISTANCE, float(_reaches(take)[joint]))
+    return reach_ / max(SHELL_DISTANCE, float(_joint_reaches(take)[joint]))
 
 
-def _reaches(take: Take) -> FloatArray:
+def _joint_reaches(take: Take) -> FloatArray:
     """Return the distance from each joint to its farthest descendant ``(J,)`` [m]."""
     rig = take.rig
     reach = np.zeros(len(rig.joints))
@@ -251,8 +251,8 @@ def _reaches(take: Take) -> FloatArray:
     return reach
 
 
-def _weights(
-    animation: _Animation,
+def _write_weights(
+    animation: _AnimationBuilder,
     take: Take,
     rig_indices: RigIndices,
     seconds: FloatArray,
@@ -276,7 +276,7 @@ def _weights(
             continue
         keys = Keys(seconds, values)
         if tolerance is not None:
-            keys = linear_keys(keys, WEIGHT_TOLERANCE)
+            keys = reduce_keys(keys, WEIGHT_TOLERANCE)
         track_keys = _combine_weights(
             [source_keys.get((row, "weight")) for row in rows], values
         )

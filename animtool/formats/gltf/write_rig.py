@@ -17,9 +17,9 @@ from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceSkin, surfaces_of
 
-MAX_NAMED = 6
+MAX_LISTED_CONTENTS = 6
 # Weights below this fraction of the largest have no visible effect [1].
-SMALLEST_WEIGHT = 1e-7
+MIN_WEIGHT = 1e-7
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ def write_rig(
     left_out: dict[str, list[str]] = defaultdict(list)
     bind = bind_matrices(rig) if rig.joints else np.zeros((0, 4, 4))
     for surface in surfaces_of(rig):
-        at = _surface(builder, rig, surface, bind, weights, rig_indices, left_out)
+        at = _write_surface(builder, rig, surface, bind, weights, rig_indices, left_out)
         if at >= len(rig.joints):
             roots.append(at)
     roots = _with_common_root(builder, rig, roots)
@@ -107,7 +107,7 @@ def _transform_properties(
     return properties
 
 
-def _surface(
+def _write_surface(
     builder: GlbBuilder,
     rig: Rig,
     surface: Surface,
@@ -117,11 +117,13 @@ def _surface(
     left_out: dict[str, list[str]],
 ) -> int:
     """Write a mesh; return its node."""
-    carrier, local = _carrier(builder, rig, surface, bind)
+    carrier, local = _carrier_joint(builder, rig, surface, bind)
     if surface.skin is None or carrier >= 0:
-        surface = _in_node(surface, local)
+        surface = _to_node_frame(surface, local)
     points, normals = surface.points, surface.normals
-    primitive: dict[str, Any] = {"attributes": _attributes(builder, points, normals)}
+    primitive: dict[str, Any] = {
+        "attributes": _write_attributes(builder, points, normals)
+    }
     if surface.skin is not None and carrier < 0:
         _write_influences(builder, surface.skin, primitive["attributes"])
         if surface.skin.method != "linear":
@@ -137,14 +139,14 @@ def _surface(
             surface.name
         )
     mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
-    _targets(builder, surface, primitive, mesh, weights, left_out)
+    _write_targets(builder, surface, primitive, mesh, weights, left_out)
     if carrier >= 0 and builder.json["nodes"][carrier]["name"] != surface.name:
         mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
     index = builder.add("meshes", mesh)
-    return _node_of(builder, rig, surface, index, carrier, bind, rig_indices)
+    return _attach_mesh(builder, rig, surface, index, carrier, bind, rig_indices)
 
 
-def _in_node(surface: Surface, local: FloatArray) -> Surface:
+def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
     """Return a mesh in the frame of its node."""
     linear = local[:3, :3]
     normals = surface.normals
@@ -161,7 +163,7 @@ def _in_node(surface: Surface, local: FloatArray) -> Surface:
 def _write_influences(
     builder: GlbBuilder, skin: SurfaceSkin, attributes: dict[str, int]
 ) -> None:
-    indices, values = influences(skin)
+    indices, values = padded_influences(skin)
     kind = np.uint8 if indices.max(initial=0) < 256 else np.uint16
     for k in range(indices.shape[1] // 4):
         columns = slice(4 * k, 4 * k + 4)
@@ -171,7 +173,7 @@ def _write_influences(
         attributes[f"WEIGHTS_{k}"] = builder.accessor(some_weights, target=ARRAY_BUFFER)
 
 
-def _node_of(
+def _attach_mesh(
     builder: GlbBuilder,
     rig: Rig,
     surface: Surface,
@@ -187,7 +189,7 @@ def _node_of(
     else:
         node: dict[str, Any] = {"name": surface.name, "mesh": mesh}
         if surface.skin is not None:
-            node["skin"] = _skin(builder, rig, surface, surface.skin, bind)
+            node["skin"] = _write_skin(builder, rig, surface, surface.skin, bind)
         at = builder.add("nodes", node)
     names = [shape.name for shape in surface.shapes]
     for k, name in enumerate(names):
@@ -197,7 +199,7 @@ def _node_of(
     return at
 
 
-def _carrier(
+def _carrier_joint(
     builder: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
 ) -> tuple[int, FloatArray]:
     """Return the joint that a mesh moves rigidly with (-1: none), and its bind.
@@ -218,7 +220,7 @@ def _carrier(
     return joint, np.linalg.inv(bind[joint]) @ surface.geom_bind
 
 
-def _skin(
+def _write_skin(
     builder: GlbBuilder,
     rig: Rig,
     surface: Surface,
@@ -241,7 +243,7 @@ def _skin(
     return builder.add("skins", entry)
 
 
-def _attributes(
+def _write_attributes(
     builder: GlbBuilder, points: FloatArray, normals: FloatArray | None
 ) -> dict[str, int]:
     positions = points.astype(np.float32)
@@ -255,7 +257,7 @@ def _attributes(
     return attributes
 
 
-def _targets(
+def _write_targets(
     builder: GlbBuilder,
     surface: Surface,
     primitive: dict[str, Any],
@@ -292,7 +294,7 @@ def _targets(
     mesh["extras"] = {"targetNames": names}
 
 
-def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
+def padded_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     """Return joints and weights, largest first, padded to multiples of four.
 
     Each joint occurs once per vertex, weights sum to 1, and entries without weight have
@@ -307,7 +309,7 @@ def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
         weights[:, k - 1] += np.where(is_duplicate, weights[:, k], 0.0)
         weights[is_duplicate, k] = 0.0
     largest = weights.max(axis=1, keepdims=True)
-    weights[weights <= SMALLEST_WEIGHT * largest] = 0.0
+    weights[weights <= MIN_WEIGHT * largest] = 0.0
     order = np.argsort(-weights, axis=1, kind="stable")
     indices = np.take_along_axis(indices, order, 1)
     weights = np.take_along_axis(weights, order, 1)
@@ -344,7 +346,8 @@ def _unstored_notice(
     if unwritten:
         left_out["shapes without a mesh (skipped)"] += unwritten
     texts = [
-        f"{label}: {listed(names, MAX_NAMED)}" for label, names in left_out.items()
+        f"{label}: {listed(names, MAX_LISTED_CONTENTS)}"
+        for label, names in left_out.items()
     ]
     if not texts:
         return []

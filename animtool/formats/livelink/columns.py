@@ -16,11 +16,11 @@ from animtool.core.record import dataclass
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
 # Names as written by the app; they are read case-insensitively.
-TIMECODE, COUNT = "Timecode", "BlendShapeCount"
+TIMECODE_COLUMN, COUNT_COLUMN = "Timecode", "BlendShapeCount"
 # Rotations about the axes of the face: up, left, and forward.
-AXES = ("Yaw", "Pitch", "Roll")
-PARTS = ("Head", "LeftEye", "RightEye")
-ANGLES = tuple(part + axis for part in PARTS for axis in AXES)
+ANGLE_AXES = ("Yaw", "Pitch", "Roll")
+HEAD_PARTS = ("Head", "LeftEye", "RightEye")
+ANGLE_COLUMNS = tuple(part + axis for part in HEAD_PARTS for axis in ANGLE_AXES)
 # Shapes in the order of the app.
 APP_SHAPES = (
     *(
@@ -56,11 +56,11 @@ APP_SHAPES = (
 MAX_COLUMNS = 4096
 MAX_BYTES = 1_000_000_000
 MAX_FAULTS = 100
-MAX_NAMED = 12
+MAX_LISTED_COLUMNS = 12
 # Weights are about 1 and angles a few radians; larger numbers are invalid.
 MAX_VALUE = 1e18
 _DELIMITERS = ",;\t"
-_ANGLES = {name.lower(): name for name in ANGLES}
+_ANGLES_BY_LOWERCASE = {name.lower(): name for name in ANGLE_COLUMNS}
 
 
 @dataclass(slots=True)
@@ -70,7 +70,7 @@ class Recording:
     Attributes:
         path: Path of the file.
         shapes: Name of each weight column, in ARKit's spelling if it is an ARKit shape.
-        angles: The `ANGLES` in the file, in the order of ``rotations``.
+        angles: The `ANGLE_COLUMNS` in the file, in the order of ``rotations``.
         labels: Time code of each row, as written.
         lines: 1-based line number of each row ``(R,)``.
         weights: Weights of the shapes ``(R, S)``; NaN if missing.
@@ -97,16 +97,16 @@ def read_recording(path: Path) -> Recording:
             duplicate column (LLF002), a row with another number of columns (LLF003) or
             a value that is not a number (LLF004), or no row (LLF001).
     """
-    lines = _lines(path)
+    lines = _read_lines(path)
     header = next((i for i, line in enumerate(lines) if line.strip()), None)
     if header is None:
         raise FormatError(Fault("LLF001", "is empty", str(path)))
-    table = _Table(path, lines[header], header + 1)
+    table = _RecordingTable(path, lines[header], header + 1)
     rows = [(i + 1, line) for i, line in enumerate(lines) if i > header]
     return table.read([(n, line) for n, line in rows if line.strip(" \t,;\0")])
 
 
-def _lines(path: Path) -> list[str]:
+def _read_lines(path: Path) -> list[str]:
     data = read_input(path, MAX_BYTES)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", "replace")
@@ -120,7 +120,7 @@ def _lines(path: Path) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-class _Table:
+class _RecordingTable:
     """The columns named by a header."""
 
     def __init__(self, path: Path, header: str, line: int) -> None:
@@ -128,18 +128,21 @@ class _Table:
         self.delimiter = max(_DELIMITERS, key=header.count)
         self.names = [n.strip().strip('"').strip() for n in self._cells(header)]
         lower = [name.lower() for name in self.names]
-        if TIMECODE.lower() not in lower:
+        if TIMECODE_COLUMN.lower() not in lower:
             message = "no column is called Timecode: this is not a Live Link Face file"
             hint = f"the first columns are {listed(self.names[:4])}"
             raise FormatError(Fault("LLF001", message, str(path), (line,), hint))
         if len(self.names) > MAX_COLUMNS:
             message = f"has {len(self.names)} columns; the limit is {MAX_COLUMNS}"
             raise FormatError(Fault("LLF001", message, str(path), (line,)))
-        self.time = lower.index(TIMECODE.lower())
-        self.count = lower.index(COUNT.lower()) if COUNT.lower() in lower else None
+        self.time = lower.index(TIMECODE_COLUMN.lower())
+        self.count = (
+            lower.index(COUNT_COLUMN.lower()) if COUNT_COLUMN.lower() in lower else None
+        )
         # Known columns get one spelling, so that duplicates are detected.
         self.canonical = [
-            arkit_name(n) or _ANGLES.get(n.lower(), n.lower()) for n in self.names
+            arkit_name(n) or _ANGLES_BY_LOWERCASE.get(n.lower(), n.lower())
+            for n in self.names
         ]
         faults = [
             self._fault("LLF002", i, f"duplicate column {name!r}")
@@ -151,9 +154,13 @@ class _Table:
         value_columns = [
             i for i in range(len(lower)) if i not in (self.time, self.count)
         ]
-        self.angle_columns = [i for i in value_columns if lower[i] in _ANGLES]
+        self.angle_columns = [
+            i for i in value_columns if lower[i] in _ANGLES_BY_LOWERCASE
+        ]
         self.shapes = [
-            i for i in value_columns if lower[i] not in _ANGLES and self.names[i]
+            i
+            for i in value_columns
+            if lower[i] not in _ANGLES_BY_LOWERCASE and self.names[i]
         ]
 
     def _cells(self, line: str) -> list[str]:
@@ -203,7 +210,9 @@ class _Table:
         recording = Recording(
             self.path,
             tuple(arkit_name(self.names[i]) or self.names[i] for i in self.shapes),
-            tuple(_ANGLES[self.names[i].lower()] for i in self.angle_columns),
+            tuple(
+                _ANGLES_BY_LOWERCASE[self.names[i].lower()] for i in self.angle_columns
+            ),
             [row[self.time].strip().strip('"') for _, row in cells],
             lines,
             values[:, self.shapes],
@@ -254,7 +263,9 @@ class _Table:
             return []
         row = int(np.flatnonzero(is_mismatched)[0])
         values_text = counted(max(counts), "value")
-        message = f"{COUNT} is {stated_counts[row]:g}, but the row has {values_text}"
+        message = (
+            f"{COUNT_COLUMN} is {stated_counts[row]:g}, but the row has {values_text}"
+        )
         where = int(lines[row])
         notice = Fault("LLF106", message, str(self.path), (where,))
         return [_as_warning(notice)]

@@ -21,7 +21,12 @@ from animtool.core.errors import (
 )
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
-from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
+from animtool.formats.livelink.columns import (
+    ANGLE_AXES,
+    HEAD_PARTS,
+    Recording,
+    read_recording,
+)
 from animtool.formats.livelink.timecodes import TimecodeFrames, row_frames
 from animtool.maths.euler import to_quaternion
 from animtool.maths.filters import fill_gaps
@@ -35,12 +40,12 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")
-MAX_NAMED = 12
-_JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
+MAX_LISTED_SHAPES = 12
+_JOINTS_BY_PART = dict(zip(HEAD_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 # Joint names and positions [m] of the default rig; positions only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
-_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
-_POSITIONS[RIGHT_EYE] = (-0.032, 0.03, 0.08)
+_DEFAULT_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
+_DEFAULT_POSITIONS[RIGHT_EYE] = (-0.032, 0.03, 0.08)
 
 
 def read_livelink(
@@ -86,16 +91,16 @@ def read_livelink(
     )
     joints = head_joints(target)
     notices = [*recording.notices, *frames.notices]
-    rotations = _rotations(recording)
+    rotations = _part_angles(recording)
     if not links.links and not (set(rotations) & set(joints)):
         message = f"{target.name!r} has no shape of this recording, and no head joint"
         hint = f"map the shapes of other conventions with {argument('source.remap')}"
         if not target.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
-    notices += _notices(recording, frames, dropped)
+    notices += _recording_notices(recording, frames, dropped)
     notices += _unmatched_notices(recording, links, rotations, joints, rig is not None)
-    motion = _motion(recording, frames, target, links, joints, dropped)
+    motion = _build_motion(recording, frames, target, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
         "timecode": recording.labels[int(frames.rows[0])],
@@ -120,12 +125,14 @@ def read_livelink_rig(path: Path) -> Rig:
 def face_rig(recording: Recording) -> Rig:
     """Return the default rig of a recording: shapes without meshes, head, eyes."""
     parts = [
-        part for part in PARTS if part == "Head" or part in _rotated_parts(recording)
+        part
+        for part in HEAD_PARTS
+        if part == "Head" or part in _rotated_parts(recording)
     ]
     joints = tuple(
-        Joint(_JOINT_NAMES[_JOINTS[part]], -1 if part == "Head" else 0, JointType.BALL,
-              _POSITIONS[_JOINTS[part]])
-        for part in parts
+        Joint(_JOINT_NAMES[joint], -1 if joint == HEAD else 0, JointType.BALL,
+              _DEFAULT_POSITIONS[joint])
+        for joint in (_JOINTS_BY_PART[part] for part in parts)
     )  # fmt: skip
     shapes = tuple(Shape(name) for name in recording.shapes)
     return Rig(recording.path.stem, joints, shapes=shapes)
@@ -134,21 +141,23 @@ def face_rig(recording: Recording) -> Rig:
 def _rotated_parts(recording: Recording) -> list[str]:
     """Return the parts (head, eyes) that have all three angles."""
     return [
-        part for part in PARTS if all(part + axis in recording.angles for axis in AXES)
+        part
+        for part in HEAD_PARTS
+        if all(part + axis in recording.angles for axis in ANGLE_AXES)
     ]
 
 
-def _rotations(recording: Recording) -> dict[str, FloatArray]:
+def _part_angles(recording: Recording) -> dict[str, FloatArray]:
     """Return yaw, pitch and roll of head and eyes by joint [deg] ``(R, 3)``."""
     angles_of = {}
     for part in _rotated_parts(recording):
-        columns = [recording.angles.index(part + axis) for axis in AXES]
+        columns = [recording.angles.index(part + axis) for axis in ANGLE_AXES]
         angles = np.degrees(recording.rotations[:, columns])
-        angles_of[_JOINTS[part]] = angles
+        angles_of[_JOINTS_BY_PART[part]] = angles
     return angles_of
 
 
-def _motion(
+def _build_motion(
     recording: Recording,
     frames: TimecodeFrames,
     rig: Rig,
@@ -165,7 +174,7 @@ def _motion(
         axis=-1,
     ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
     channel = Channel.static(rig.rest_rotations, len(at))
-    for part, angles in _rotations(recording).items():
+    for part, angles in _part_angles(recording).items():
         if part not in joints:
             continue
         rotations = to_quaternion(fill_gaps(angles[frames.rows], times), "YXZ")
@@ -204,7 +213,7 @@ def _slerp_rows(
     return rotations_
 
 
-def _notices(
+def _recording_notices(
     recording: Recording, frames: TimecodeFrames, dropped: Dropped
 ) -> list[Fault]:
     """Return warnings about missing columns and unusual values."""
@@ -219,7 +228,7 @@ def _notices(
         }[dropped]
         message = (
             f"{len(gaps)} of {frames.count} frames have no row: {fill}; from the "
-            f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
+            f"first, frames {listed((gaps).tolist(), MAX_LISTED_SHAPES)}"
         )
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
         notices.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
@@ -236,7 +245,7 @@ def _notices(
             message = (
                 f"{names[c]} has no value in {counted(len(lines), 'row')}: {treatment}"
             )
-            fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
+            fault = Fault("LLF102", message, path, tuple(lines[:MAX_LISTED_SHAPES]))
             notices.append(replace(fault, severity=Severity.WARNING))
     # Values are kept: some rigs exceed 1, and percentages are detected.
     with np.errstate(invalid="ignore"):

@@ -16,8 +16,8 @@ from animtool.core.record import dataclass
 from animtool.core.timecode import day_frames, parse_timecode
 
 # Clock rates of recorders [1/s], and the app's default.
-CLOCKS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
-DEFAULT_CLOCK = 60
+TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
+DEFAULT_TIMECODE_RATE = 60
 # Rows have a constant step if this fraction of them does.
 REGULAR_FRACTION = 0.9
 MAX_STEP = 16
@@ -26,7 +26,7 @@ MAX_STEP = 16
 MAX_CLOCK_JITTER = 0.1
 # Longer gaps between two rows are not filled [s].
 MAX_GAP_SECONDS = 600
-MAX_NAMED = 12
+MAX_LISTED_LINES = 12
 _LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 
@@ -88,10 +88,12 @@ def row_frames(
         FormatError: A label is not a time code (LLF005), or two are very far apart
             (LLF006).
     """
-    fields = _fields(labels, lines, path)
+    fields = _label_fields(labels, lines, path)
     notices: list[Fault] = []
     drop = any(";" in label for label in labels)
-    rate = clock if clock is not None else _clock(fields, drop, path, notices)
+    rate = (
+        clock if clock is not None else _fit_timecode_rate(fields, drop, path, notices)
+    )
     counts, fractions = _label_numbers(labels, rate, lines, path)
     day = day_frames(rate, drop=drop)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
@@ -109,13 +111,13 @@ def row_frames(
         hint = "split the recording there, or repair the time code"
         line = (int(lines[order[at + 1]]),)
         raise FormatError(Fault("LLF006", message, path, line, hint))
-    step, frames = _frames(times, fractions)
+    step, frames = _row_frames(times, fractions)
     is_first = np.concatenate([[True], np.diff(frames) > 0])
     notices += _repeated_notice(is_first, order, lines, path)
     return TimecodeFrames(rate, step, order[is_first], frames[is_first], tuple(notices))
 
 
-def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
+def _label_fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
     """Return hours, minutes, seconds and frames of labels ``(R, 4)``."""
     matches = [_LABEL.fullmatch(label) for label in labels]
     faults = [
@@ -134,17 +136,23 @@ def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
     return np.array([[int(m[i]) for i in (1, 2, 3, 5)] for m in matches if m], np.int64)
 
 
-def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fraction:
+def _fit_timecode_rate(
+    fields: IntArray, drop: bool, path: str, notices: list[Fault]
+) -> Fraction:
     """Return the timecode rate [1/s] that fits the labels best."""
     max_label = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
-    candidates = [n for n in CLOCKS if n > max_label] or [max_label + 1]
+    candidates = [n for n in TIMECODE_RATES if n > max_label] or [max_label + 1]
     if drop:
         candidates = [n for n in (30, 60) if n > max_label] or [60]
         return Fraction(candidates[0] * 1000, 1001)
     seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
     if len(candidates) > 1 and not len(seconds_ends):
-        rate = DEFAULT_CLOCK if DEFAULT_CLOCK in candidates else candidates[0]
+        rate = (
+            DEFAULT_TIMECODE_RATE
+            if DEFAULT_TIMECODE_RATE in candidates
+            else candidates[0]
+        )
         message = (
             f"the time code never reaches another second, so {rate} frames per "
             "second are assumed, the default of the app"
@@ -182,7 +190,7 @@ def _label_numbers(
     return np.array(counts, np.int64), np.array(fractions)
 
 
-def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
+def _row_frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     """Return labels per frame, and the frame of each row, from 0."""
     steps = np.diff(times)
     positive_steps = steps[steps > 0]
@@ -192,12 +200,16 @@ def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     step = 1
     for interval in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
         regular = max(
-            (positive_steps % interval == 0).mean(), _on_beat(exact, interval).mean()
+            (positive_steps % interval == 0).mean(),
+            _is_whole_steps(exact, interval).mean(),
         )
         if regular >= REGULAR_FRACTION:
             step = interval
             break
-    if _on_beat(exact, step).mean() >= REGULAR_FRACTION and np.ptp(fractions) > 0:
+    if (
+        _is_whole_steps(exact, step).mean() >= REGULAR_FRACTION
+        and np.ptp(fractions) > 0
+    ):
         beats = np.round(exact / step)
     else:
         # The label is the frame, whatever fraction follows it.
@@ -205,7 +217,7 @@ def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     return step, np.concatenate([[0], np.cumsum(beats)]).astype(np.int64)
 
 
-def _on_beat(exact: FloatArray, step: int) -> BoolArray:
+def _is_whole_steps(exact: FloatArray, step: int) -> BoolArray:
     """Return which rows are a whole number of steps after the previous row."""
     beats = exact / step
     return np.asarray(np.abs(beats - np.round(beats)) * step <= MAX_CLOCK_JITTER)
@@ -218,7 +230,12 @@ def _unsorted_notice(order: IntArray, lines: IntArray, path: str) -> list[Fault]
     late_lines = lines[order[out_of_order + 1]].tolist()
     message = f"{counted(len(late_lines), 'row')} not in order of time: sorted"
     notice = Fault(
-        "LLF104", message, path, tuple(late_lines[:MAX_NAMED]), None, Severity.WARNING
+        "LLF104",
+        message,
+        path,
+        tuple(late_lines[:MAX_LISTED_LINES]),
+        None,
+        Severity.WARNING,
     )
     return [notice]
 
@@ -234,14 +251,14 @@ def _repeated_notice(
         return []
     message = (
         f"{counted(len(repeats), 'row')} for a frame that already has one: skipped, "
-        f"lines {listed(repeats, MAX_NAMED)}"
+        f"lines {listed(repeats, MAX_LISTED_LINES)}"
     )
     return [
         Fault(
             "LLF105",
             message,
             path,
-            tuple(repeats[:MAX_NAMED]),
+            tuple(repeats[:MAX_LISTED_LINES]),
             None,
             Severity.WARNING,
         )

@@ -12,7 +12,13 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, names_fault
 from animtool.core.timecode import count_rate, timecode_label
-from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
+from animtool.formats.livelink.columns import (
+    ANGLE_COLUMNS,
+    APP_SHAPES,
+    COUNT_COLUMN,
+    HEAD_PARTS,
+    TIMECODE_COLUMN,
+)
 from animtool.formats.take_text import TakeText, write_text
 from animtool.maths.euler import from_quaternion
 from animtool.maths.so3 import align_signs
@@ -21,8 +27,8 @@ from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_jo
 from animtool.rig.shapes import arkit_name
 
 # Decimals, as in files of the app.
-DECIMALS = 10
-_JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
+WEIGHT_DECIMALS = 10
+_JOINTS_BY_PART = dict(zip(HEAD_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 
 
 def write_livelink(
@@ -87,16 +93,18 @@ def livelink_text(take: Take) -> TakeText:
             notices.append(
                 names_fault("LLF111", message, unwritten, severity=Severity.WARNING)
             )
-    header = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
-    return TakeText([header], _rows(weights, _angles(take), rate), notices)
+    header = ",".join((TIMECODE_COLUMN, COUNT_COLUMN, *APP_SHAPES, *ANGLE_COLUMNS))
+    return TakeText(
+        [header], _csv_rows(weights, _head_and_eye_angles(take), rate), notices
+    )
 
 
-def _angles(take: Take) -> FloatArray:
+def _head_and_eye_angles(take: Take) -> FloatArray:
     """Return yaw, pitch and roll of head, left eye and right eye [rad] ``(F, 9)``."""
-    angles = np.zeros((take.clock.count, len(ANGLES)))
+    angles = np.zeros((take.clock.count, len(ANGLE_COLUMNS)))
     joints = head_joints(take.rig)
-    for k, part in enumerate(PARTS):
-        joint = joints.get(_JOINTS[part])
+    for k, part in enumerate(HEAD_PARTS):
+        joint = joints.get(_JOINTS_BY_PART[part])
         if joint is None:
             continue
         local = take.motion.rotations.gather(np.array([joint]))[:, 0]
@@ -105,11 +113,13 @@ def _angles(take: Take) -> FloatArray:
     return angles
 
 
-def _rows(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
-    count = len(APP_SHAPES) + len(ANGLES)
-    row = f"%s,{count}," + ",".join([f"%.{DECIMALS}f"] * count) + "\n"
+def _csv_rows(
+    weights: FloatArray, angles: FloatArray, rate: Fraction
+) -> Iterator[bytes]:
+    count = len(APP_SHAPES) + len(ANGLE_COLUMNS)
+    row = f"%s,{count}," + ",".join([f"%.{WEIGHT_DECIMALS}f"] * count) + "\n"
     # Adding 0 removes negative zeros.
-    values = np.round(np.concatenate([weights, angles], axis=1), DECIMALS) + 0.0
+    values = np.round(np.concatenate([weights, angles], axis=1), WEIGHT_DECIMALS) + 0.0
     for frame, numbers in enumerate(values.tolist()):
         yield (row % (timecode(frame, rate), *numbers)).encode()
 

@@ -16,13 +16,13 @@ from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
 from animtool.formats.robots.parts import (
     IDENTITY_ROTATION,
     Link,
+    LinkMass,
     Robot,
     RobotJoint,
     SimpleShape,
     Triangles,
-    Weight,
-    quaternion,
-    vector,
+    float_quaternion,
+    float_vector,
 )
 from animtool.formats.robots.triangles import triangles_of
 from animtool.maths import so3
@@ -30,21 +30,21 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import JointType, Quaternion
 
-MAX_NAMED = 8
-_LINE = re.compile(r",? line (\d+)")
-_START = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
+MAX_LISTED_JOINTS = 8
+_ERROR_LINE = re.compile(r",? line (\d+)")
+_ERROR_PREFIX = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
 _INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
 # Joint and geom types by MuJoCo's numbers.
-_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
+_JOINT_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
 # Limit of mass and inertia of a body [kg], [kg m²].
 MAX_MASS = 1e30
 # MuJoCo hides geoms of this group and above.
 HIDDEN_GROUP = 3
-_SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
+_SHAPE_KINDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
-def compiled(reduced: ReducedModel, notes: XmlNotes) -> Any:
+def compile_model(reduced: ReducedModel, notes: XmlNotes) -> Any:
     """Compile a reduced MJCF with MuJoCo.
 
     Raises:
@@ -72,12 +72,12 @@ def compiled(reduced: ReducedModel, notes: XmlNotes) -> Any:
 
 def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
     """Record a MuJoCo error at its line in the source file."""
-    match = _LINE.search(text)
+    match = _ERROR_LINE.search(text)
     element, body = None, ""
     if match is not None and 0 < int(match[1]) <= len(reduced.elements):
         element = reduced.elements[int(match[1]) - 1]
         body = reduced.bodies[int(match[1]) - 1]
-    message = _LINE.sub("", _START.sub("", text)).strip()
+    message = _ERROR_LINE.sub("", _ERROR_PREFIX.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
     where = None if element is None else label_of(element)
@@ -91,13 +91,18 @@ def robot_of(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
     _check_sizes(model, notes)
     equalities = JointEqualities.of(model, notes)
     notes.check()
-    links = [_link(model, body, equalities, reduced) for body in range(1, model.nbody)]
+    links = [
+        _build_link(model, body, equalities, reduced) for body in range(1, model.nbody)
+    ]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
-            pose = vector(model.site_pos[site]), rotation_of(model.site_quat[site])
+            pose = (
+                float_vector(model.site_pos[site]),
+                rotation_of(model.site_quat[site]),
+            )
             links[body - 1].sites.append((name, *pose))
-    _note(model, reduced, equalities, notes)
+    _record_differences(model, reduced, equalities, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
 
@@ -120,10 +125,10 @@ def _check_sizes(model: Any, notes: XmlNotes) -> None:
 def rotation_of(wxyz: FloatArray) -> Quaternion:
     """Return a quaternion (x, y, z, w) from MuJoCo's (w, x, y, z)."""
     w, x, y, z = np.asarray(wxyz, np.float64)
-    return quaternion(np.array([x, y, z, w]))
+    return float_quaternion(np.array([x, y, z, w]))
 
 
-def _link(
+def _build_link(
     model: Any, body: int, equalities: JointEqualities, reduced: ReducedModel
 ) -> Link:
     """Return the link of a body; joints pivot at positions in the body frame."""
@@ -138,13 +143,15 @@ def _link(
         if model.jnt_type[joint] in {_FREE, _SLIDE}:
             at = pivot  # its position has no effect
         translation = position + so3.rotate(rotation, at - pivot)
-        link.joints.append(_move(model, joint, translation, rotation, equalities))
+        link.joints.append(
+            _build_joint(model, joint, translation, rotation, equalities)
+        )
         position, rotation, pivot = np.zeros(3), np.array(IDENTITY_ROTATION), at
     if link.joints:
-        link.offset = vector(-pivot)
+        link.offset = float_vector(-pivot)
     else:
         fixed_joint = RobotJoint(
-            "", JointType.FIXED, vector(position), quaternion(rotation)
+            "", JointType.FIXED, float_vector(position), float_quaternion(rotation)
         )
         link.joints.append(fixed_joint)
     link.solids, link.surfaces = _simple_geoms(model, body)
@@ -156,11 +163,11 @@ def _link(
         and np.isfinite(inertial_values).all()
         and np.abs(inertial_values).max() < MAX_MASS
     ):
-        link.weight = _weight(model, body, mass)
+        link.weight = _body_weight(model, body, mass)
     return link
 
 
-def _move(
+def _build_joint(
     model: Any,
     joint: int,
     translation: FloatArray,
@@ -173,7 +180,7 @@ def _move(
     ``ref``. A free joint is at rest in the pose of the file.
     """
     kind = int(model.jnt_type[joint])
-    axis = vector(model.jnt_axis[joint])
+    axis = float_vector(model.jnt_axis[joint])
     limits = None
     if kind in {_SLIDE, _HINGE}:
         ref = float(model.qpos0[model.jnt_qposadr[joint]])
@@ -190,9 +197,9 @@ def _move(
     name = model.joint(joint).name
     return RobotJoint(
         name,
-        _TYPES[kind],
-        vector(translation),
-        quaternion(rotation),
+        _JOINT_TYPES[kind],
+        float_vector(translation),
+        float_quaternion(rotation),
         axis,
         limits,
         equalities.mimics.get(joint),
@@ -205,7 +212,7 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
     colliding_geoms, visible = [], []
     first_geom = int(model.body_geomadr[body])
     for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):
-        kind = _SOLIDS.get(int(model.geom_type[geom]))
+        kind = _SHAPE_KINDS.get(int(model.geom_type[geom]))
         if kind is None:
             continue
         half_sizes = np.array(model.geom_size[geom]).tolist()
@@ -215,7 +222,7 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
             "cylinder": [half_sizes[0], 2 * half_sizes[1]],
             "box": [2 * half_size for half_size in half_sizes],
         }[kind]
-        position: Vector = vector(model.geom_pos[geom])
+        position: Vector = float_vector(model.geom_pos[geom])
         solid = SimpleShape(
             kind, tuple(size), position, rotation_of(model.geom_quat[geom])
         )
@@ -226,15 +233,17 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
     return colliding_geoms, visible
 
 
-def _weight(model: Any, body: int, mass: float) -> Weight:
+def _body_weight(model: Any, body: int, mass: float) -> LinkMass:
     rotation = so3.to_matrix(np.array(rotation_of(model.body_iquat[body])))
     inertia = np.array(model.body_inertia[body])
-    return Weight(
-        mass, vector(model.body_ipos[body]), rotation @ np.diag(inertia) @ rotation.T
+    return LinkMass(
+        mass,
+        float_vector(model.body_ipos[body]),
+        rotation @ np.diag(inertia) @ rotation.T,
     )
 
 
-def _note(
+def _record_differences(
     model: Any, reduced: ReducedModel, equalities: JointEqualities, notes: XmlNotes
 ) -> None:
     """Record what a rig represents differently, and joints without actuators."""
@@ -244,7 +253,7 @@ def _note(
         if joints:
             labels = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
             message = message.format(counted(len(joints), "joint"))
-            message += f": {listed(labels, MAX_NAMED)}"
+            message += f": {listed(labels, MAX_LISTED_JOINTS)}"
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 
     scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {_SLIDE, _HINGE}]
@@ -280,5 +289,5 @@ def _note(
     if reduced.with_unknown_mass:
         bodies = sorted(reduced.with_unknown_mass)
         message = "masses computed from meshes are ignored: "
-        message += listed([excerpt(name) for name in bodies], MAX_NAMED)
+        message += listed([excerpt(name) for name in bodies], MAX_LISTED_JOINTS)
         notes.add("MJC107", None, message, severity=Severity.NOTE)

@@ -57,55 +57,61 @@ class JointEqualities:
     ) -> None:
         """Add a follower; a linear leader is replaced by its own leader."""
         leader, polynomial = rows[follower]
-        offset, gain = _linear(model, follower, leader, polynomial)
+        offset, gain = _linear_part(model, follower, leader, polynomial)
         is_nonlinear = leader >= 0 and any(polynomial[2:])
         while not is_nonlinear and leader in rows:
             outer_leader, leader_polynomial = rows[leader]
             if outer_leader < 0 or any(leader_polynomial[2:]):
                 break
-            linear, factor = _linear(model, leader, outer_leader, leader_polynomial)
+            linear, factor = _linear_part(
+                model, leader, outer_leader, leader_polynomial
+            )
             offset, gain, leader = offset + gain * linear, gain * factor, outer_leader
         if leader < 0:
             text = repr(offset)
             self.drivers[follower] = Driver(parse_expression(text, coordinates=True))
         elif is_nonlinear:
-            self.drivers[follower] = _driver(model, follower, leader, polynomial)
+            self.drivers[follower] = _polynomial_driver(
+                model, follower, leader, polynomial
+            )
         elif leader in rows:
             # Linear in a joint that itself has a driver.
             polynomial = [polynomial[0], polynomial[1], 0.0, 0.0, 0.0]
-            self.drivers[follower] = _driver(
+            self.drivers[follower] = _polynomial_driver(
                 model, follower, rows[follower][0], polynomial
             )
         else:
             self.mimics[follower] = Mimic(model.joint(leader).name, gain, offset)
 
 
-def _ref(model: Any, joint: int) -> float:
+def _reference_value(model: Any, joint: int) -> float:
     return float(model.qpos0[model.jnt_qposadr[joint]])
 
 
-def _linear(
+def _linear_part(
     model: Any, follower: int, leader: int, polynomial: list[float]
 ) -> tuple[float, float]:
     """Return offset and gain of the linear part; MuJoCo counts from ``ref``."""
-    offset = _ref(model, follower) + polynomial[0]
+    offset = _reference_value(model, follower) + polynomial[0]
     if leader < 0:
         return offset, 0.0
-    return offset - polynomial[1] * _ref(model, leader), polynomial[1]
+    return offset - polynomial[1] * _reference_value(model, leader), polynomial[1]
 
 
-def _driver(model: Any, follower: int, leader: int, polynomial: list[float]) -> Driver:
+def _polynomial_driver(
+    model: Any, follower: int, leader: int, polynomial: list[float]
+) -> Driver:
     """Return a polynomial as a driver, by Horner's scheme."""
     component = SLIDE if model.jnt_type[leader] == _SLIDE else ANGLE
     leader_value = repr(f"{model.joint(leader).name}.{component}")
-    x = f"({leader_value} - {_ref(model, leader)!r})"
+    x = f"({leader_value} - {_reference_value(model, leader)!r})"
     terms = polynomial
     while terms[-1] == 0.0 and len(terms) > 1:
         terms = terms[:-1]
     text = repr(terms[-1])
     for coefficient in reversed(terms[:-1]):
         text = f"({coefficient!r} + {x} * {text})"
-    text = f"{_ref(model, follower)!r} + {text}"
+    text = f"{_reference_value(model, follower)!r} + {text}"
     return Driver(parse_expression(text, coordinates=True))
 
 

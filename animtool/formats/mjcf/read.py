@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.formats.mjcf.compiled import compiled, robot_of
+from animtool.formats.mjcf.compiled import compile_model, robot_of
 from animtool.formats.mjcf.includes import read_model
-from animtool.formats.mjcf.reduced import reduced_model
+from animtool.formats.mjcf.reduced import reduce_model
 from animtool.formats.robots.build import RobotCodes, build_rig
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.standing import zero_pose_stream
@@ -34,9 +34,9 @@ def read_mjcf_rig(path: Path | str) -> Rig:
     path = Path(path)
     notes = XmlNotes(path, "MJC007")
     root, folders = read_model(path, notes)
-    reduced = reduced_model(root, folders, notes)
+    reduced = reduce_model(root, folders, notes)
     notes.check()
-    model = compiled(reduced, notes)
+    model = compile_model(reduced, notes)
     robot = robot_of(model, reduced, notes)
     if not robot.links:
         notes.add("MJC004", root, "the model has no body", "bodies are what moves")

@@ -14,7 +14,7 @@ from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import XmlElement
 
 # Sections that a rig cannot store, and their labels.
-_SECTIONS = {
+_SECTION_LABELS = {
     "actuator": "actuators",
     "asset": "assets",
     "contact": "contacts",
@@ -29,8 +29,8 @@ _SECTIONS = {
     "tendon": "tendons",
     "visual": "visuals",
 }
-_IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
-_IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
+_BODY_CONTENT_LABELS = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
+_DEFAULT_TAGS = frozenset({"default", "joint", "geom", "site"})
 # Elements that MuJoCo expands from other files or by plug-ins.
 _GENERATOR_TAGS = frozenset({"attach", "composite", "flexcomp"})
 # Attributes that refer to removed elements, or change the set of bodies.
@@ -44,9 +44,9 @@ _DROPPED_ATTRIBUTES = {
         *("discardvisual", "exactmeshinertia", "alignfree"),
     ),
 }
-_MESHES = frozenset({"mesh", "hfield", "sdf"})
+_MESH_TYPES = frozenset({"mesh", "hfield", "sdf"})
 # Text attributes, which may be "nan", unlike numbers.
-_TEXTS = frozenset(
+_TEXT_ATTRIBUTES = frozenset(
     {
         *("name", "class", "childclass", "joint", "joint1", "joint2", "site", "type"),
         *("angle", "eulerseq", "model", "prefix"),
@@ -77,7 +77,7 @@ class ReducedModel:
     actuated: frozenset[str]
 
 
-def reduced_model(
+def reduce_model(
     root: XmlElement, packages: PackageFolders, notes: XmlNotes
 ) -> ReducedModel:
     """Return a model's moving parts; record omissions and faults."""
@@ -94,8 +94,8 @@ def reduced_model(
         f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>',
     )
     for section in root.children:
-        if section.tag in _SECTIONS:
-            notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
+        if section.tag in _SECTION_LABELS:
+            notes.leave_out(filter(None, [_SECTION_LABELS[section.tag]]))
         else:
             reduction.write(section, section.tag, "", "")
     reduction.add(root, "</mujoco>")
@@ -154,7 +154,7 @@ class _Reduction:
             classes = element.attributes.get("childclass", classes)
         if tag == "body":
             body = element.attributes.get("name", "")
-        attributes = _attributes(element, section, self.notes)
+        attributes = _attribute_text(element, section, self.notes)
         self.add(element, f"<{tag}{attributes}>", body)
         for child in kept_children:
             self.write(child, section or child.tag, classes, body)
@@ -174,13 +174,13 @@ def _is_kept(
                 notes.leave_out([f"equality of <{tag[:40]}>"])
             return tag == "joint"
         case "default":
-            return tag in _IN_DEFAULTS
+            return tag in _DEFAULT_TAGS
     return section != "compiler"
 
 
 def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
     """Return whether a part of a body is kept; record it if not."""
-    tag, left_out = child.tag, _IN_BODIES.get(child.tag)
+    tag, left_out = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
     if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
         hint = "compile the model, and save it by mujoco.mj_saveLastXML"
@@ -194,16 +194,16 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
     return parent.tag not in {"geom", "joint", "site", "inertial"}
 
 
-def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
+def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
     """Return the kept attributes of an element as XML."""
     removed_names: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
-    if section == "default" and element.attributes.get("type") in _MESHES:
+    if section == "default" and element.attributes.get("type") in _MESH_TYPES:
         removed_names = (*removed_names, "type")
     texts = []
     for name, value in element.attributes.items():
         if name in removed_names:
             continue
-        if name not in _TEXTS:
+        if name not in _TEXT_ATTRIBUTES:
             _check_numbers(element, name, value, notes)
         if name == "range" and element.tag == "joint":
             _check_range(element, value, notes)
@@ -288,7 +288,7 @@ class _MeshClasses:
 
 def _inherited_is_mesh(geom: XmlElement, inherited: bool) -> bool:
     """Return whether a geom is a mesh; unstated, the inherited value."""
-    if geom.attributes.get("type") in _MESHES or "mesh" in geom.attributes:
+    if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
     return inherited and "type" not in geom.attributes
 
@@ -302,7 +302,7 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
         if name in {"assetdir", "meshdir", "texturedir"}
     }
     missing_count = 0
-    for element, name in _files(root):
+    for element, name in _file_attributes(root):
         folder = folders.get("assetdir", "")
         key = "texturedir" if element.tag == "texture" else "meshdir"
         folder = folders.get(key, folder)
@@ -320,7 +320,7 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
         notes.add("MJC103", None, message, hint, severity=Severity.NOTE)
 
 
-def _files(root: XmlElement) -> Iterator[tuple[XmlElement, str]]:
+def _file_attributes(root: XmlElement) -> Iterator[tuple[XmlElement, str]]:
     for element in root.walk():
         for name, value in element.attributes.items():
             if name.startswith("file") and value and element.tag != "include":

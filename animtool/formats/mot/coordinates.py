@@ -14,8 +14,8 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Rotation order of ball and free joints about rotating axes: R = Rx · Ry · Rz from the
 # rest frame, as in OpenSim.
-ORDER = "XYZ"
-_SLIDE = re.compile(
+ROTATION_ORDER = "XYZ"
+_SLIDE_SUFFIX = re.compile(
     r"(?:_t|_?trans(?:lation)?_?|\.translation\.)([xyz])|\.slide", re.IGNORECASE
 )
 
@@ -49,7 +49,7 @@ def coordinates_of(rig: Rig) -> list[Coordinate]:
     return coordinates
 
 
-def spellings(rig: Rig) -> dict[str, Coordinate]:
+def accepted_names(rig: Rig) -> dict[str, Coordinate]:
     """Return all accepted column names with their coordinates.
 
     These are ``knee.angle`` and ``knee`` for a pin, ``lift.slide`` and ``lift`` for a
@@ -58,7 +58,7 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
     joint's full name takes precedence over a name with a suffix.
 
     >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
-    >>> list(spellings(door))
+    >>> list(accepted_names(door))
     ['hinge.angle', 'hinge']
     """
     names: dict[str, Coordinate] = {}
@@ -74,8 +74,8 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
-    """Return column names that `spellings` resolves, short ones if unambiguous."""
-    by_name = spellings(rig)
+    """Return column names that `accepted_names` resolves, short ones if unambiguous."""
+    by_name = accepted_names(rig)
     return [
         short
         if by_name[short := _short_name(rig, coordinate)] == coordinate
@@ -126,7 +126,7 @@ def rig_of_columns(name: str, columns: list[str]) -> Rig:
 
 
 def _joint_of_column(column: str) -> Joint:
-    for match in _SLIDE.finditer(column):
+    for match in _SLIDE_SUFFIX.finditer(column):
         if match.end() == len(column):
             axes = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
             axis = axes.get((match[1] or "z").lower(), (0.0, 0.0, 1.0))
@@ -161,7 +161,7 @@ def rows_to_coordinates(
             coordinates[:, at] = np.radians(column) if coordinate.is_angle else column
     for j, angles in rotations.items():
         stop = slices[j].stop
-        coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ORDER)
+        coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ROTATION_ORDER)
     return coordinates
 
 
@@ -178,7 +178,7 @@ def rows_of_coordinates(
             if coordinate.joint_index not in rotations:
                 quaternions = coordinates[:, slice_.stop - 4 : slice_.stop]
                 rotations[coordinate.joint_index] = euler.from_quaternion(
-                    quaternions, ORDER
+                    quaternions, ROTATION_ORDER
                 )
             values[:, c] = rotations[coordinate.joint_index][:, coordinate.axis]
         else:

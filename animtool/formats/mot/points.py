@@ -17,18 +17,18 @@ from animtool.formats.delimited import read_lines
 from animtool.formats.mot.table import (
     MotHeader,
     check_times,
-    numbers_of,
+    parse_numbers,
     read_header,
     read_rows,
 )
 from animtool.formats.row_times import (
-    LAST_START,
+    MAX_START_FRAME,
     RowFrames,
     find_steps,
     has_few_empty_frames,
     is_rate_of,
     rate_of_step,
-    rounding_of,
+    rounding_error,
 )
 from animtool.formats.trajectories import MarkerFile
 from animtool.motion.markers import Markers
@@ -80,24 +80,24 @@ def read_points(
             line.replace(b",", b"\t") for line in lines[header.begin :]
         ]
     rows = read_rows(path, lines, header, width, file.notices)
-    values = numbers_of(path, rows, width)
+    values = parse_numbers(path, rows, width)
     message = f"{counted(len(header.names), 'column')} of vectors are read as positions"
     hint = "forces and other vectors are not markers"
     file.note("MOF111", f"{message}: {listed(list(header.names[:3]))}", hint)
     length = file.unit(header.unit, unit, LengthUnit.M)
     names, axis = file.names(header.names, subject), file.up(None, up)
     positions = values[:, 1:].reshape(len(values), -1, 3).copy()
-    positions = file.cleaned(positions, length.meters)
+    positions = file.clean_positions(positions, length.meters)
     times = values[:, 0]
     check_times(path, times, rows.lines)
-    frames = _frames(file, header, times, rounding_of(rows.decimals(0)), fps)
+    frames = _row_frames(file, header, times, rounding_error(rows.decimals(0)), fps)
     positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices, begin = tuple(file.notices), frames.begin
     return Markers(names, clock, positions, axis, notices=notices, begin=begin)
 
 
-def _frames(
+def _row_frames(
     file: MarkerFile,
     header: MotHeader,
     times: FloatArray,
@@ -108,7 +108,7 @@ def _frames(
     stated_rate, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
         rate, at = file.rate(stated_rate, fps), np.arange(count, dtype=np.float64)
-        return _rows_from(times, rate, at, rounding)
+        return _rows_from_times(times, rate, at, rounding)
     steps = find_steps(times, None, stated_rate, rounding)
     intervals = int(steps.frames[-1]) if steps.regular else 1
     exact_rate = rate_of_step(steps.step, rounding, intervals)
@@ -140,13 +140,13 @@ def _frames(
             f"{counted(absent, 'frame')} without a row; markers have no positions there"
         )
         file.warn("MOF105", message)
-    return _rows_from(times, exact_rate, at, rounding)
+    return _rows_from_times(times, exact_rate, at, rounding)
 
 
-def _rows_from(
+def _rows_from_times(
     times: FloatArray, rate: Fraction, at: FloatArray, rounding: float
 ) -> RowFrames:
     first_frame = float(times[0]) * float(rate)
-    start = round(first_frame) + 1 if abs(first_frame) < LAST_START else 1
+    start = round(first_frame) + 1 if abs(first_frame) < MAX_START_FRAME else 1
     exact = abs(first_frame - (start - 1)) <= 3 * rounding * float(rate)
     return RowFrames(rate, start, at, None if exact else float(times[0]))

@@ -23,19 +23,19 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
     Coordinate,
+    accepted_names,
     plain_name,
     rig_of_columns,
     rows_to_coordinates,
-    spellings,
 )
 from animtool.formats.mot.table import MotionTable, check_once, read_table
 from animtool.formats.row_times import (
-    LAST_START,
+    MAX_START_FRAME,
     STEP_TOLERANCE,
     fit_frames,
     median_step,
     rate_of_step,
-    rounding_of,
+    rounding_error,
 )
 from animtool.ik.sub_rig import with_mimics
 from animtool.maths.filters import fill_gaps
@@ -47,7 +47,7 @@ from animtool.rig.skeleton import Rig
 
 # Maximum frames per row at irregular times. More are gaps, and filling these would be
 # invented motion.
-MAX_FRAMES_EACH = 10
+MAX_FRAMES_PER_ROW = 10
 # Two revolutions [rad]: joints of a body rotate less, and values in degrees soon exceed
 # it.
 MAX_RADIANS = 4 * np.pi
@@ -62,7 +62,7 @@ def read_mot(
     """Open an OpenSim motion file (MOT, STO) as a take.
 
     Columns are coordinates of a rig by name, see
-    `animtool.formats.mot.coordinates.spellings`: angles in degrees or radians, as the
+    `animtool.formats.mot.coordinates.accepted_names`: angles in degrees or radians, as
     header states, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
     Rows at irregular times are resampled linearly.
 
@@ -106,7 +106,7 @@ def read_mot(
         notices += _degrees_notice(str(path), names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
     rate, values, even_notices = _resampled_rows(table, values, option)
-    motion = _motion(target, columns, values)
+    motion = _build_motion(target, columns, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
         "columns": len(table.names),
@@ -119,7 +119,9 @@ def read_mot(
         details["rig"] = str(rig)
         notices = [*target.notices, *notices]
     first_frame = float(table.times[0]) * float(rate)
-    start = Fraction(round(first_frame) + 1) if abs(first_frame) < LAST_START else None
+    start = (
+        Fraction(round(first_frame) + 1) if abs(first_frame) < MAX_START_FRAME else None
+    )
     return TakeStream(
         target,
         rate,
@@ -170,7 +172,7 @@ def _matched_columns(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
     """Return columns known to the rig, their coordinates, and unknown names."""
-    by_name = spellings(rig)
+    by_name = accepted_names(rig)
     table_columns, columns, unmatched = [], [], []
     for c, name in enumerate(table.names):
         coordinate = by_name.get(plain_name(name) or "")
@@ -208,13 +210,13 @@ def _resampled_rows(
         )
         raise FormatError(Fault("MOF006", message, path, (), hint))
     span = float(times[-1] - times[0])
-    rounding = rounding_of(table.decimals)
+    rounding = rounding_error(table.decimals)
     steps = fit_frames(times, np.arange(len(times)), rounding)
     if steps.regular:
-        return _rate(path, steps.step, rounding, len(times) - 1), values, []
-    rate = _rate(path, median_step(times), rounding, 1)
+        return _table_rate(path, steps.step, rounding, len(times) - 1), values, []
+    rate = _table_rate(path, median_step(times), rounding, 1)
     count = span * float(rate) + 1
-    if count > MAX_FRAMES_EACH * len(times):
+    if count > MAX_FRAMES_PER_ROW * len(times):
         message = f"{len(times)} rows span {count:.3g} frames at {float(rate):g} fps"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
@@ -234,7 +236,7 @@ def _resampled_rows(
     )
 
 
-def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
+def _table_rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
     rate = rate_of_step(step, rounding, frames)
     if rate is None:
         message = f"has a row every {step:g} s"
@@ -243,7 +245,7 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
     return rate
 
 
-def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
+def _build_motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
     coordinates = rows_to_coordinates(rig, columns, values)
     animated_joints = {
         rig.joints[coordinate.joint_index].name for coordinate in columns

@@ -11,11 +11,11 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt,
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
-    BLANK,
+    BLANKS,
     TextRows,
-    decoded,
+    decode_text,
     gather_rows,
-    number_of,
+    parse_number,
     read_lines,
     separator_of,
     split_cells,
@@ -26,21 +26,28 @@ MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 10_000
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 # OpenSim data types with one number per cell.
-_NUMBERS = {"", "double", "float", "real"}
-_KINDS = {
+_NUMBER_TYPES = {"", "double", "float", "real"}
+_UNSUPPORTED_TYPES = {
     "quaternion": "orientations (w, x, y, z)",
     "vec": "vectors",
     "unitvec": "directions",
     "spatialvec": "rotations and translations",
     "spatial": "rotations and translations",
 }
-_IMU = (
+_IMU_HINT = (
     "OpenSim's IMU inverse kinematics turns orientations of sensors into "
     "coordinates: opensim-cmd run-tool imu_ik.xml; its MOT is read"
 )
-_POINTS = "animtool convert writes them as markers: .trc, .c3d or .npz"
-_HINTS = {"quaternion": _IMU, "vec3": _POINTS}
-_YES = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
+_POINTS_HINT = "animtool convert writes them as markers: .trc, .c3d or .npz"
+_TYPE_HINTS = {"quaternion": _IMU_HINT, "vec3": _POINTS_HINT}
+_BOOLEAN_WORDS = {
+    "yes": True,
+    "true": True,
+    "1": True,
+    "no": False,
+    "false": False,
+    "0": False,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +95,7 @@ def read_table(path: Path) -> MotionTable:
     notices: list[Fault] = []
     rows = read_rows(path, lines, header, len(names) + 1, notices)
     decimals, numbers = rows.decimals(0), rows.lines
-    values = numbers_of(path, rows, len(names) + 1)
+    values = parse_numbers(path, rows, len(names) + 1)
     counts = {"rows": len(values), "columns": len(names) + 1}
     for noun, count in counts.items():
         if noun in stated_counts and stated_counts[noun] != count:
@@ -114,7 +121,9 @@ def read_table(path: Path) -> MotionTable:
     )
 
 
-def _error(code: str, path: Path, message: str, line: int | None = None) -> FormatError:
+def _table_error(
+    code: str, path: Path, message: str, line: int | None = None
+) -> FormatError:
     lines = () if line is None else (line,)
     return FormatError(Fault(code, message, str(path), lines))
 
@@ -152,14 +161,14 @@ class MotHeader:
 def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     """Return the header (MOF001) and column names (MOF002, MOF004)."""
     at = _end_of_header(path, lines)
-    counts, degrees, texts = _header(lines[:at])
+    counts, degrees, texts = _parse_header(lines[:at])
     names_line = next(
-        (i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None
+        (i for i in range(at + 1, len(lines)) if lines[i].strip(BLANKS)), None
     )
     if names_line is None:
-        raise _error("MOF002", path, "ends after its header", at + 1)
+        raise _table_error("MOF002", path, "ends after its header", at + 1)
     separator = separator_of(lines[names_line])
-    names = _names(path, lines[names_line], separator, names_line + 1)
+    names = _column_names(path, lines[names_line], separator, names_line + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
     in_degrees_text = texts.get("indegrees", "")
     return MotHeader(
@@ -169,13 +178,13 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
 
 def _end_of_header(path: Path, lines: list[bytes]) -> int:
     for i, line in enumerate(lines[:MAX_HEADER_LINES]):
-        if line.strip(BLANK).lower() == b"endheader":
+        if line.strip(BLANKS).lower() == b"endheader":
             return i
     message = "has no line 'endheader', which ends the header of OpenSim's files"
-    raise _error("MOF001", path, message)
+    raise _table_error("MOF001", path, message)
 
 
-def _header(
+def _parse_header(
     lines: list[bytes],
 ) -> tuple[dict[str, float], bool | None, dict[str, str]]:
     """Parse counts, angle unit and texts of a header."""
@@ -184,7 +193,7 @@ def _header(
     degrees = None
     stated_degrees = None
     for line in lines:
-        text = decoded(line).strip(" \t,;").lower()
+        text = decode_text(line).strip(" \t,;").lower()
         key, _, value = (text_.strip() for text_ in text.partition("="))
         if not value:
             # SIMM writes: datarows 250.
@@ -202,13 +211,13 @@ def _header(
         if what and value.isascii() and value.isdigit() and len(value) < 300:
             counts[what] = float(value)
         elif key in {"datatype", "units"}:
-            texts[key] = decoded(line).partition("=")[2].strip(" \t,;")
-        elif key == "datarate" and (rate := number_of(value)) is not None:
+            texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
+        elif key == "datarate" and (rate := parse_number(value)) is not None:
             counts["rate"] = rate
         elif key == "indegrees":
-            degrees = _YES.get(value, degrees)
-            if value not in _YES:
-                texts[key] = decoded(line).partition("=")[2].strip(" \t,;")
+            degrees = _BOOLEAN_WORDS.get(value, degrees)
+            if value not in _BOOLEAN_WORDS:
+                texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
             stated_degrees = {"degrees": True, "radians": False}.get(
                 text[14:].rstrip(". "), stated_degrees
@@ -216,22 +225,24 @@ def _header(
     return counts, stated_degrees if degrees is None else degrees, texts
 
 
-def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str, ...]:
-    text = line.strip(BLANK if separator == b" " else b" " + separator)
+def _column_names(
+    path: Path, line: bytes, separator: bytes, number: int
+) -> tuple[str, ...]:
+    text = line.strip(BLANKS if separator == b" " else b" " + separator)
     cells = split_cells(text, separator)
     if cells[0].lower() != "time":
         message = f"the first column is {excerpt(cells[0])}, not time"
-        raise _error("MOF002", path, message, number)
+        raise _table_error("MOF002", path, message, number)
     if len(cells) < 2 or not all(cells):
         problem = (
             "has no column besides the time"
             if len(cells) < 2
             else "has an unnamed column"
         )
-        raise _error("MOF002", path, problem, number)
+        raise _table_error("MOF002", path, problem, number)
     if len(cells) - 1 > MAX_COLUMNS:
         message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
-        raise _error("MOF002", path, message, number)
+        raise _table_error("MOF002", path, message, number)
     names = tuple(cells[1:])
     check_once(path, names, names, number)
     return names
@@ -251,7 +262,7 @@ def check_once(
                 if first_names[key] == name
                 else f"{both_names} are the same coordinate"
             )
-            raise _error("MOF004", path, message, line)
+            raise _table_error("MOF004", path, message, line)
         first_names[key] = name
 
 
@@ -260,26 +271,32 @@ def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     kind, names, begin = header.kind, header.names, header.begin
     separator = header.separator
     row = next(
-        (i for i in range(begin, len(lines)) if lines[i].strip(BLANK)), begin - 1
+        (i for i in range(begin, len(lines)) if lines[i].strip(BLANKS)), begin - 1
     )
     cells = split_cells(lines[row], separator)[1:] if row >= begin else []
     width = max((cell.count(",") + 1 for cell in cells), default=1)
     decimal = width == 2 and b"." not in lines[row]
-    if kind.lower() in _NUMBERS and (width == 1 or separator == b"," or decimal):
+    if kind.lower() in _NUMBER_TYPES and (width == 1 or separator == b"," or decimal):
         return
     stated_kind = f"DataType {excerpt(kind)}" if kind else "no DataType"
     columns = counted(len(names), "column")
     message = f"has {stated_kind}: {columns} of {width} numbers in a cell"
-    kind_label = _KINDS.get(kind.lower().partition("<")[0].rstrip("0123456789_"))
+    kind_label = _UNSUPPORTED_TYPES.get(
+        kind.lower().partition("<")[0].rstrip("0123456789_")
+    )
     message += f" ({kind_label})" if kind_label else ""
     message += f", {listed(list(names[:3]))}"
-    hint = _HINTS.get(kind.lower(), "MOT and STO are read with one number in a cell")
+    hint = _TYPE_HINTS.get(
+        kind.lower(), "MOT and STO are read with one number in a cell"
+    )
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
-def numbers_of(path: Path, rows: TextRows, width: int) -> FloatArray:
+def parse_numbers(path: Path, rows: TextRows, width: int) -> FloatArray:
     """Parse the numbers of rows ``(R, width)`` (MOF003)."""
-    return rows.values(width, lambda text, line: _error("MOF003", path, text, line))
+    return rows.values(
+        width, lambda text, line: _table_error("MOF003", path, text, line)
+    )
 
 
 def read_rows(
@@ -303,12 +320,12 @@ def read_rows(
         # The last row of a truncated file has no line end.
         is_last = row == len(rows.texts) - 1 and line == len(lines)
         if not (is_last and is_short and row):
-            raise _error("MOF003", path, message, line)
+            raise _table_error("MOF003", path, message, line)
         message = f"is truncated: {message}; it is skipped"
         notices.append(Fault("MOF103", message, str(path), (line,), None, warning))
         rows = rows.without_last()
     if not rows.texts:
-        raise _error("MOF003", path, "has no rows")
+        raise _table_error("MOF003", path, "has no rows")
     if rows.decimal_commas:
         message = "numbers have decimal commas: read as such"
         hint = "export it with decimal points, which other programs need"
@@ -326,7 +343,7 @@ def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
         message = f"time {times[row]:g} does not come after the row before"
         if not np.isfinite(times[row]):
             message = "the time is not a finite number"
-        raise _error("MOF005", path, message, int(lines[row]))
+        raise _table_error("MOF005", path, message, int(lines[row]))
 
 
 def _missing_values_warning(

@@ -26,7 +26,7 @@ from animtool.rig.joints import (
 from animtool.rig.skeleton import Rig
 
 # Decimals: a nanometre, and 2e-11 radians.
-DECIMALS = 9
+VALUE_DECIMALS = 9
 # Error of joints that is not reported [m, rad]: a micrometre, also on a bone of a
 # metre.
 LOSS_TOLERANCE = 1e-6
@@ -74,7 +74,9 @@ def mot_text(take: Take) -> TakeText:
             for coordinate in columns
             if coordinate.component == "translation"
         }
-        if not np.round(values[:, _translations(columns, j)], DECIMALS).any()
+        if not np.round(
+            values[:, _translation_columns(columns, j)], VALUE_DECIMALS
+        ).any()
     }
     written_columns = [
         c
@@ -88,7 +90,7 @@ def mot_text(take: Take) -> TakeText:
     begin = float((take.clock.start - 1) / take.clock.fps)
     times = begin + np.arange(take.clock.count) / rate
     rows = np.column_stack([times, values])
-    decimals = [DECIMALS] * rows.shape[1]
+    decimals = [VALUE_DECIMALS] * rows.shape[1]
     return TakeText(
         _header_lines(rig, columns, len(rows)),
         number_rows(rows, decimals, tabs=True),
@@ -96,7 +98,7 @@ def mot_text(take: Take) -> TakeText:
     )
 
 
-def _translations(columns: list[Coordinate], joint: int) -> list[int]:
+def _translation_columns(columns: list[Coordinate], joint: int) -> list[int]:
     return [
         c
         for c, coordinate in enumerate(columns)

@@ -26,9 +26,9 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-MAX_NAMED = 8
+MAX_LISTED_JOINTS = 8
 # Longest name in rig files.
-MAX_NAME = 4000
+MAX_NAME_LENGTH = 4000
 _CONTROL = re.compile(f"[{CONTROL}]")
 
 
@@ -47,7 +47,7 @@ def legal_name(name: str) -> str:
     >>> legal_name("a\x1bb"), legal_name("elbow flex")
     ('a_b', 'elbow flex')
     """
-    return _CONTROL.sub("_", name)[:MAX_NAME]
+    return _CONTROL.sub("_", name)[:MAX_NAME_LENGTH]
 
 
 def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
@@ -55,7 +55,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
 
     The rig has the notices of ``notes``, to which contents that are not read are added.
     """
-    names = _names(robot, notes, codes)
+    names = _choose_names(robot, notes, codes)
     joints: list[Joint] = []
     link_joints: list[int] = []
     colliders: list[Collider] = []
@@ -65,7 +65,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     for i, link in enumerate(robot.links):
         parent = link_joints[link.parent] if link.parent >= 0 else -1
         for robot_joint, name in zip(link.joints, names.joints[i], strict=True):
-            joints.append(_joint(robot_joint, name, parent, rig_names))
+            joints.append(_rig_joint(robot_joint, name, parent, rig_names))
             parent = len(joints) - 1
         carrier = parent
         if not names.merged[i]:
@@ -90,8 +90,8 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         if link.weight is not None:
             masses.append(masses_of(joint_name, link.weight, shift))
     if largest_error:
-        _note_approximate(robot, notes, codes, largest_error)
-    meshes = _meshes(robot, names, joints)
+        _record_approximate(robot, notes, codes, largest_error)
+    meshes = _link_meshes(robot, names, joints)
     if notes.left_out:
         message = f"not read: {listed(list(notes.left_out), 20)}"
         notes.add(codes.left_out, None, message, severity=Severity.NOTE)
@@ -107,7 +107,9 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     )
 
 
-def _meshes(robot: Robot, names: _JointNames, joints: list[Joint]) -> tuple[Mesh, ...]:
+def _link_meshes(
+    robot: Robot, names: _JointNames, joints: list[Joint]
+) -> tuple[Mesh, ...]:
     """Return one rigid mesh per visible link."""
     if not any(link.surfaces for link in robot.links):
         return ()
@@ -140,7 +142,7 @@ def _meshes(robot: Robot, names: _JointNames, joints: list[Joint]) -> tuple[Mesh
     return tuple(meshes)
 
 
-def _joint(
+def _rig_joint(
     robot_joint: RobotJoint, name: str, parent: int, rig_names: Mapping[str, str]
 ) -> Joint:
     mimic, driver = robot_joint.mimic, robot_joint.driver
@@ -170,7 +172,7 @@ class _JointNames:
     of_file: dict[str, str]  # name of each joint, by its name in the file
 
 
-def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
+def _choose_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
     used_names: set[str] = set()
     numbers: dict[str, int] = {}
     renamed: list[str] = []
@@ -218,7 +220,7 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
     }
     if renamed:
         message = f"{counted(len(renamed), 'name')} changed, as links and joints "
-        message += f"of a rig share their names: {listed(renamed, MAX_NAMED)}"
+        message += f"of a rig share their names: {listed(renamed, MAX_LISTED_JOINTS)}"
         notes.add(codes.renamed, None, message, severity=Severity.NOTE)
     return _JointNames(links, joint_names, merged, sites, of_file)
 
@@ -228,7 +230,7 @@ def _is_link(link: Link, joint: RobotJoint) -> bool:
     return joint.name in {"", link.name} and not np.any(link.offset)
 
 
-def _note_approximate(
+def _record_approximate(
     robot: Robot, notes: XmlNotes, codes: RobotCodes, largest_error: float
 ) -> None:
     count = sum(

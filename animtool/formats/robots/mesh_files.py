@@ -13,10 +13,12 @@ from animtool.formats.robots.parts import Triangles
 
 MAX_BYTES = 100_000_000
 MAX_TRIANGLES = 300_000
-MAX_POINT = 1e9
+MAX_COORDINATE = 1e9
 SUFFIXES = (".obj", ".stl")
-_HEADER, _ROW = 84, 50
-_RECORD = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")])
+_HEADER_BYTES, _TRIANGLE_BYTES = 84, 50
+_TRIANGLE_RECORD = np.dtype(
+    [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")]
+)
 
 
 def read_mesh(path: Path) -> Triangles:
@@ -32,21 +34,21 @@ def read_mesh(path: Path) -> Triangles:
         content = read_input(path, MAX_BYTES)
     except FormatError as error:
         raise ValueError(error.faults[0].message) from error
-    mesh = _obj(content) if suffix == ".obj" else _stl(content)
+    mesh = _parse_obj(content) if suffix == ".obj" else _parse_stl(content)
     if not len(mesh.faces):
         raise ValueError("it holds no faces")
     if len(mesh.faces) > MAX_TRIANGLES:
         raise ValueError(f"it has more than {MAX_TRIANGLES:,} triangles")
-    if not np.isfinite(mesh.points).all() or np.abs(mesh.points).max() > MAX_POINT:
+    if not np.isfinite(mesh.points).all() or np.abs(mesh.points).max() > MAX_COORDINATE:
         raise ValueError("it has points that are not finite, or too far")
     return mesh
 
 
-def _stl(content: bytes) -> Triangles:
-    if len(content) >= _HEADER:
+def _parse_stl(content: bytes) -> Triangles:
+    if len(content) >= _HEADER_BYTES:
         count = int.from_bytes(content[80:84], "little")
-        if len(content) == _HEADER + _ROW * count:
-            rows = np.frombuffer(content, _RECORD, offset=_HEADER)
+        if len(content) == _HEADER_BYTES + _TRIANGLE_BYTES * count:
+            rows = np.frombuffer(content, _TRIANGLE_RECORD, offset=_HEADER_BYTES)
             return _separate_triangles(rows["points"].reshape(-1, 3).astype(np.float64))
     if content[:5].lower() != b"solid":
         raise ValueError("it is not an STL, or is truncated")
@@ -66,7 +68,7 @@ def _separate_triangles(points: FloatArray) -> Triangles:
     return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
 
 
-def _obj(content: bytes) -> Triangles:
+def _parse_obj(content: bytes) -> Triangles:
     points: list[list[float]] = []
     faces: list[list[int]] = []
     for line in content.splitlines():
@@ -77,7 +79,9 @@ def _obj(content: bytes) -> Triangles:
             if words[0] == b"v":
                 points.append([float(word) for word in words[1:4]])
             elif words[0] == b"f":
-                faces += _fan([int(word.split(b"/")[0]) for word in words[1:]], points)
+                faces += _fan_triangles(
+                    [int(word.split(b"/")[0]) for word in words[1:]], points
+                )
         except ValueError as error:
             raise ValueError(f"a line of it is malformed: {error}") from error
         if len(faces) > MAX_TRIANGLES:
@@ -90,7 +94,7 @@ def _obj(content: bytes) -> Triangles:
     return Triangles(np.array(points, np.float64).reshape(-1, 3), triangles)
 
 
-def _fan(corners: list[int], points: list[list[float]]) -> list[list[int]]:
+def _fan_triangles(corners: list[int], points: list[list[float]]) -> list[list[int]]:
     """Return the triangles of a face; negative corners count from the last point."""
     indices = [i - 1 if i > 0 else len(points) + i for i in corners]
     return [

@@ -134,10 +134,10 @@ def to_number(text: str) -> float | None:
     return None
 
 
-def label(kind: str, name: str) -> str:
+def element_label(kind: str, name: str) -> str:
     """Return a joint's or link's label for messages.
 
-    >>> label("joint", "elbow flex")
+    >>> element_label("joint", "elbow flex")
     "joint 'elbow flex'"
     """
     return f"{kind} {excerpt(name)}"

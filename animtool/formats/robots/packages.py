@@ -12,11 +12,11 @@ from animtool.core.files.reading import exists
 from animtool.core.record import dataclass
 from animtool.formats.robots.xml import XmlCodes, read_xml
 
-_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
-_PACKAGES = {"package", "model"}
+_URI_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
+_PACKAGE_SCHEMES = {"package", "model"}
 # Maximum number of parent folders that are searched for a file's package.
-MAX_ABOVE = 12
-PACKAGE = "package.xml"
+MAX_PARENT_FOLDERS = 12
+PACKAGE_FILE = "package.xml"
 
 
 class OutsideError(ValueError):
@@ -46,7 +46,7 @@ class PackageFolders:
         """
         folder = path.resolve().parent
         packages: dict[str, Path] = {}
-        for parent in [folder, *folder.parents][:MAX_ABOVE]:
+        for parent in [folder, *folder.parents][:MAX_PARENT_FOLDERS]:
             if parent == Path(parent.anchor):
                 break
             name = _package_name(parent, codes)
@@ -62,17 +62,17 @@ class PackageFolders:
         Raises:
             OutsideError: It points outside the project.
         """
-        scheme = _SCHEME.fullmatch(name)
+        scheme = _URI_SCHEME.fullmatch(name)
         if scheme is None:
             return self._inside_project(self.folder / name, name)
         kind, location = scheme[1].lower(), scheme[2]
         if kind == "file":
             return self._inside_project(Path("/" + location.lstrip("/")), name)
-        if kind not in _PACKAGES:
+        if kind not in _PACKAGE_SCHEMES:
             raise OutsideError(f"{kind}:// is of a network, and is never opened")
         # Some writers add a third slash.
         package, _, relative = location.lstrip("/").partition("/")
-        candidates = [folder for folder in self._folders(package) if relative]
+        candidates = [folder for folder in self._candidate_folders(package) if relative]
         for folder in candidates:
             path = self._inside_project(folder / relative, name)
             if path is not None:
@@ -82,7 +82,7 @@ class PackageFolders:
             self._inside_project(self.folder / package / relative, name)
         return None
 
-    def _folders(self, package: str) -> list[Path]:
+    def _candidate_folders(self, package: str) -> list[Path]:
         """Return candidate folders of a package."""
         folders = []
         if package in self.packages:
@@ -112,7 +112,7 @@ def _folder_list(roots: Sequence[Path]) -> str:
 
 def _package_name(folder: Path, codes: XmlCodes) -> str:
     """Return the ROS package name of a folder; empty if it is not a package."""
-    file = folder / PACKAGE
+    file = folder / PACKAGE_FILE
     if not exists(file):
         return ""
     try:

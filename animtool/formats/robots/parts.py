@@ -69,7 +69,7 @@ class Triangles:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weight:
+class LinkMass:
     """Mass and inertia of a link in its frame."""
 
     mass: float  # [kg]
@@ -98,7 +98,7 @@ class Link:
     offset: Vector = ORIGIN
     solids: list[SimpleShape] = field(default_factory=list)
     surfaces: list[Triangles] = field(default_factory=list)
-    weight: Weight | None = None
+    weight: LinkMass | None = None
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)
 
 
@@ -115,13 +115,13 @@ class Robot:
     links: list[Link]
 
 
-def vector(values: FloatArray) -> Vector:
+def float_vector(values: FloatArray) -> Vector:
     """Return an array's three numbers without negative zeros."""
     x, y, z = (np.asarray(values, np.float64) + 0.0).tolist()
     return (x, y, z)
 
 
-def quaternion(values: FloatArray) -> Quaternion:
+def float_quaternion(values: FloatArray) -> Quaternion:
     """Return an array's four numbers (x, y, z, w) without negative zeros."""
     x, y, z, w = (np.asarray(values, np.float64) + 0.0).tolist()
     return (x, y, z, w)

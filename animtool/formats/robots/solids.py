@@ -7,7 +7,12 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.formats.robots.parts import SimpleShape, Weight, quaternion, vector
+from animtool.formats.robots.parts import (
+    LinkMass,
+    SimpleShape,
+    float_quaternion,
+    float_vector,
+)
 from animtool.maths import so3
 from animtool.rig.mass_entries import inertia_problem
 from animtool.rig.parts import Capsule, Mass, Vector
@@ -38,7 +43,7 @@ def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
         radius, length, error = _box_capsule(*sorted(sides.tolist()))
     axis = so3.rotate(solid.rotation, direction)
     offset = np.array(solid.position) + np.array(shift)
-    return Capsule(radius, length, vector(axis), vector(offset)), error
+    return Capsule(radius, length, float_vector(axis), float_vector(offset)), error
 
 
 def _cylinder_capsule(radius: float, height: float) -> tuple[float, float, float]:
@@ -59,14 +64,14 @@ def _box_capsule(
     return radius, length, max(corner - radius, radius - shortest / 2)
 
 
-def masses_of(joint: str, weight: Weight, shift: Vector) -> Mass:
+def masses_of(joint: str, weight: LinkMass, shift: Vector) -> Mass:
     """Return a rig joint's mass; ``shift`` is from joint to link."""
     principal, axes = np.linalg.eigh(weight.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     a, b, c = np.maximum(principal, 0.0).tolist()
-    centre = vector(np.array(weight.centre) + np.array(shift))
-    rotation = quaternion(so3.from_matrix(axes))
+    centre = float_vector(np.array(weight.centre) + np.array(shift))
+    rotation = float_quaternion(so3.from_matrix(axes))
     return Mass(joint, weight.mass, centre, (a, b, c), rotation)
 
 

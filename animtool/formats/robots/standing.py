@@ -15,7 +15,7 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
 # Arbitrary: one frame has no rate.
-RATE = Fraction(24)
+POSE_RATE = Fraction(24)
 
 
 def zero_coordinates(rig: Rig) -> FloatArray:
@@ -40,7 +40,7 @@ def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )
     single_frame = Fraction(1)
-    stream = TakeStream(rig, RATE, single_frame, single_frame, iter([motion]))
+    stream = TakeStream(rig, POSE_RATE, single_frame, single_frame, iter([motion]))
     stream.notices += rig.notices
     stream.details = {"format": format_name}
     return stream

@@ -32,10 +32,10 @@ def triangles_of(solid: SimpleShape) -> Triangles:
     (24, 12, [0.5, 1.0, 1.5])
     """
     if solid.kind == "box":
-        shape = _box(np.array(solid.size))
+        shape = _box_faces(np.array(solid.size))
     elif solid.kind == "cylinder":
         radius, length = solid.size
-        shape = _cylinder(radius, length)
+        shape = _cylinder_faces(radius, length)
     else:
         length = solid.size[1] if solid.kind == "capsule" else 0.0
         shape = _sphere_or_capsule(solid.size[0], length)
@@ -43,7 +43,7 @@ def triangles_of(solid: SimpleShape) -> Triangles:
     return Triangles(points + np.array(solid.position), shape.faces)
 
 
-def _box(size: FloatArray) -> Triangles:
+def _box_faces(size: FloatArray) -> Triangles:
     square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     sides = []
     for axis in range(3):
@@ -55,13 +55,13 @@ def _box(size: FloatArray) -> Triangles:
     return merged_surfaces(sides)
 
 
-def _circle(count: int = CIRCLE_CORNERS) -> FloatArray:
+def _circle_points(count: int = CIRCLE_CORNERS) -> FloatArray:
     angles = 2 * math.pi * np.arange(count) / count
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _cylinder(radius: float, length: float) -> Triangles:
-    circle = _circle() * radius
+def _cylinder_faces(radius: float, length: float) -> Triangles:
+    circle = _circle_points() * radius
     rings = [
         np.column_stack([circle, np.full(CIRCLE_CORNERS, z * length)])
         for z in (-0.5, 0.5)
@@ -93,7 +93,7 @@ def _sphere_or_capsule(radius: float, length: float) -> Triangles:
     rings = [
         np.column_stack(
             [
-                _circle() * radius * math.cos(h),
+                _circle_points() * radius * math.cos(h),
                 np.full(CIRCLE_CORNERS, radius * math.sin(h) + side * length),
             ]
         )

@@ -16,9 +16,9 @@ from animtool.core.record import dataclass
 MAX_ELEMENTS = 300_000
 MAX_DEPTH = 500
 MAX_ATTRIBUTES = 100
-MAX_VALUE = 100_000  # longest attribute value [characters]
+MAX_VALUE_LENGTH = 100_000  # longest attribute value [characters]
 # Longest text of an element that is read, such as the name of a package.
-MAX_TEXT = 1000
+MAX_TEXT_LENGTH = 1000
 
 
 @dataclass(slots=True, eq=False)
@@ -137,9 +137,9 @@ class _TreeBuilder:
         if reason in {errors.XML_ERROR_UNCLOSED_TOKEN, errors.XML_ERROR_NO_ELEMENTS}:
             reason = "the file holds no element"
             if self._open:
-                reason = f"the file ends inside <{self._inner()}>"
+                reason = f"the file ends inside <{self._innermost_element()}>"
         elif reason == errors.XML_ERROR_TAG_MISMATCH and self._open:
-            reason = f"<{self._inner()}> is closed by another name"
+            reason = f"<{self._innermost_element()}> is closed by another name"
             hint = f"it begins in line {self._open[-1].line}"
         elif reason == errors.XML_ERROR_UNDEFINED_ENTITY:
             reason = "an entity that XML does not define"
@@ -151,7 +151,7 @@ class _TreeBuilder:
             (error.lineno, error.offset + 1),
         )
 
-    def _inner(self) -> str:
+    def _innermost_element(self) -> str:
         return self._open[-1].tag[:60] if self._open else "?"
 
     def _fail(
@@ -176,9 +176,9 @@ class _TreeBuilder:
             message = f"elements are nested deeper than {MAX_DEPTH}"
             raise _InvalidXmlError(self._codes.limits, message, hint)
         longest = max(map(len, attributes.values()), default=0)
-        if len(attributes) > MAX_ATTRIBUTES or longest > MAX_VALUE:
+        if len(attributes) > MAX_ATTRIBUTES or longest > MAX_VALUE_LENGTH:
             message = f"<{excerpt(tag)[1:-1]}> has more than {MAX_ATTRIBUTES} "
-            message += f"attributes, or one of more than {MAX_VALUE:,} letters"
+            message += f"attributes, or one of more than {MAX_VALUE_LENGTH:,} letters"
             raise _InvalidXmlError(self._codes.limits, message, hint)
         line = self._parser.CurrentLineNumber + self._skipped_lines
         column = self._parser.CurrentColumnNumber + 1
@@ -194,8 +194,8 @@ class _TreeBuilder:
 
     def _text(self, text: str) -> None:
         element = self._open[-1]
-        if len(element.text) < MAX_TEXT:
-            element.text += text[:MAX_TEXT]
+        if len(element.text) < MAX_TEXT_LENGTH:
+            element.text += text[:MAX_TEXT_LENGTH]
 
     def _doctype(self, *_names: object) -> int:
         message = "it has a DTD, and so may have entities: these are not read"

@@ -15,11 +15,11 @@ from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import (
-    BLANK,
+    BLANKS,
     TextRows,
-    decoded,
+    decode_text,
     gather_rows,
-    number_of,
+    parse_number,
     read_lines,
     row_separator,
     separator_of,
@@ -33,8 +33,8 @@ from animtool.motion.markers import Markers
 
 MAX_MARKERS = 10_000
 # Maximum header lines before the marker names.
-MAX_LINES = 12
-_NAMES = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
+MAX_HEADER_LINES = 12
+_NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +68,17 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     Raises:
         FormatError: They are not those of a TRC (TRC001).
     """
-    first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANK + b'"'))[0].strip(b'"')
+    first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANKS + b'"'))[0].strip(b'"')
     if first_word.lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
-    starts = [_NAMES.match(line) for line in lines[:MAX_LINES]]
+    starts = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
     at = next((i for i, start in enumerate(starts) if start), 0)
-    lines_above = [i for i in range(1, at) if lines[i].strip(BLANK)]
+    lines_above = [i for i in range(1, at) if lines[i].strip(BLANKS)]
     if len(lines_above) < 2:
         missing_line = "line that starts with Frame#" if not at else "DataRate line"
-        raise file.error("TRC001", f"no {missing_line} in the first {MAX_LINES} lines")
+        raise file.error(
+            "TRC001", f"no {missing_line} in the first {MAX_HEADER_LINES} lines"
+        )
     values = _header_values(lines[lines_above[-2]], lines[lines_above[-1]])
     start = starts[at]
     assert start is not None
@@ -89,10 +91,10 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
         begin += 1
     row = lines[begin] if begin < len(lines) else b""
     return TrcHeader(
-        number_of(values.get("datarate")),
+        parse_number(values.get("datarate")),
         values.get("units"),
-        number_of(values.get("numframes")),
-        number_of(values.get("nummarkers")),
+        parse_number(values.get("numframes")),
+        parse_number(values.get("nummarkers")),
         names,
         axes,
         begin,
@@ -114,7 +116,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
         values = cells if len(cells) <= len(keys) else values
     names = [key.lower() for key in keys]
     unit = names.index("units") if "units" in names else len(values)
-    if unit < len(values) == len(keys) - 1 and number_of(values[unit]) is not None:
+    if unit < len(values) == len(keys) - 1 and parse_number(values[unit]) is not None:
         values.insert(unit, "")  # an empty unit between blanks has no cell
     return dict(zip(names, values, strict=False))
 
@@ -126,13 +128,13 @@ def _names_of_header(
     if separator == b" " and (line_separator := separator_of(line)) != b" ":
         separator = line_separator
     if separator == b" ":
-        names = [decoded(cell) for cell in line.split()[2:]]
+        names = [decode_text(cell) for cell in line.split()[2:]]
     else:
         cells = split_cells(line.rstrip(b" " + separator), separator)
         names = cells[2::3]
         if any(cell for i, cell in enumerate(cells[2:]) if i % 3):
             names = [cell for cell in cells[2:] if cell]  # one column per name
-            names = _stems(names) or names
+            names = _stems_of_columns(names) or names
     while names and not names[-1]:
         names.pop()
     if len(names) > MAX_MARKERS:
@@ -141,10 +143,10 @@ def _names_of_header(
     return names
 
 
-def _stems(cells: list[str]) -> list[str]:
+def _stems_of_columns(cells: list[str]) -> list[str]:
     """Return marker names of columns such as ``head_X``; else empty.
 
-    >>> _stems(["Hip_X", "Hip_Y", "Hip_Z", "kneeX", "kneeY", "kneeZ"])
+    >>> _stems_of_columns(["Hip_X", "Hip_Y", "Hip_Z", "kneeX", "kneeY", "kneeZ"])
     ['Hip', 'knee']
     """
     names = [cell[:-1].rstrip("_-. :") for cell in cells]
@@ -157,7 +159,7 @@ def _stems(cells: list[str]) -> list[str]:
 
 def _is_heading(line: bytes) -> bool:
     """Return whether a line is not a row of numbers."""
-    text = line.strip(BLANK)
+    text = line.strip(BLANKS)
     return not text or text[:1].upper() in {b"X", b"Y", b"Z"}
 
 
@@ -231,7 +233,7 @@ def read_trc(
     lines = read_lines(path)
     header = read_header(file, lines)
     rows = gather_rows(lines, header.begin, header.separator)
-    names = _names(file, header, rows)
+    names = _marker_names(file, header, rows)
     rows = _complete_rows(
         file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names)
     )
@@ -257,7 +259,7 @@ def read_trc(
         file.warn("TRC101", f"{message}{len(values)}; all are read")
     positions = values[:, 2:].reshape(len(values), -1, 3).copy()
     labels = file.names(names, subject)
-    positions = file.cleaned(positions, length.meters)
+    positions = file.clean_positions(positions, length.meters)
     frames = frames_of_rows(
         file, values[:, :2], rows.lines, decimals, header.rate, fps, len(names)
     )
@@ -267,7 +269,7 @@ def read_trc(
     return Markers(labels, clock, positions, axis, notices=notices, begin=frames.begin)
 
 
-def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
+def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
     """Return marker names for the rows' columns, empty for unnamed markers."""
     if not rows.texts:
         if not header.names:

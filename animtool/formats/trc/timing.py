@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, counted
 from animtool.core.rates import FractionLike, rate_from_float
 from animtool.formats.row_times import (
-    LAST_START,
+    MAX_START_FRAME,
     STEP_TOLERANCE,
     RowFrames,
     TimeSteps,
@@ -19,7 +19,7 @@ from animtool.formats.row_times import (
     has_few_empty_frames,
     is_rate_of,
     rate_of_step,
-    rounding_of,
+    rounding_error,
 )
 from animtool.formats.trajectories import MarkerFile
 
@@ -59,18 +59,18 @@ def frames_of_rows(
         if counted_frames is None:
             _warn_numbers(file, numbers, lines, "each row is one frame")
         at = np.arange(len(times)) if counted_frames is None else counted_frames
-        start, begin = _start(numbers[0]), None
+        start, begin = _start_frame(numbers[0]), None
     else:
         _check_times(file, numbers, times, lines)
-        rounding = rounding_of(decimals)
+        rounding = rounding_error(decimals)
         steps = find_steps(times, counted_frames, stated_rate, rounding)
-        rate = _rate(file, steps, stated_rate, rounding)
+        rate = _rate_of_times(file, steps, stated_rate, rounding)
         if not steps.regular:
             with np.errstate(over="ignore"):
                 at_times = (times - times[0]) * float(rate)
             _check_gaps(file, at_times, markers, lines)
             _warn_irregular(file, steps, times, rate, lines)
-            start = _start(numbers[0])
+            start = _start_frame(numbers[0])
             return RowFrames(rate, start, at_times, float(times[0]))
         at = steps.frames
         start, begin = _first_frame_and_time(file, columns, at, lines, rate, rounding)
@@ -82,7 +82,7 @@ def frames_of_rows(
 def _counted_frames(numbers: FloatArray) -> IntArray | None:
     """Return frames from 0 by Frame#; None if it does not count by one."""
     first_number = numbers[0]
-    usable = np.isfinite(numbers) & (np.abs(numbers) < LAST_START)
+    usable = np.isfinite(numbers) & (np.abs(numbers) < MAX_START_FRAME)
     if not usable.all() or not np.array_equal(np.floor(numbers), numbers):
         return None
     steps = np.diff(numbers)
@@ -92,12 +92,12 @@ def _counted_frames(numbers: FloatArray) -> IntArray | None:
     return np.asarray((numbers - first_number).astype(np.int64) // stride, np.int64)
 
 
-def _start(number: float) -> int:
+def _start_frame(number: float) -> int:
     is_integer = np.isfinite(number) and number == np.floor(number)
-    return int(number) if is_integer and abs(number) < LAST_START else 1
+    return int(number) if is_integer and abs(number) < MAX_START_FRAME else 1
 
 
-def _frame(number: float, line: int) -> str:
+def _frame_number(number: float, line: int) -> str:
     is_number = np.isfinite(number)
     return f"frame {number:g} in line {line}" if is_number else f"line {line}"
 
@@ -113,10 +113,10 @@ def _check_times(
     if not len(rows):
         return
     row, other_count = int(rows[0]), len(rows) - 1
-    row_frame = _frame(numbers[row], int(lines[row]))
+    row_frame = _frame_number(numbers[row], int(lines[row]))
     message = f"the time of {row_frame} is not a finite number"
     if np.isfinite(times[row]):
-        previous_frame = _frame(numbers[row - 1], int(lines[row - 1]))
+        previous_frame = _frame_number(numbers[row - 1], int(lines[row - 1]))
         is_repeated = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
         relation = "repeats" if is_repeated else "does not come after"
         message = f"{row_frame}, at {times[row]:g} s, {relation} {previous_frame}, at "
@@ -130,7 +130,7 @@ def _check_times(
     raise FormatError(Fault("TRC003", message, file.path, at, hint))
 
 
-def _rate(
+def _rate_of_times(
     file: MarkerFile, steps: TimeSteps, stated_rate: float | None, rounding: float
 ) -> Fraction:
     """Return the rate of the times; the header's if it fits."""
@@ -249,7 +249,7 @@ def _first_frame_and_time(
     Warns if Frame# and Time disagree.
     """
     numbers, times = columns[:, 0], columns[:, 1]
-    start = _start(numbers[0])
+    start = _start_frame(numbers[0])
     by_time = times[0] * float(rate) + 1
     if _counted_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are placed by Time")

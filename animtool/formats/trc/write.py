@@ -14,7 +14,7 @@ from animtool.core.units import UpAxis
 from animtool.motion.markers import Markers
 
 # Decimals [mm]: finer than any camera resolves.
-DECIMALS = 6
+POSITION_DECIMALS = 6
 ROWS_AT_ONCE = 4096
 
 
@@ -76,7 +76,7 @@ def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
     seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
     if markers.begin is not None:
         seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
-    decimals = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
+    decimals = np.array([0, 9, *[POSITION_DECIMALS] * (3 * count)], np.int64)
     for begin in range(0, frames, ROWS_AT_ONCE):
         frames_ = slice(begin, begin + ROWS_AT_ONCE)
         block = markers.positions[frames_].reshape(-1, 3 * count) * 1000.0
@@ -86,10 +86,10 @@ def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
             [numbers, seconds[frames_], np.where(is_missing, 0.0, block)]
         )
         text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
-        yield _without_nan(text, is_missing)
+        yield _blank_missing(text, is_missing)
 
 
-def _without_nan(text: bytes, is_missing: BoolArray) -> bytes:
+def _blank_missing(text: bytes, is_missing: BoolArray) -> bytes:
     """Return tab-separated rows with missing cells empty.
 
     A tab follows the last cell if it is empty, as OpenSim requires.

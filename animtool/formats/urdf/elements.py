@@ -7,8 +7,8 @@ from dataclasses import field
 from enum import StrEnum
 
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import XmlNotes, label
-from animtool.formats.robots.parts import ORIGIN, SimpleShape, Weight
+from animtool.formats.robots.notes import XmlNotes, element_label
+from animtool.formats.robots.parts import ORIGIN, LinkMass, SimpleShape
 from animtool.formats.robots.xml import XmlCodes, XmlElement
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
@@ -29,7 +29,7 @@ class UrdfJointKind(StrEnum):
 
 
 # Joint types with one coordinate.
-SCALAR = frozenset(
+SCALAR_KINDS = frozenset(
     {UrdfJointKind.REVOLUTE, UrdfJointKind.CONTINUOUS, UrdfJointKind.PRISMATIC}
 )
 
@@ -52,7 +52,7 @@ class UrdfJoint:
     @property
     def where(self) -> str:
         """Label in messages."""
-        return label("joint", self.name)
+        return element_label("joint", self.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +70,7 @@ class UrdfLink:
 
     element: XmlElement
     name: str
-    weight: Weight | None = None
+    weight: LinkMass | None = None
     solids: list[SimpleShape] = field(default_factory=list)
     meshes: list[XmlElement] = field(default_factory=list)
     visuals: list[Visual] = field(default_factory=list)
@@ -84,10 +84,10 @@ class UrdfFile:
     links: dict[str, UrdfLink]
     joints: dict[str, UrdfJoint]
     driven: frozenset[str]  # joints with a transmission or controller
-    has_drives: bool  # whether there are transmissions or controllers
+    has_actuators: bool  # whether there are transmissions or controllers
 
 
-def one_of(
+def single_child(
     element: XmlElement, tag: str, where: str, notes: XmlNotes, *, needed: bool = False
 ) -> XmlElement | None:
     """Return the child with a tag; the first of several, None if missing."""
@@ -117,18 +117,18 @@ def pose_of(
     element: XmlElement, where: str, notes: XmlNotes
 ) -> tuple[Vector, Quaternion]:
     """Return the origin of an element."""
-    origin = one_of(element, "origin", where, notes)
+    origin = single_child(element, "origin", where, notes)
     if origin is None:
         return ORIGIN, (0.0, 0.0, 0.0, 1.0)
     x, y, z = notes.numbers(origin, "xyz", 3, ORIGIN, where)
     r, p, w = notes.numbers(origin, "rpy", 3, ORIGIN, where)
-    return (x, y, z), from_rpy(r, p, w)
+    return (x, y, z), rotation_from_rpy(r, p, w)
 
 
-def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     """Return the rotation by roll, pitch and yaw about fixed x, y and z [rad].
 
-    >>> from_rpy(0.0, 0.0, math.pi)
+    >>> rotation_from_rpy(0.0, 0.0, math.pi)
     (0.0, 0.0, 1.0, 6.123233995736766e-17)
     """
     a, b = math.sin(roll / 2), math.cos(roll / 2)

@@ -14,8 +14,10 @@ from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
 from animtool.formats.urdf.joints import add_joint
 from animtool.formats.urdf.links import add_link
 
-_XACRO = "${", "$("
-EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
+_XACRO_MARKERS = "${", "$("
+EXPAND_HINT = (
+    "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
+)
 
 
 @expects_format("URD001", "a URDF file")
@@ -38,9 +40,9 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     if not links and not notes.faults:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
-    _note_degrees(root, notes)
+    _warn_of_degrees(root, notes)
     actuated_joints, drives = _actuated_joints(root)
-    notes.leave_out(_not_read(root))
+    notes.leave_out(_unread_labels(root))
     name = root.attributes.get("name", "")
     return UrdfFile(name, links, joints, actuated_joints, drives)
 
@@ -50,15 +52,20 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     for element in root.walk():
         texts = element.attributes.values()
         macro = element.tag.startswith("xacro:")
-        if macro or any(start in text for text in texts for start in _XACRO):
+        if macro or any(start in text for text in texts for start in _XACRO_MARKERS):
             macro_text = next(
-                (text for text in texts if any(start in text for start in _XACRO)), ""
+                (
+                    text
+                    for text in texts
+                    if any(start in text for start in _XACRO_MARKERS)
+                ),
+                "",
             )
             root_text = f"<{element.tag}>" if macro else excerpt(macro_text)
             message = (
                 f"is a xacro file: it holds {root_text}, which a URDF is made from"
             )
-            notes.add("URD005", element, message, EXPAND)
+            notes.add("URD005", element, message, EXPAND_HINT)
             return
     if root.tag == "robot":
         return
@@ -77,13 +84,15 @@ MAX_RADIANS = 4 * math.pi
 MAX_DEGREES = 720.0
 
 
-def _note_degrees(root: XmlElement, notes: XmlNotes) -> None:
+def _warn_of_degrees(root: XmlElement, notes: XmlNotes) -> None:
     """Record a warning about angles that are likely degrees, with the first of them."""
     texts: list[tuple[XmlElement, str, str]] = []
     for joint in root.all("joint"):
         if joint.attributes.get("type") == "revolute":
             for limit in joint.all("limit"):
-                texts += [(limit, n, limit.attributes.get(n, "")) for n in _LIMITS]
+                texts += [
+                    (limit, n, limit.attributes.get(n, "")) for n in _LIMIT_ATTRIBUTES
+                ]
     texts += [
         (element, "rpy", element.attributes.get("rpy", ""))
         for element in root.walk()
@@ -106,7 +115,7 @@ def _note_degrees(root: XmlElement, notes: XmlNotes) -> None:
     notes.add("URD111", element, message, hint, severity=Severity.WARNING)
 
 
-_LIMITS = ("lower", "upper")
+_LIMIT_ATTRIBUTES = ("lower", "upper")
 # Elements that are not read, and their labels.
 _HANDLED_TAGS = {"link", "joint", "material"}
 _JOINT_CONTENTS = {
@@ -116,7 +125,7 @@ _JOINT_CONTENTS = {
 }
 
 
-def _not_read(root: XmlElement) -> Iterator[str]:
+def _unread_labels(root: XmlElement) -> Iterator[str]:
     """Yield labels of contents that a rig cannot store."""
     for element in root.children:
         if element.tag == "material":

@@ -9,15 +9,15 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.names import nearest
-from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, label
-from animtool.formats.robots.parts import vector
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, element_label
+from animtool.formats.robots.parts import float_vector
 from animtool.formats.robots.xml import XmlElement
 from animtool.formats.urdf.elements import (
-    SCALAR,
+    SCALAR_KINDS,
     UrdfJoint,
     UrdfJointKind,
-    one_of,
     pose_of,
+    single_child,
     text_of,
 )
 from animtool.rig.limits import RangeLimit
@@ -36,7 +36,7 @@ def add_joint(
     name = text_of(element, "name", None, notes)
     if not name:
         return
-    where = label("joint", name)
+    where = element_label("joint", name)
     if name in joints:
         first_line = joints[name].element.line
         message = f"two joints are named {excerpt(name)}"
@@ -53,7 +53,7 @@ def add_joint(
         text = UrdfJointKind.FIXED
     link_names = []
     for tag in ("parent", "child"):
-        link_element = one_of(element, tag, where, notes, needed=True)
+        link_element = single_child(element, tag, where, notes, needed=True)
         link_names.append(
             "" if link_element is None else text_of(link_element, "link", where, notes)
         )
@@ -69,13 +69,13 @@ def add_joint(
     )
     joints[name] = joint
     if joint.kind not in {UrdfJointKind.FIXED, UrdfJointKind.FLOATING}:
-        joint.axis = _axis(joint, notes)
-    joint.limits = _limits(joint, notes)
-    joint.mimic = _mimic(joint, notes)
+        joint.axis = _read_axis(joint, notes)
+    joint.limits = _read_limits(joint, notes)
+    joint.mimic = _read_mimic(joint, notes)
 
 
-def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
-    element = one_of(joint.element, "axis", joint.where, notes)
+def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
+    element = single_child(joint.element, "axis", joint.where, notes)
     if element is None:
         return (1.0, 0.0, 0.0)
     values = notes.numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.where)
@@ -86,18 +86,18 @@ def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
         at = joint.where
         notes.add("URD013", element, message, hint, where=at, joint=joint.name)
         return (1.0, 0.0, 0.0)
-    return unit(np.array(values))
+    return unit_direction(np.array(values))
 
 
-def unit(values: FloatArray) -> Vector:
+def unit_direction(values: FloatArray) -> Vector:
     """Return a direction, normalised to full precision."""
     direction = values / np.abs(values).max()
-    return vector(direction / math.sqrt(float(direction @ direction)))
+    return float_vector(direction / math.sqrt(float(direction @ direction)))
 
 
-def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
+def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
     where, name = joint.where, joint.name
-    element = one_of(joint.element, "limit", where, notes)
+    element = single_child(joint.element, "limit", where, notes)
     if joint.kind not in _LIMITED_KINDS:
         return None
     if element is None:
@@ -127,9 +127,9 @@ def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
     return RangeLimit(max(lower, -MAX_VALUE), min(upper, MAX_VALUE))
 
 
-def _mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
+def _read_mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
     where = joint.where
-    element = one_of(joint.element, "mimic", where, notes)
+    element = single_child(joint.element, "mimic", where, notes)
     if element is None:
         return None
     if joint.kind is UrdfJointKind.FIXED:
@@ -138,7 +138,7 @@ def _mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
     leader = text_of(element, "joint", where, notes)
     gain = notes.number(element, "multiplier", 1.0, where)
     offset = notes.number(element, "offset", 0.0, where)
-    if joint.kind not in SCALAR:
+    if joint.kind not in SCALAR_KINDS:
         message = f"is {joint.kind}, and mimics {excerpt(leader)}"
         hint = "revolute, continuous and prismatic joints can mimic another"
         notes.add("URD015", element, message, hint, where=where, joint=joint.name)

@@ -7,11 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool.core.errors import Severity, excerpt
-from animtool.formats.robots.notes import XmlNotes, label
-from animtool.formats.robots.parts import SimpleShape, Weight
+from animtool.formats.robots.notes import XmlNotes, element_label
+from animtool.formats.robots.parts import LinkMass, SimpleShape
 from animtool.formats.robots.solids import weight_problem
 from animtool.formats.robots.xml import XmlElement
-from animtool.formats.urdf.elements import UrdfLink, Visual, one_of, pose_of, text_of
+from animtool.formats.urdf.elements import (
+    UrdfLink,
+    Visual,
+    pose_of,
+    single_child,
+    text_of,
+)
 from animtool.maths import so3
 
 
@@ -20,16 +26,16 @@ def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -
     name = text_of(element, "name", None, notes)
     if not name:
         return
-    where = label("link", name)
+    where = element_label("link", name)
     if name in links:
         first_line = links[name].element.line
         message = f"two links are named {excerpt(name)}"
         notes.add("URD009", element, message, f"the first is in line {first_line}")
         return
     link = links[name] = UrdfLink(element, name)
-    inertial = one_of(element, "inertial", where, notes)
+    inertial = single_child(element, "inertial", where, notes)
     if inertial is not None:
-        link.weight = _weight(inertial, where, notes)
+        link.weight = _read_weight(inertial, where, notes)
     link.meshes += [
         mesh
         for visual_element in (*element.all("visual"), *element.all("collision"))
@@ -38,14 +44,14 @@ def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -
         if mesh.attributes.get("filename")
     ]
     for collision in element.all("collision"):
-        solid = _solid(collision, where, notes)
+        solid = _read_shape(collision, where, notes)
         if solid is not None:
             link.solids.append(solid)
     for collision in element.all("visual"):
-        link.visuals += _visual(collision, where, notes)
+        link.visuals += _read_visual(collision, where, notes)
 
 
-def _visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
+def _read_visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
     """Yield a link's visual; skip an invalid one with a notice."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
     meshes = [
@@ -59,7 +65,7 @@ def _visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual
             meshes[0], SimpleShape("mesh", (), position, rotation), (x, y, z)
         )
     elif not meshes:
-        solid = _solid(element, where, visual_notes)
+        solid = _read_shape(element, where, visual_notes)
         fallback = None if solid is None else Visual(None, solid)
     if visual_notes.faults:
         notes.leave_out(["visuals with faults"])
@@ -69,12 +75,12 @@ def _visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual
         notes.leave_out(["visuals without a shape"])
 
 
-def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
+def _read_weight(inertial: XmlElement, where: str, notes: XmlNotes) -> LinkMass | None:
     """Return a link's mass; warn and return None if impossible."""
     position, rotation = pose_of(inertial, where, notes)
     fault_count = len(notes.faults)
-    mass_element = one_of(inertial, "mass", where, notes)
-    tensor = one_of(inertial, "inertia", where, notes)
+    mass_element = single_child(inertial, "mass", where, notes)
+    tensor = single_child(inertial, "inertia", where, notes)
     mass = 0.0
     if mass_element is not None:
         mass = notes.number(mass_element, "value", 0.0, where)
@@ -97,14 +103,14 @@ def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
         )
         return None
     matrix = so3.to_matrix(np.array(rotation))
-    return Weight(mass, position, matrix @ inertia @ matrix.T)
+    return LinkMass(mass, position, matrix @ inertia @ matrix.T)
 
 
-def _solid(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
+def _read_shape(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
     """Return a collision shape; None, with a notice, for meshes."""
-    geometry = one_of(element, "geometry", where, notes)
+    geometry = single_child(element, "geometry", where, notes)
     shape = next(iter(geometry.children), None) if geometry is not None else None
-    if shape is None or shape.tag not in _SHAPES:
+    if shape is None or shape.tag not in _SHAPE_ATTRIBUTES:
         tag = "of no shape" if shape is None else f"of <{shape.tag[:40]}>"
         notes.leave_out(
             ["collision meshes" if tag == "of <mesh>" else f"collisions {tag}"]
@@ -113,7 +119,7 @@ def _solid(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | No
     position, rotation = pose_of(element, where, notes)
     size: list[float] = []
     fault_count = len(notes.faults)
-    for name, count in _SHAPES[shape.tag]:
+    for name, count in _SHAPE_ATTRIBUTES[shape.tag]:
         if text_of(shape, name, where, notes):
             size += notes.numbers(shape, name, count, (1.0,) * count, where)
     if len(notes.faults) > fault_count:
@@ -125,7 +131,7 @@ def _solid(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | No
 
 
 # Shapes and their attributes.
-_SHAPES: dict[str, tuple[tuple[str, int], ...]] = {
+_SHAPE_ATTRIBUTES: dict[str, tuple[tuple[str, int], ...]] = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
     "cylinder": (("radius", 1), ("length", 1)),

@@ -8,14 +8,14 @@ import numpy as np
 
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.mesh_files import SUFFIXES, read_mesh
-from animtool.formats.robots.notes import XmlNotes, label
+from animtool.formats.robots.notes import XmlNotes, element_label
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
 from animtool.formats.robots.triangles import triangles_of
 from animtool.formats.urdf.elements import CODES, UrdfFile, Visual
 from animtool.maths import so3
 
-MAX_NAMED = 8
+MAX_LISTED_FILES = 8
 # Maximum triangles of a robot; the others are omitted.
 MAX_TRIANGLES = 1_000_000
 
@@ -43,7 +43,9 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add("URD016", mesh, message, hint, where=label("link", link.name))
+            notes.add(
+                "URD016", mesh, message, hint, where=element_label("link", link.name)
+            )
             continue
         if file_path is None:
             missing_files[name] = None
@@ -51,7 +53,9 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
             files[name] = file_path
     if missing_files:
         message = f"{counted(len(missing_files), 'mesh', 'meshes')} not found: "
-        message += listed([excerpt(name, 80) for name in missing_files], MAX_NAMED)
+        message += listed(
+            [excerpt(name, 80) for name in missing_files], MAX_LISTED_FILES
+        )
         hint = "motion needs none of them; package:// means a folder of that name in "
         hint += "the project, or the package that the file is in"
         notes.add("URD103", None, message, hint, severity=Severity.NOTE)
@@ -78,7 +82,7 @@ def visible_surfaces(
             surfaces.setdefault(link.name, []).append(surface)
     if unreadable_files:
         message = f"{counted(len(unreadable_files), 'mesh', 'meshes')} not shown: "
-        message += listed(list(unreadable_files), MAX_NAMED)
+        message += listed(list(unreadable_files), MAX_LISTED_FILES)
         hint = "export it as STL or OBJ again"
         notes.add("URD110", None, message, hint, severity=Severity.WARNING)
     return surfaces

@@ -9,22 +9,28 @@ import numpy as np
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.build import RobotCodes, build_rig
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.robots.parts import Link, Robot, RobotJoint, Triangles, vector
+from animtool.formats.robots.parts import (
+    Link,
+    Robot,
+    RobotJoint,
+    Triangles,
+    float_vector,
+)
 from animtool.formats.urdf.elements import (
-    SCALAR,
+    SCALAR_KINDS,
     UrdfFile,
     UrdfJoint,
     UrdfJointKind,
 )
 from animtool.formats.urdf.file import read_file
 from animtool.formats.urdf.meshes import mesh_paths, visible_surfaces
-from animtool.formats.urdf.tree import check_tree, resolved_mimics
+from animtool.formats.urdf.tree import check_tree, resolve_mimics
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Mimic, Rig
 
-MAX_NAMED = 8
+MAX_LISTED_JOINTS = 8
 _CODES = RobotCodes("URD102", "URD106", "URD101")
-_TYPES = {
+_JOINT_TYPES = {
     UrdfJointKind.REVOLUTE: JointType.PIN,
     UrdfJointKind.CONTINUOUS: JointType.PIN,
     UrdfJointKind.PRISMATIC: JointType.PRISMATIC,
@@ -44,17 +50,17 @@ def rig_of_urdf(path: Path) -> Rig:
     notes = XmlNotes(path, "URD007")
     file = read_file(path, notes)
     check_tree(file, notes)
-    mimics = resolved_mimics(file, notes)
+    mimics = resolve_mimics(file, notes)
     paths = mesh_paths(file, path, notes)
     notes.check()
-    _note_idle(file, notes)
-    _note_ranges(file, mimics, notes)
+    _record_unactuated(file, notes)
+    _record_ranges(file, mimics, notes)
     surfaces = visible_surfaces(file, paths, notes)
-    robot = Robot(file.name or path.stem, _links(file, mimics, surfaces))
+    robot = Robot(file.name or path.stem, _links_depth_first(file, mimics, surfaces))
     return build_rig(robot, notes, _CODES)
 
 
-def _links(
+def _links_depth_first(
     file: UrdfFile, mimics: dict[str, Mimic], surfaces: dict[str, list[Triangles]]
 ) -> list[Link]:
     """Return links depth-first, parents before children."""
@@ -69,7 +75,9 @@ def _links(
     while stack:
         name, parent, joint = stack.pop()
         source = file.links[name]
-        rig_joints = [] if joint is None else _moves(joint, mimics.get(joint.name))
+        rig_joints = (
+            [] if joint is None else _rig_joints_of(joint, mimics.get(joint.name))
+        )
         visible = surfaces.get(name, [])
         link = Link(name, parent, rig_joints, solids=source.solids, surfaces=visible)
         link.weight = source.weight
@@ -82,53 +90,53 @@ def _links(
     return links
 
 
-def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]:
+def _rig_joints_of(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]:
     """Return the rig joints that represent a joint."""
     if joint.kind is UrdfJointKind.PLANAR:
-        return _planar(joint)
+        return _planar_joints(joint)
     is_fixed = joint.kind is UrdfJointKind.FIXED
     return [
         RobotJoint(
             "" if is_fixed else joint.name,
-            _TYPES[joint.kind],
+            _JOINT_TYPES[joint.kind],
             joint.position,
             joint.rotation,
-            joint.axis if joint.kind in SCALAR else (0.0, 0.0, 1.0),
+            joint.axis if joint.kind in SCALAR_KINDS else (0.0, 0.0, 1.0),
             joint.limits,
             mimic,
         )
     ]
 
 
-def _planar(joint: UrdfJoint) -> list[RobotJoint]:
+def _planar_joints(joint: UrdfJoint) -> list[RobotJoint]:
     """Return two slides and a pin; x and y are rotated with the axis from z."""
     rotation = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
-    x, y = (vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
+    x, y = (float_vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
     slide = JointType.PRISMATIC
     slide_x = RobotJoint(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
     slide_y = RobotJoint(f"{joint.name}_y", slide, axis=y)
     return [slide_x, slide_y, RobotJoint(joint.name, JointType.PIN, axis=joint.axis)]
 
 
-def _note_idle(file: UrdfFile, notes: XmlNotes) -> None:
+def _record_unactuated(file: UrdfFile, notes: XmlNotes) -> None:
     """Record joints without transmissions if other joints have them."""
-    if not file.has_drives:
+    if not file.has_actuators:
         return
     idle = [
         joint.name
         for joint in file.joints.values()
-        if joint.kind in SCALAR
+        if joint.kind in SCALAR_KINDS
         and joint.mimic is None
         and joint.name not in file.driven
     ]
     if idle:
         message = f"no transmission drives {counted(len(idle), 'joint')}: "
-        message += listed([excerpt(name) for name in idle], MAX_NAMED)
+        message += listed([excerpt(name) for name in idle], MAX_LISTED_JOINTS)
         hint = "in a rig they move as all others do"
         notes.add("URD105", None, message, hint, severity=Severity.NOTE)
 
 
-def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
+def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
     """Record limits that exclude 0, and mimics beyond their limits."""
     excluding_zero = [
         joint.name
@@ -141,7 +149,7 @@ def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> N
         message = (
             f"0 is outside the limits of {counted(len(excluding_zero), 'joint')}: "
         )
-        message += listed([excerpt(name) for name in excluding_zero], MAX_NAMED)
+        message += listed([excerpt(name) for name in excluding_zero], MAX_LISTED_JOINTS)
         hint = "the rest pose is still at 0; a take uses the nearest limit"
         notes.add("URD109", None, message, hint, severity=Severity.NOTE)
     for name, mimic in mimics.items():

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from animtool.core.errors import excerpt, joined_cycle, listed
 from animtool.core.names import nearest
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.urdf.elements import SCALAR, UrdfFile, UrdfJoint
+from animtool.formats.urdf.elements import SCALAR_KINDS, UrdfFile, UrdfJoint
 from animtool.rig.skeleton import Mimic
 
 
@@ -21,7 +21,7 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
                 has_missing = True
                 message = f"its {tag} link {excerpt(name)} does not exist"
                 hint = nearest(name, file.links)
-                _add(notes, "URD010", joint, message, hint)
+                _add_fault(notes, "URD010", joint, message, hint)
         if joint.child in parents:
             first = parents[joint.child]
             message = f"link {excerpt(joint.child)} has two parents, "
@@ -31,7 +31,7 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
                 message += f"; {joined_cycle(cycle)} go round"
-            _add(notes, "URD011", joint, message, hint)
+            _add_fault(notes, "URD011", joint, message, hint)
         elif joint.child:
             parents[joint.child] = joint
     if has_missing or notes.faults:
@@ -85,14 +85,14 @@ def _check_roots(
         message = f"joints go round: {joined_cycle([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
-        _add(notes, "URD011", first_joint, message, "remove one of these joints")
+        _add_fault(notes, "URD011", first_joint, message, "remove one of these joints")
 
 
 def _quoted_names(names: Iterable[str]) -> list[str]:
     return [excerpt(name) for name in names]
 
 
-def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
+def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
     """Return each mimic joint with its final leader.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
@@ -104,11 +104,11 @@ def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         if leader is None:
             message = f"it mimics joint {excerpt(joint.mimic.joint)}, which does not "
             hint = nearest(joint.mimic.joint, file.joints)
-            _add(notes, "URD015", joint, f"{message}exist", hint)
-        elif leader.kind not in SCALAR:
+            _add_fault(notes, "URD015", joint, f"{message}exist", hint)
+        elif leader.kind not in SCALAR_KINDS:
             message = f"it mimics {leader.where}, which is {leader.kind}"
             hint = "a mimic follows a revolute, continuous or prismatic joint"
-            _add(notes, "URD015", joint, message, hint)
+            _add_fault(notes, "URD015", joint, message, hint)
     if notes.faults:
         return {}
     resolved: dict[str, Mimic] = {}
@@ -131,14 +131,14 @@ def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         cycle = cycle if len(cycle) > 1 else [mimic.joint, mimic.joint]
         if not reported.intersection(cycle):
             message = f"joints mimic each other: {joined_cycle(cycle)}"
-            _add(
+            _add_fault(
                 notes, "URD015", file.joints[cycle[0]], message, "one must move itself"
             )
         reported.update(cycle)
     return resolved
 
 
-def _add(
+def _add_fault(
     notes: XmlNotes, code: str, joint: UrdfJoint, message: str, hint: str | None
 ) -> None:
     notes.add(code, joint.element, message, hint, where=joint.where, joint=joint.name)

@@ -15,7 +15,7 @@ from animtool.preview.pictures.pose import DrawnPose
 
 # Maximum number of joints drawn with thick bones; crowds have thin lines.
 MAX_THICK_JOINTS = 1500
-AXES = ((222, 82, 82), (92, 176, 88), (76, 130, 224))
+AXIS_COLORS = ((222, 82, 82), (92, 176, 88), (76, 130, 224))
 Color = tuple[int, int, int]
 
 
@@ -46,14 +46,14 @@ class DrawnBones:
         if not poses:
             return
         if bones and sum(pose.count for pose in poses) > MAX_THICK_JOINTS:
-            self._lines(eye, poses, color)
+            self._draw_lines(eye, poses, color)
             return
         if bones:
-            self._thick(eye, poses, color)
+            self._draw_octahedra(eye, poses, color)
         if axes:
             self._draw_axes(eye, poses)
 
-    def _thick(
+    def _draw_octahedra(
         self,
         eye: EyeMatrices,
         poses: Sequence[DrawnPose],
@@ -83,7 +83,7 @@ class DrawnBones:
         self._balls.set(np.concatenate(balls), np.concatenate(tints))
         self._balls.draw(eye, size * 0.008, 2.5)
 
-    def _lines(
+    def _draw_lines(
         self,
         eye: EyeMatrices,
         poses: Sequence[DrawnPose],
@@ -117,6 +117,6 @@ class DrawnBones:
             for k in range(3):
                 begins.append(pose.positions)
                 ends.append(pose.positions + axes[:, :, k])
-                colors.append(np.tile([*AXES[k], 255.0], (pose.count, 1)))
+                colors.append(np.tile([*AXIS_COLORS[k], 255.0], (pose.count, 1)))
         self._axes.set(*map(np.concatenate, (begins, ends, colors)))
         self._axes.draw(eye, width=1.5)

@@ -23,22 +23,22 @@ from animtool.preview.options import PictureOptions, PreviewOptions
 from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.captions import (
     Caption,
-    caption_of,
     evenly_spaced,
     picture_sheet,
     with_caption,
+    wrap_caption,
 )
-from animtool.preview.pictures.device import Array, Device, Picture, import_package
-from animtool.preview.pictures.film import film, write_picture
+from animtool.preview.pictures.device import Array, Device, Framebuffer, import_package
+from animtool.preview.pictures.film import film_writer, write_picture
 from animtool.preview.pictures.kinds import PictureKind, picture_kind
 from animtool.preview.pictures.request import (
     CameraChoice,
-    camera_of,
-    layers_of,
-    light_of,
+    camera_choice,
+    drawn_layers,
+    light_direction,
     option_error,
-    sheet_of,
-    size_of,
+    picture_size,
+    sheet_layout,
 )
 from animtool.preview.pictures.scene import DrawnScene
 from animtool.preview.pictures.sources import theme_colors
@@ -158,9 +158,9 @@ def write_pictures(
     pictures = pictures or PictureOptions()
     frame_range = options.frame_range
     frames = frame_range.frames if isinstance(frame_range, FrameList) else ()
-    _check(pictures, kind, frames)
+    _check_options(pictures, kind, frames)
     # Missing packages are reported before scenes are baked.
-    with _device() as device:
+    with _open_device() as device:
         with protect_inputs([output]):
             page = make_page(paths, options)
         studio = PictureRenderer(device, page, pictures, kind, frames, progress)
@@ -174,13 +174,13 @@ def save_pictures(
     kind = picture_kind(output)
     assert kind is not None
     pictures = pictures or PictureOptions()
-    _check(pictures, kind, ())
-    with _device() as device:
+    _check_options(pictures, kind, ())
+    with _open_device() as device:
         return PictureRenderer(device, page, pictures, kind, (), None).write(output)
 
 
 @contextmanager
-def _device() -> Iterator[Device]:
+def _open_device() -> Iterator[Device]:
     device = Device()
     try:
         yield device
@@ -188,17 +188,17 @@ def _device() -> Iterator[Device]:
         device.close()
 
 
-def _check(
+def _check_options(
     pictures: PictureOptions, kind: PictureKind, frames: tuple[int, ...]
 ) -> None:
     """Refuse invalid picture options before anything is read."""
     import_package("PIL.Image")
     if kind.codec:
         import_package("av")
-    layers_of(pictures)
-    light_of(pictures)
-    sheet = sheet_of(pictures)
-    size_of(pictures, kind, sheet=bool(sheet or frames))
+    drawn_layers(pictures)
+    light_direction(pictures)
+    sheet = sheet_layout(pictures)
+    picture_size(pictures, kind, sheet=bool(sheet or frames))
     requested_options = {
         "sheet": sheet,
         "frames": frames,
@@ -234,9 +234,9 @@ class PictureRenderer:
         self._progress = progress or (lambda _: None)
         names = [camera["name"] for camera in page.manifest["cameras"]]
         cameras = options.camera or ("home",)
-        self._cameras = [camera_of(text, names) for text in cameras]
+        self._cameras = [camera_choice(text, names) for text in cameras]
         self._frames = frames
-        layers = layers_of(options)
+        layers = drawn_layers(options)
         self._scene = DrawnScene(device, page.manifest, page.blocks, layers)
         self._colors = theme_colors()
 
@@ -244,8 +244,8 @@ class PictureRenderer:
         """Write the picture or the film."""
         single = not self._kind.codec or self._is_sheet
         if not single:
-            return self._film(output)
-        pixels, samples = self._pictures()
+            return self._write_film(output)
+        pixels, samples = self._draw_pictures()
         write_picture(output, pixels)
         return self._report(output, pixels.shape, samples, Fraction(0))
 
@@ -267,7 +267,7 @@ class PictureRenderer:
         info = self._kind.about
         return PictureReport(output, size, pixels, codes, rate, info, self._page)
 
-    def _samples(self) -> list[int]:
+    def _picture_samples(self) -> list[int]:
         """Return the samples of a picture or sheet."""
         codes = self._scene.codes
         if self._frames:
@@ -281,19 +281,19 @@ class PictureRenderer:
                     raise OptionError(Fault("CLI005", message))
                 samples.append(sample)
             return samples
-        sheet = sheet_of(self._options)
+        sheet = sheet_layout(self._options)
         if sheet is None:
             return [0]
         cells = sheet[0] * sheet[1] // len(self._cameras)
         return [int(i) for i in evenly_spaced(len(codes), max(cells, 1))]
 
-    def _pictures(self) -> tuple[Array, list[int]]:
-        samples = self._samples()
+    def _draw_pictures(self) -> tuple[Array, list[int]]:
+        samples = self._picture_samples()
         cells = [(camera, i) for camera in self._cameras for i in samples]
         several = len(cells) > 1
-        size = size_of(self._options, self._kind, sheet=several)
+        size = picture_size(self._options, self._kind, sheet=several)
         captions = self._captions(len(cells), size)
-        picture = Picture(self._device, *size)
+        picture = Framebuffer(self._device, *size)
         shows_numbers = self._options.numbers
         if shows_numbers is None:
             shows_numbers = len(samples) > 1
@@ -303,7 +303,7 @@ class PictureRenderer:
             zip(cells, captions, strict=True)
         ):
             if view is None or k % len(samples) == 0:
-                view = self._view(camera, size, caption, sample)
+                view = self._framing_view(camera, size, caption, sample)
             view.inset = caption.height
             pixels = self._scene.draw(view, sample, picture, camera.shot)
             pictures.append(
@@ -312,16 +312,16 @@ class PictureRenderer:
             self._progress((k + 1) / len(cells))
         if not several:
             return pictures[0], samples
-        columns = self._columns(len(samples), len(cells))
+        columns = self._sheet_columns(len(samples), len(cells))
         rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
         width = columns * (size[0] + SHEET_GAP) - SHEET_GAP
-        title = self._title(len(cells), width, size[1])
+        title = self._sheet_title(len(cells), width, size[1])
         ink = self._colors["ink"]
         pixels = picture_sheet(rows, SHEET_GAP, self._colors["page"], title, ink)
         return pixels, samples
 
-    def _columns(self, samples: int, cells: int) -> int:
-        sheet = sheet_of(self._options)
+    def _sheet_columns(self, samples: int, cells: int) -> int:
+        sheet = sheet_layout(self._options)
         if sheet is not None:
             return min(sheet[0], cells)
         if samples < cells and samples > 1:
@@ -336,20 +336,20 @@ class PictureRenderer:
             message += counted(cells, "picture")
             raise option_error("caption", message, "write one, or one for each")
         if len(texts) == cells:
-            return [caption_of(text, *size) for text in texts]
+            return [wrap_caption(text, *size) for text in texts]
         return [Caption((), 0)] * cells
 
-    def _title(self, cells: int, width: int, height: int) -> Caption:
+    def _sheet_title(self, cells: int, width: int, height: int) -> Caption:
         """Return the title of a sheet."""
         texts = self._options.caption
         title = texts[0] if len(texts) == 1 < cells else ""
-        return caption_of(title, width, height)
+        return wrap_caption(title, width, height)
 
-    def _view(
+    def _framing_view(
         self, camera: CameraChoice, size: tuple[int, int], caption: Caption, sample: int
     ) -> CameraView:
         """Return a camera view that frames the complete motion."""
-        view = CameraView(*size, caption.height, light=light_of(self._options))
+        view = CameraView(*size, caption.height, light=light_direction(self._options))
         camera.aim(view)
         self._scene.frame_motion(view, sample)
         camera.position(view)
@@ -362,13 +362,13 @@ class PictureRenderer:
         ink, background = self._colors["ink"], self._colors["view"]
         return with_caption(pixels, caption, number, ink, background)
 
-    def _film(self, output: Path) -> PictureReport:
+    def _write_film(self, output: Path) -> PictureReport:
         samples, rate = self._film_samples()
-        size = size_of(self._options, self._kind, sheet=False)
+        size = picture_size(self._options, self._kind, sheet=False)
         (caption,) = self._captions(1, size)
         (camera,) = self._cameras
-        picture = Picture(self._device, *size)
-        view = self._view(camera, size, caption, samples[0])
+        picture = Framebuffer(self._device, *size)
+        view = self._framing_view(camera, size, caption, samples[0])
         yaw = view.yaw
         shows_numbers = self._options.numbers
         if shows_numbers is None:
@@ -388,7 +388,7 @@ class PictureRenderer:
                 render(k)
                 for k in sorted({*evenly_spaced(len(samples), PALETTE_FRAMES)})
             ]
-        with film(output, self._kind, size, rate, palette_frames) as add:
+        with film_writer(output, self._kind, size, rate, palette_frames) as add:
             for k in range(len(samples)):
                 add(render(k))
                 self._progress((k + 1) / len(samples))

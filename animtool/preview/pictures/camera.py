@@ -14,8 +14,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.preview.pictures.data import Streams
-from animtool.preview.pictures.pose import composed
+from animtool.preview.pictures.data import StreamReader
+from animtool.preview.pictures.pose import compose_matrices
 
 # Tangent of half the field of view.
 HALF_FOV_TANGENT = 0.3
@@ -23,7 +23,7 @@ HALF_FOV_TANGENT = 0.3
 FRAMING_MARGIN = 1.15
 MAX_PITCH = math.pi / 2 - 1e-3
 # Yaw and pitch [rad].
-PRESETS = {
+VIEW_ANGLES = {
     "home": (0.6, 0.18),
     "front": (0.0, 0.0),
     "side": (math.pi / 2, 0.0),
@@ -133,8 +133,8 @@ class CameraView:
     width: int
     height: int
     inset: int = 0
-    yaw: float = PRESETS["home"][0]
-    pitch: float = PRESETS["home"][1]
+    yaw: float = VIEW_ANGLES["home"][0]
+    pitch: float = VIEW_ANGLES["home"][1]
     distance: float = 4.0
     target: FloatArray = field(default_factory=lambda: np.array([0.0, 0.9, 0.0]))
     radius: float = 1.0
@@ -167,7 +167,7 @@ class CameraView:
         self.distance = self.radius * 0.2
         if box.empty:
             return
-        world = _look_at(self._back(1.0), np.zeros(3))
+        world = _look_at_matrix(self._back(1.0), np.zeros(3))
         half_width, half_height = self._half_size()
         for corner in np.ndindex(2, 2, 2):
             point = np.where(corner, box.low, box.high) - self.target
@@ -191,22 +191,22 @@ class CameraView:
         """Return the camera matrices."""
         half_wide, half_high = self._half_size()
         half_high /= 1 - self._covered_fraction
-        world = _look_at(self.target + self._back(self.distance), self.target)
+        world = _look_at_matrix(self.target + self._back(self.distance), self.target)
         distance = self.distance
-        projection = _perspective(
+        projection = _perspective_matrix(
             half_wide, half_high, distance * 0.01, distance + self.radius * 100
         )
         projection[1, 2] = self._covered_fraction
         return self._eye(world, projection, half_high)
 
     def through(
-        self, camera: Mapping[str, Any], streams: Streams, sample: int
+        self, camera: Mapping[str, Any], streams: StreamReader, sample: int
     ) -> EyeMatrices | None:
         """Return the view through a shot camera; None if its transform is missing."""
         t, r = (streams.at(camera[part], sample) for part in "tr")
         if not (len(t) and len(r)):
             return None
-        world = composed(t.astype(np.float64), r.astype(np.float64), None)
+        world = compose_matrices(t.astype(np.float64), r.astype(np.float64), None)
         aperture_width, aperture_height = camera["aperture_mm"]
         focal = camera.get("focal")
         length = camera["focal_mm"] if focal is None else streams.at(focal, sample)[0]
@@ -215,7 +215,7 @@ class CameraView:
         # differ.
         half_high = max(aperture_height, aperture_width / aspect) / (2 * length)
         distance = self.radius * 4
-        projection = _perspective(
+        projection = _perspective_matrix(
             half_high * aspect, half_high, distance * 0.01, distance + self.radius * 100
         )
         return self._eye(world, projection, half_high)
@@ -231,7 +231,7 @@ class CameraView:
         return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
 
 
-def _look_at(eye: FloatArray, target: FloatArray) -> FloatArray:
+def _look_at_matrix(eye: FloatArray, target: FloatArray) -> FloatArray:
     """Return world_from_camera; the camera looks along -Z."""
     z = (eye - target) / np.linalg.norm(eye - target)
     x = np.cross([0.0, 1.0, 0.0], z)
@@ -242,7 +242,7 @@ def _look_at(eye: FloatArray, target: FloatArray) -> FloatArray:
     return world
 
 
-def _perspective(
+def _perspective_matrix(
     half_width: float, half_height: float, near: float, far: float
 ) -> FloatArray:
     """Return a projection matrix from half sizes at distance 1."""

@@ -15,9 +15,9 @@ from animtool.preview.pictures.device import Array, import_package
 # Text height relative to the picture's height, and its minimum [px].
 TEXT_HEIGHT, MIN_TEXT_HEIGHT = 0.042, 10
 # Margin beside text and line spacing, relative to the text height.
-MARGIN, LEADING = 0.7, 1.3
+MARGIN, LINE_SPACING = 0.7, 1.3
 # Largest fraction of a picture's height that a caption may cover.
-MAX_CAPTION = 0.4
+MAX_CAPTION_FRACTION = 0.4
 Color = tuple[int, int, int]
 
 
@@ -38,19 +38,19 @@ class Caption:
         """Height of the caption area [px]."""
         if not self.lines:
             return 0
-        return round(self.letters * (2 * MARGIN + LEADING * len(self.lines)))
+        return round(self.letters * (2 * MARGIN + LINE_SPACING * len(self.lines)))
 
 
-def letters_of(height: int) -> int:
+def font_size(height: int) -> int:
     """Return the font size of a picture [px].
 
-    >>> letters_of(540), letters_of(90)
+    >>> font_size(540), font_size(90)
     (23, 10)
     """
     return max(MIN_TEXT_HEIGHT, round(height * TEXT_HEIGHT))
 
 
-def caption_of(text: str, width: int, height: int) -> Caption:
+def wrap_caption(text: str, width: int, height: int) -> Caption:
     """Return text wrapped for a picture, in a smaller font if it is long.
 
     Raises:
@@ -58,12 +58,12 @@ def caption_of(text: str, width: int, height: int) -> Caption:
     """
     if not text.strip():
         return Caption((), MIN_TEXT_HEIGHT)
-    for letters in range(letters_of(height), MIN_TEXT_HEIGHT - 1, -1):
+    for letters in range(font_size(height), MIN_TEXT_HEIGHT - 1, -1):
         lines = tuple(
-            _wrapped_lines(text, width - 2 * MARGIN * letters, _font(letters))
+            _wrapped_lines(text, width - 2 * MARGIN * letters, _load_font(letters))
         )
         caption = Caption(lines, letters)
-        if caption.height <= MAX_CAPTION * height:
+        if caption.height <= MAX_CAPTION_FRACTION * height:
             return caption
     message = f"the caption needs {len(lines)} lines on {width}x{height} pixels"
     hint = "shorten it, or enlarge the picture"
@@ -103,12 +103,12 @@ def with_caption(
     pen = draw_on.Draw(image)
     letters = caption.letters
     for i, line in enumerate(caption.lines):
-        at = MARGIN * letters, letters * (MARGIN + LEADING * i)
-        _draw_text(pen, at, line, _font(letters), ink, background)
+        at = MARGIN * letters, letters * (MARGIN + LINE_SPACING * i)
+        _draw_text(pen, at, line, _load_font(letters), ink, background)
     if number:
-        letters = max(MIN_TEXT_HEIGHT, round(letters_of(image.height) * 0.8))
-        at = MARGIN * letters, image.height - letters * (MARGIN + LEADING)
-        _draw_text(pen, at, number, _font(letters), ink, background)
+        letters = max(MIN_TEXT_HEIGHT, round(font_size(image.height) * 0.8))
+        at = MARGIN * letters, image.height - letters * (MARGIN + LINE_SPACING)
+        _draw_text(pen, at, number, _load_font(letters), ink, background)
     return np.asarray(image)
 
 
@@ -124,7 +124,7 @@ def _draw_text(
     pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=background)
 
 
-def _font(letters: int) -> Any:
+def _load_font(letters: int) -> Any:
     """Return Pillow's built-in font, identical on all machines."""
     return import_package("PIL.ImageFont").load_default(letters)
 
@@ -143,7 +143,7 @@ def picture_sheet(
     """
     height, width = rows[0][0].shape[:2]
     columns = max(map(len, rows))
-    size = _span(len(rows), height, gap), _span(columns, width, gap)
+    size = _sheet_span(len(rows), height, gap), _sheet_span(columns, width, gap)
     picture_sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
     for i, row in enumerate(rows):
         for k, picture in enumerate(row):
@@ -152,7 +152,7 @@ def picture_sheet(
     return with_caption(picture_sheet, caption, "", ink, color)
 
 
-def _span(count: int, size: int, gap: int) -> int:
+def _sheet_span(count: int, size: int, gap: int) -> int:
     return count * size + (count - 1) * gap
 
 

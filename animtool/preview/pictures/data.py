@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import Float32Array
-from animtool.preview.streams import NAN_STORED, TYPES, Array
+from animtool.preview.streams import STORED_NAN, TYPES, Array
 
 # Size of the cache of decoded blocks [byte].
 CACHE_BYTES = 64_000_000
 
 
-class Streams:
+class StreamReader:
     """Values of the streams of a page, by stream index and sample."""
 
     def __init__(self, entries: Sequence[dict[str, Any]], blocks: Sequence[str]):
@@ -93,6 +93,6 @@ def _unpacked_stream(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
         np.atleast_1d(scale), width
     )
     if entry.get("gaps"):
-        values[stored == NAN_STORED] = np.nan
+        values[stored == STORED_NAN] = np.nan
     decoded_values: Float32Array = values.astype(np.float32)
     return decoded_values

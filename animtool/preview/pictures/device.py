@@ -13,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import Fault, OptionError
-from animtool.preview.pictures.sources import SHADER_HEADER, shader
+from animtool.preview.pictures.sources import SHADER_HEADER, shader_source
 
 if TYPE_CHECKING:
     from animtool.preview.pictures.camera import EyeMatrices
 
 Array: TypeAlias = npt.NDArray[Any]
-EXTRA = "pip install 'animtool[pictures]'"
+INSTALL_COMMAND = "pip install 'animtool[pictures]'"
 # Samples per pixel, as on the page.
-SAMPLES = 4
+MULTISAMPLES = 4
 # Maximum number of cells per row of a table texture.
 MAX_ROW_CELLS = 1024
-_PACKAGES = (
+_PACKAGES_HINT = (
     "to draw without a graphics card: apt-get install libegl1 libgl1 "
     "libgl1-mesa-dri, or dnf install mesa-libEGL mesa-dri-drivers"
 )
@@ -37,7 +37,7 @@ def import_package(name: str) -> ModuleType:
     except ModuleNotFoundError as error:
         package = {"PIL": "Pillow", "PIL.Image": "Pillow"}.get(name, name)
         message = f"pictures need the package {package}"
-        raise OptionError(Fault("IO005", message, hint=EXTRA)) from error
+        raise OptionError(Fault("IO005", message, hint=INSTALL_COMMAND)) from error
 
 
 class TextureTable:
@@ -75,7 +75,7 @@ class Device:
 
     def __init__(self) -> None:
         self.module = import_package("moderngl")
-        self.gl = _context(self.module)
+        self.gl = _create_context(self.module)
         self.gl.enable(self.module.PROGRAM_POINT_SIZE)
         self._programs: dict[tuple[str, ...], Any] = {}
         self._empty_arrays: dict[Any, Any] = {}
@@ -92,8 +92,8 @@ class Device:
         if key not in self._programs:
             defined = "".join(f"#define {kind}\n" for kind in kinds)
             self._programs[key] = self.gl.program(
-                vertex_shader=SHADER_HEADER + defined + shader(module, vertex),
-                fragment_shader=SHADER_HEADER + shader(module, fragment),
+                vertex_shader=SHADER_HEADER + defined + shader_source(module, vertex),
+                fragment_shader=SHADER_HEADER + shader_source(module, fragment),
             )
         return self._programs[key]
 
@@ -144,13 +144,13 @@ class Device:
         self.gl.release()
 
 
-class Picture:
+class Framebuffer:
     """A multisampled framebuffer."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         gl = device.gl
         self._device, self.size = device, (width, height)
-        samples = min(SAMPLES, gl.max_samples)
+        samples = min(MULTISAMPLES, gl.max_samples)
         self._multisampled = gl.framebuffer(
             [gl.renderbuffer(self.size, 3, samples=samples)],
             gl.depth_renderbuffer(self.size, samples=samples),
@@ -173,7 +173,7 @@ class Picture:
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
 
 
-def _context(module: ModuleType) -> Any:
+def _create_context(module: ModuleType) -> Any:
     """Return a windowless context (PRV005 if none can be created)."""
     backends: list[dict[str, Any]] = [{}]
     if sys.platform.startswith("linux"):
@@ -186,4 +186,4 @@ def _context(module: ModuleType) -> Any:
         except Exception as error:
             reasons.append(str(error))
     message = f"OpenGL 3.3 could not be started: {reasons[0]}"
-    raise OptionError(Fault("PRV005", message, hint=_PACKAGES))
+    raise OptionError(Fault("PRV005", message, hint=_PACKAGES_HINT))

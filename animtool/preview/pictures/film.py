@@ -16,10 +16,10 @@ from animtool.preview.pictures.device import Array, import_package
 from animtool.preview.pictures.kinds import PictureKind
 
 # libav flags that keep machine and time out of the file.
-_BITEXACT = 1 << 23
+_BITEXACT_FLAG = 1 << 23
 # ITU-R BT.709 with limited range, which players assume for video of this size.
 _BT709, _NARROW_RANGE = 1, 1
-COLORS = 256
+PALETTE_SIZE = 256
 
 
 def write_picture(path: Path, pixels: Array) -> None:
@@ -37,7 +37,7 @@ def write_picture(path: Path, pixels: Array) -> None:
 
 
 @contextmanager
-def film(
+def film_writer(
     path: Path,
     kind: PictureKind,
     size: tuple[int, int],
@@ -54,7 +54,7 @@ def film(
         samples: Some frames, whose colours make the palette.
     """
     av = import_package("av")
-    palette = _palette(samples) if kind.pixels == "pal8" else None
+    palette = _palette_image(samples) if kind.pixels == "pal8" else None
     with replacement_path(path) as temporary:
         try:
             with av.open(
@@ -69,7 +69,7 @@ def film(
                 stream.width, stream.height = size
                 stream.pix_fmt = kind.pixels
                 context = stream.codec_context
-                context.flags |= _BITEXACT
+                context.flags |= _BITEXACT_FLAG
                 if palette is None:
                     context.colorspace = context.color_primaries = _BT709
                     context.color_trc = context.color_range = _NARROW_RANGE
@@ -77,7 +77,7 @@ def film(
 
                 def add(pixels: Array) -> None:
                     nonlocal count
-                    frame = _frame(av, pixels, palette)
+                    frame = _video_frame(av, pixels, palette)
                     frame.pts, frame.time_base = count, 1 / rate
                     count += 1
                     for packet in stream.encode(frame):
@@ -90,7 +90,7 @@ def film(
             raise output_error(path, error) from error
 
 
-def _frame(av: Any, pixels: Array, palette: Any) -> Any:
+def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
     """Return pixels as a libav frame."""
     pixels = np.ascontiguousarray(pixels)
     if palette is None:
@@ -99,16 +99,16 @@ def _frame(av: Any, pixels: Array, palette: Any) -> Any:
     image_of = import_package("PIL.Image")
     image = image_of.fromarray(pixels)
     indexed = image.quantize(palette=palette, dither=image_of.Dither.NONE)
-    colors = np.zeros((COLORS, 4), np.uint8)
+    colors = np.zeros((PALETTE_SIZE, 4), np.uint8)
     palette_colors = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
     # libav palettes have alpha first.
     colors[:, 0], colors[: len(palette_colors), 1:] = 255, palette_colors
     return av.VideoFrame.from_ndarray((np.asarray(indexed), colors), format="pal8")
 
 
-def _palette(samples: Sequence[Array]) -> Any:
+def _palette_image(samples: Sequence[Array]) -> Any:
     """Return a palette image for some frames."""
     image_of = import_package("PIL.Image")
     all_pixels = image_of.fromarray(np.ascontiguousarray(np.concatenate(samples)))
     method = image_of.Quantize.MEDIANCUT
-    return all_pixels.quantize(COLORS, method=method, dither=image_of.Dither.NONE)
+    return all_pixels.quantize(PALETTE_SIZE, method=method, dither=image_of.Dither.NONE)

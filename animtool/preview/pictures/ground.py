@@ -12,7 +12,7 @@ from animtool.preview.pictures.bones import Color
 from animtool.preview.pictures.camera import CameraView, EyeMatrices
 from animtool.preview.pictures.device import Device
 from animtool.preview.pictures.lines import DrawnLines
-from animtool.preview.pictures.pose import DrawnPose, in_spans
+from animtool.preview.pictures.pose import DrawnPose, is_in_spans
 
 GRID_CELLS, SEGMENT_CELLS = 28, 4
 # Samples of a trail before and after the current one.
@@ -22,10 +22,10 @@ SHADOW_PIXELS = 512
 SHADOW_WIDTH, SHADOW_HEIGHT, SHADOW_DEPTH, SHADOW_OFFSET = 1.1, 0.35, 2e-3, 0.2
 
 
-def round_up(x: float) -> float:
+def round_to_1_2_5(x: float) -> float:
     """Return the next of 1, 2, 5, 10, …, or the previous one if only slightly smaller.
 
-    >>> round_up(0.31), round_up(2.001)
+    >>> round_to_1_2_5(0.31), round_to_1_2_5(2.001)
     (0.5, 2.0)
     """
     power = 10.0 ** math.floor(math.log10(max(x, 1e-9)))
@@ -37,7 +37,7 @@ class DrawnGround:
 
     def __init__(self, device: Device, radius: float) -> None:
         self._lines = DrawnLines(device)
-        self._cell = round_up(max(radius, 1e-6) * 0.3)
+        self._cell = round_to_1_2_5(max(radius, 1e-6) * 0.3)
         self._key: tuple[int, int] | None = None
 
     def draw(
@@ -98,9 +98,9 @@ class DrawnTrails:
                 trails.append(self._trail(pose, sample, color(pose.index), contact))
             for contact_entry in pose.record.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
-                if "contacts" in shown and in_spans(code, contact_entry["spans"])[0]:
+                if "contacts" in shown and is_in_spans(code, contact_entry["spans"])[0]:
                     at = pose.positions[contact_entry["joint"]]
-                    rings.append(_ring(at, pose.extent * 0.045, contact))
+                    rings.append(_ring_lines(at, pose.extent * 0.045, contact))
         for lines, segments in ((self._trails, trails), (self._rings, rings)):
             table = np.concatenate(segments)
             lines.set(table[:, :3], table[:, 3:6], table[:, 6:])
@@ -131,7 +131,7 @@ class DrawnTrails:
         self._rings.draw(eye, width=3)
 
 
-def _ring(at: FloatArray, radius: float, color: Color) -> FloatArray:
+def _ring_lines(at: FloatArray, radius: float, color: Color) -> FloatArray:
     angles = np.arange(25) * np.pi / 12
     circle = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
     points = at + radius * circle
@@ -172,7 +172,7 @@ class ContactShadow:
         self._below.use()
         self._below.clear(depth=1.0)
         gl.enable(module.DEPTH_TEST)
-        eye = _looking_up(view, x, z, half_width)
+        eye = _upward_view(view, x, z, half_width)
         draw(eye)
         gl.disable(module.DEPTH_TEST)
         blur_radius = 1.5 / SHADOW_PIXELS
@@ -197,7 +197,7 @@ class ContactShadow:
         self._device.draw_generated(self._ground, 4, strip)
 
 
-def _looking_up(view: CameraView, x: float, z: float, half: float) -> EyeMatrices:
+def _upward_view(view: CameraView, x: float, z: float, half: float) -> EyeMatrices:
     """Return an orthographic camera that looks up from below the ground."""
     height = SHADOW_HEIGHT * view.radius
     depth = -SHADOW_DEPTH * height

@@ -14,20 +14,20 @@ from animtool.preview.streams import Array as Values
 
 Bytes = npt.NDArray[np.uint8]
 # Coordinate of points without a position: outside of every view.
-OFFSCREEN = 1e30
+OFFSCREEN_COORDINATE = 1e30
 
 
-def srgb(color: npt.ArrayLike) -> FloatArray:
+def srgb_bytes(color: npt.ArrayLike) -> FloatArray:
     """Return linear colors from 0 to 1 as sRGB, 0 to 255.
 
-    >>> srgb([0.0, 1.0]).tolist()
+    >>> srgb_bytes([0.0, 1.0]).tolist()
     [0.0, 255.0]
     """
     linear: FloatArray = np.maximum(np.asarray(color, np.float64), 0) ** (1 / 2.2) * 255
     return linear
 
 
-def repeated(count: int, color: FloatArray) -> Bytes:
+def repeat_color(count: int, color: FloatArray) -> Bytes:
     """Return one color repeated for N points ``(N, 3)``."""
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
@@ -139,7 +139,7 @@ class Sprites:
         self._array.render(self._device.module.POINTS, vertices=self._count)
 
 
-def with_offscreen(values: Values) -> FloatArray:
+def move_missing_offscreen(values: Values) -> FloatArray:
     """Return positions ``(N, 3)``, with missing ones far away."""
     points = np.reshape(values, (-1, 3)).astype(np.float64)
-    return np.where(np.isfinite(points), points, OFFSCREEN)
+    return np.where(np.isfinite(points), points, OFFSCREEN_COORDINATE)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.preview.pictures.data import Streams
+from animtool.preview.pictures.data import StreamReader
 
-_FOOT = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
+_FOOT_NAME = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
 
 
-def composed(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
+def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
     """Return T·R·S ``(..., 4, 4)``; rotations need not be normalized."""
     norm = np.linalg.norm(r, axis=-1, keepdims=True)
     x, y, z, w = np.moveaxis(r / np.where(norm > 0, norm, 1.0), -1, 0)
@@ -42,13 +42,15 @@ class DrawnPose:
         trailed: Joints with trails.
     """
 
-    def __init__(self, streams: Streams, record: dict[str, Any], index: int) -> None:
+    def __init__(
+        self, streams: StreamReader, record: dict[str, Any], index: int
+    ) -> None:
         self._streams, self.record, self.index = streams, record, index
         skeleton = record["skeleton"]
         self.names: list[str] = skeleton["names"]
         self.parents = np.array(skeleton["parents"], np.int64)
         self.count = len(self.names)
-        self.levels = _levels(self.parents)
+        self.levels = _joints_by_depth(self.parents)
         static = record.get("still") or skeleton["rest"]
         ones = np.ones((self.count, 3))
         self._values = {
@@ -96,7 +98,8 @@ class DrawnPose:
                 int(j)
                 for level in self.levels
                 for j in level
-                if _FOOT.search(self.names[j]) and not _FOOT.search(parent_names[j])
+                if _FOOT_NAME.search(self.names[j])
+                and not _FOOT_NAME.search(parent_names[j])
             ][:8]
         return list(dict.fromkeys([self.root, *feet]))
 
@@ -110,14 +113,14 @@ class DrawnPose:
         """Pose the skeleton at a sample."""
         visible = self.at(self.record.get("visible"), sample)
         self.visible = visible is None or visible[0] != 0
-        self.world = self._posed(sample)
+        self.world = self._posed_matrices(sample)
 
-    def _posed(self, sample: int) -> FloatArray:
+    def _posed_matrices(self, sample: int) -> FloatArray:
         values = self._values
         for component, number, joints in self._animated:
             stored_values = self._streams.at(number, sample - self.first)
             values[component][joints] = stored_values.reshape(len(joints), -1)
-        world = composed(values["t"], values["r"], values["s"])
+        world = compose_matrices(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
             world[level] = world[self.parents[level]] @ world[level]
         world[:, :3, 3] += self.shift
@@ -145,7 +148,7 @@ class DrawnPose:
         }
         for sample in range(first, last + 1):
             if sample not in self._paths:
-                world = self._posed(sample)
+                world = self._posed_matrices(sample)
                 self._paths[sample] = world[self.trailed, :3, 3]
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
@@ -155,11 +158,11 @@ class DrawnPose:
         for contact in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trailed):
                 if joint == contact["joint"]:
-                    in_contact[:, column] |= in_spans(codes, contact["spans"])
+                    in_contact[:, column] |= is_in_spans(codes, contact["spans"])
         return in_contact
 
 
-def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
+def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
     """Return which time codes are inside spans ``(F,)``."""
     is_inside = np.zeros(len(codes), bool)
     for first, last in spans:
@@ -167,7 +170,7 @@ def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
     return is_inside
 
 
-def _levels(parents: IntArray) -> list[IntArray]:
+def _joints_by_depth(parents: IntArray) -> list[IntArray]:
     """Return joints grouped by depth, parents first."""
     depth = np.full(len(parents), -1)
     level = np.flatnonzero(parents < 0)

@@ -13,15 +13,20 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.preview.options import PictureOptions
-from animtool.preview.pictures.camera import KEY_LIGHT, MAX_PITCH, PRESETS, CameraView
+from animtool.preview.pictures.camera import (
+    KEY_LIGHT,
+    MAX_PITCH,
+    VIEW_ANGLES,
+    CameraView,
+)
 from animtool.preview.pictures.kinds import PictureKind
 from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
 
 CELL_SIZE = (480, 360)
 # Smallest and largest size of a picture [px], and most cells of a sheet.
 MIN_SIZE, MAX_SIZE, MAX_CELLS = 16, 8192, 400
-_PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
-_SHOT = re.compile(r"shot:(\d{1,6})")
+_SIZE_PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
+_SHOT_CAMERA = re.compile(r"shot:(\d{1,6})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +41,8 @@ class CameraChoice:
         shot: Index of a shot camera of the page; None uses the orbit camera.
     """
 
-    yaw: float = PRESETS["home"][0]
-    pitch: float = PRESETS["home"][1]
+    yaw: float = VIEW_ANGLES["home"][0]
+    pitch: float = VIEW_ANGLES["home"][1]
     distance: float | None = None
     target: tuple[float, ...] = ()
     shot: int | None = None
@@ -57,13 +62,13 @@ def option_error(where: str, message: str, hint: str) -> OptionError:
     return OptionError(Fault("PRV006", message, hint=hint, where=where))
 
 
-def size_of(
+def picture_size(
     options: PictureOptions, kind: PictureKind, *, sheet: bool
 ) -> tuple[int, int]:
     """Return the size of a picture [px]."""
     if options.size is None:
         return CELL_SIZE if sheet else kind.size
-    width, height = _pair(options.size, "size", "960x540")
+    width, height = _parse_pair(options.size, "size", "960x540")
     if not (MIN_SIZE <= width <= MAX_SIZE and MIN_SIZE <= height <= MAX_SIZE):
         message = (
             f"invalid size {options.size}: {MIN_SIZE} to {MAX_SIZE} pixels per side"
@@ -72,11 +77,11 @@ def size_of(
     return width, height
 
 
-def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
+def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
     """Return columns and rows of a sheet; None without one."""
     if options.sheet is None:
         return None
-    columns, rows = _pair(options.sheet, "sheet", "4x3")
+    columns, rows = _parse_pair(options.sheet, "sheet", "4x3")
     if not 1 <= columns * rows <= MAX_CELLS:
         message = f"a sheet of {options.sheet} pictures"
         raise option_error(
@@ -85,8 +90,8 @@ def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
     return columns, rows
 
 
-def _pair(text: str, where: str, example: str) -> tuple[int, int]:
-    match = _PAIR.fullmatch(text.strip().lower())
+def _parse_pair(text: str, where: str, example: str) -> tuple[int, int]:
+    match = _SIZE_PAIR.fullmatch(text.strip().lower())
     if match is None:
         raise option_error(
             where, f"{text!r} is not two whole numbers", f"write {example}, for example"
@@ -94,7 +99,7 @@ def _pair(text: str, where: str, example: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def layers_of(options: PictureOptions) -> frozenset[str]:
+def drawn_layers(options: PictureOptions) -> frozenset[str]:
     """Return the layers to draw."""
     for name in options.show:
         if name not in LAYERS:
@@ -103,12 +108,12 @@ def layers_of(options: PictureOptions) -> frozenset[str]:
     return frozenset(options.show) or DEFAULT_LAYERS
 
 
-def light_of(options: PictureOptions) -> FloatArray:
+def light_direction(options: PictureOptions) -> FloatArray:
     """Return the direction of the key light in view space."""
     if options.light is None:
         light: FloatArray = KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
         return light
-    numbers = _numbers(options.light)
+    numbers = _parse_numbers(options.light)
     if len(numbers) != 2:
         message = f"{options.light!r} is not two angles in degrees"
         raise option_error("light", message, "write -27,40, for example")
@@ -117,25 +122,25 @@ def light_of(options: PictureOptions) -> FloatArray:
     return np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
 
 
-def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
+def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
     """Return a camera choice; ``names`` are the page's shot cameras."""
     text = text.strip()
-    if text in PRESETS:
-        return CameraChoice(*PRESETS[text])
+    if text in VIEW_ANGLES:
+        return CameraChoice(*VIEW_ANGLES[text])
     if text in names:
         return CameraChoice(shot=names.index(text))
-    if match := _SHOT.fullmatch(text):
+    if match := _SHOT_CAMERA.fullmatch(text):
         if int(match[1]) < len(names):
             return CameraChoice(shot=int(match[1]))
     else:
-        numbers = _numbers(text)
+        numbers = _parse_numbers(text)
         if len(numbers) == 2:
             return CameraChoice(math.radians(numbers[0]), math.radians(numbers[1]))
         # In the format of a page's address.
         if len(numbers) == 6 and numbers[2] > 0:
             yaw, pitch, distance, *target = numbers
             return CameraChoice(yaw, pitch, distance, tuple(target))
-    all_names = [*PRESETS, *names]
+    all_names = [*VIEW_ANGLES, *names]
     similar_name = most_similar(text, all_names)
     hint = (
         f"did you mean {similar_name!r}?"
@@ -146,7 +151,7 @@ def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
     raise option_error("camera", f"unknown camera {text!r}", hint)
 
 
-def _numbers(text: str) -> list[float]:
+def _parse_numbers(text: str) -> list[float]:
     """Return comma-separated finite numbers; empty if invalid."""
     try:
         numbers = [float(part) for part in text.split(",")]

@@ -10,16 +10,16 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import Color, DrawnBones
 from animtool.preview.pictures.camera import Bounds, CameraView, EyeMatrices
-from animtool.preview.pictures.data import Streams
-from animtool.preview.pictures.device import Array, Device, Picture
+from animtool.preview.pictures.data import StreamReader
+from animtool.preview.pictures.device import Array, Device, Framebuffer
 from animtool.preview.pictures.ground import ContactShadow, DrawnGround, DrawnTrails
 from animtool.preview.pictures.lines import DrawnLines
-from animtool.preview.pictures.pose import DrawnPose, composed
+from animtool.preview.pictures.pose import DrawnPose, compose_matrices
 from animtool.preview.pictures.shapes import (
+    DrawnInstances,
     DrawnMesh,
+    DrawnPoints,
     DrawnStrands,
-    Instances,
-    PointCloud,
 )
 from animtool.preview.pictures.sources import theme_colors
 
@@ -29,7 +29,7 @@ LAYERS = (
 )
 DEFAULT_LAYERS = frozenset(LAYERS) - {"axes"}
 # Maximum number of takes shown as single characters; more are a crowd.
-MAX_CAST = 4
+MAX_SHADOW_CASTERS = 4
 # A character is followed if its path is this many times longer than high; other motion,
 # such as a bouncing ball, is framed completely.
 MIN_PATH_RATIO = 2.0
@@ -43,7 +43,7 @@ TAKE_COLORS: tuple[Color, ...] = (
     *((186, 92, 150), (138, 120, 206), (196, 84, 80)),
 )
 
-Solid: TypeAlias = DrawnMesh | Instances | PointCloud | DrawnStrands
+Solid: TypeAlias = DrawnMesh | DrawnInstances | DrawnPoints | DrawnStrands
 
 
 class DrawnScene:
@@ -57,7 +57,7 @@ class DrawnScene:
         shown: frozenset[str] = DEFAULT_LAYERS,
     ) -> None:
         self._device, self._shown = device, shown
-        self._streams = streams = Streams(manifest["streams"], blocks)
+        self._streams = streams = StreamReader(manifest["streams"], blocks)
         time = manifest["time"]
         self.codes = time["first"] + np.arange(time["count"]) * time["step"]
         self._poses = [
@@ -69,11 +69,11 @@ class DrawnScene:
             for mesh in manifest["meshes"]
         ]
         self._instances = [
-            Instances(device, streams, entry, self._meshes[entry["mesh"]])
+            DrawnInstances(device, streams, entry, self._meshes[entry["mesh"]])
             for entry in manifest["instances"]
         ]
         self._clouds = [
-            PointCloud(device, streams, entry) for entry in manifest["points"]
+            DrawnPoints(device, streams, entry) for entry in manifest["points"]
         ]
         self._strands = [
             DrawnStrands(device, streams, entry, self._pose_of(entry))
@@ -86,7 +86,7 @@ class DrawnScene:
         self._shadow = ContactShadow(device)
         self._ground = DrawnGround(device, 1.0)
         self._colors = theme_colors()
-        self._crowd = len(self._poses) > MAX_CAST
+        self._crowd = len(self._poses) > MAX_SHADOW_CASTERS
         self._sample = -1
 
     def _pose_of(self, entry: Mapping[str, Any]) -> DrawnPose | None:
@@ -146,7 +146,7 @@ class DrawnScene:
         for mesh in self._meshes:
             mesh.bound(characters if mesh.skinned else bounds)
         bounds.join(characters)
-        drawn_objects: list[Instances | PointCloud | DrawnStrands]
+        drawn_objects: list[DrawnInstances | DrawnPoints | DrawnStrands]
         drawn_objects = [*self._instances, *self._clouds, *self._strands]
         for item in drawn_objects:
             item.bound(bounds)
@@ -173,7 +173,11 @@ class DrawnScene:
         return [*self._meshes, *self._instances, *self._clouds, *self._strands]
 
     def draw(
-        self, view: CameraView, sample: int, picture: Picture, shot: int | None = None
+        self,
+        view: CameraView,
+        sample: int,
+        picture: Framebuffer,
+        shot: int | None = None,
     ) -> Array:
         """Return the pixels of a sample ``(H, W, 3)``.
 
@@ -224,7 +228,7 @@ class DrawnScene:
             if not (isinstance(solid, DrawnMesh) and solid.surrounds(radius))
         ]
         self._draw_shapes(eye, shadow_casters)
-        if not self._solid:
+        if not self._has_solid:
             self._draw_bones(eye, visible, axes=False)
 
     def _draw_all(
@@ -251,7 +255,7 @@ class DrawnScene:
                 self._draw_frusta(far_eye, view, shot)
         target.depth_mask = True
         axes = "axes" in self._shown
-        if not self._solid:
+        if not self._has_solid:
             self._draw_bones(far_eye, visible, axes=axes)
             return
         # Drawn in front of the skin, which would hide them.
@@ -259,7 +263,7 @@ class DrawnScene:
             self._draw_bones(eye.between(0.0, 0.1, 0.5), visible, axes=axes)
 
     @property
-    def _solid(self) -> bool:
+    def _has_solid(self) -> bool:
         return "meshes" in self._shown and any(
             mesh.pose is not None or mesh.record.get("cache") is not None
             for mesh in self._meshes
@@ -294,7 +298,7 @@ class DrawnScene:
                 continue
             aperture_width, aperture_height = camera["aperture_mm"]
             size = view.radius * 0.16
-            world = composed(t.astype(np.float64), r.astype(np.float64), None)
+            world = compose_matrices(t.astype(np.float64), r.astype(np.float64), None)
             gate = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
             gate = gate * size * 0.5 * [1, aperture_height / aperture_width]
             corners = np.concatenate([gate, np.full((5, 1), -size)], axis=1)

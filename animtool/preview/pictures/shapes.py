@@ -8,24 +8,24 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.camera import Bounds, EyeMatrices
-from animtool.preview.pictures.data import Streams
+from animtool.preview.pictures.data import StreamReader
 from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.pictures.lines import (
-    OFFSCREEN,
+    OFFSCREEN_COORDINATE,
     DrawnLines,
     Sprites,
     VertexBuffer,
-    repeated,
-    srgb,
-    with_offscreen,
+    move_missing_offscreen,
+    repeat_color,
+    srgb_bytes,
 )
-from animtool.preview.pictures.pose import DrawnPose, composed
+from animtool.preview.pictures.pose import DrawnPose, compose_matrices
 
 # Meshes with fewer points are shaded by face, so boxes keep their edges.
 MIN_SMOOTH_POINTS = 200
 # Number of vertices that measure the bounds of a skinned mesh.
 BOUNDS_VERTICES = 200
-COLOR = (0.4, 0.43, 0.48)
+DEFAULT_COLOR = (0.4, 0.43, 0.48)
 # Meshes lower than this are a ground, and wider ones are a room, relative to the radius
 # of the scene.
 GROUND_HEIGHT, ROOM_WIDTH = 0.02, 2.2
@@ -33,7 +33,7 @@ POINT_COLOR = (0.7, 0.32, 0.05)
 STRAND_COLOR = (0.26, 0.15, 0.07)
 
 
-def normals_of(points: Array, faces: Array) -> FloatArray:
+def vertex_normals(points: Array, faces: Array) -> FloatArray:
     """Return area-weighted vertex normals ``(V, 3)``."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     face_normals = np.cross(b - a, c - a)
@@ -48,7 +48,7 @@ def normals_of(points: Array, faces: Array) -> FloatArray:
 class DrawnGeometry:
     """Buffers of a rest mesh, shared by meshes of the same streams."""
 
-    def __init__(self, device: Device, streams: Streams, record: dict[str, Any]):
+    def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
         self.rest = streams.array(record["points"]).reshape(-1, 3)
         self.faces = streams.array(record["faces"]).astype(np.uint32).reshape(-1, 3)
         normals = record.get("normals")
@@ -81,7 +81,7 @@ class DrawnGeometry:
     def set_points(self, points: Array, normals: Array | None = None) -> None:
         """Replace the points."""
         if normals is None:
-            normals = normals_of(points, self.faces) if self.smooth else points
+            normals = vertex_normals(points, self.faces) if self.smooth else points
         self.points.write(np.asarray(points, "<f4"))
         self.normals.write(np.asarray(normals, "<f4"))
 
@@ -92,7 +92,7 @@ class DrawnMesh:
     def __init__(
         self,
         device: Device,
-        streams: Streams,
+        streams: StreamReader,
         record: dict[str, Any],
         pose: DrawnPose | None,
         geometries: dict[tuple[Any, ...], DrawnGeometry],
@@ -120,7 +120,7 @@ class DrawnMesh:
         names = tuple(name for name, is_on in defines.items() if is_on)
         self.program = device.program("meshes.js", kinds=names)
         color = record.get("color")
-        self._color = srgb(COLOR if color is None else color) / 255
+        self._color = srgb_bytes(DEFAULT_COLOR if color is None else color) / 255
         self._array: Any = None
         if not self.is_prototype:
             self._array = self.array([])
@@ -238,17 +238,21 @@ class DrawnMesh:
         vertex_array.render(self._device.module.TRIANGLES, instances=copies)
 
 
-class Instances:
+class DrawnInstances:
     """Instances of a mesh: rigid bodies, flocks, crowds and props."""
 
     def __init__(
-        self, device: Device, streams: Streams, record: dict[str, Any], mesh: DrawnMesh
+        self,
+        device: Device,
+        streams: StreamReader,
+        record: dict[str, Any],
+        mesh: DrawnMesh,
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
         self._matrices_table, self._colors = VertexBuffer(device), VertexBuffer(device)
         self._count = streams.width(record["t"]) // 3
-        color = record.get("color") or mesh.record.get("color") or COLOR
-        self._colors.write(repeated(self._count, srgb(color)))
+        color = record.get("color") or mesh.record.get("color") or DEFAULT_COLOR
+        self._colors.write(repeat_color(self._count, srgb_bytes(color)))
         self._array: Any = None
         self.pose = None
         self.matrices = np.zeros((0, 4, 4))
@@ -276,7 +280,9 @@ class Instances:
                 s.reshape(-1, 3) if len(s) >= 3 * count else np.repeat(s[:, None], 3, 1)
             )
             sizes = instance_values[:count].astype(np.float64)[is_visible]
-        self.matrices = composed(positions[is_visible], rotations[is_visible], sizes)
+        self.matrices = compose_matrices(
+            positions[is_visible], rotations[is_visible], sizes
+        )
         if self._matrices_table.write(self.matrices.swapaxes(1, 2).astype("<f4")):
             self._array = self._mesh.array(
                 [
@@ -298,17 +304,19 @@ class Instances:
         self._mesh.draw(eye, self._array, len(self.matrices))
 
 
-class PointCloud:
+class DrawnPoints:
     """Points of a simulation or a capture."""
 
-    def __init__(self, device: Device, streams: Streams, record: dict[str, Any]):
+    def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
         self._streams, self._record = streams, record
         self._sprites = Sprites(device)
         count = streams.width(record["positions"]) // 3
-        self._tints = repeated(count, srgb(record.get("color") or POINT_COLOR))
+        self._tints = repeat_color(
+            count, srgb_bytes(record.get("color") or POINT_COLOR)
+        )
         if record.get("colors") is not None:
             colors = streams.array(record["colors"]) / 255
-            self._tints = srgb(colors).astype(np.uint8).reshape(-1, 3)
+            self._tints = srgb_bytes(colors).astype(np.uint8).reshape(-1, 3)
         radii = record.get("radii")
         self._radii = None if radii is None else streams.array(radii)
         self.pose = None
@@ -316,14 +324,14 @@ class PointCloud:
 
     def update(self, sample: int) -> None:
         """Place the points at a sample."""
-        self._points = with_offscreen(
+        self._points = move_missing_offscreen(
             self._streams.at(self._record["positions"], sample)
         )
         self._sprites.set(self._points, self._tints, self._radii)
 
     def bound(self, box: Bounds) -> None:
         """Grow bounds by the points."""
-        box.add(self._points[self._points[:, 0] < OFFSCREEN / 10])
+        box.add(self._points[self._points[:, 0] < OFFSCREEN_COORDINATE / 10])
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw them."""
@@ -336,7 +344,7 @@ class DrawnStrands:
     def __init__(
         self,
         device: Device,
-        streams: Streams,
+        streams: StreamReader,
         record: dict[str, Any],
         pose: DrawnPose | None,
     ) -> None:
@@ -346,7 +354,7 @@ class DrawnStrands:
         has_next = np.ones(int(counts.sum()), bool)
         has_next[np.cumsum(counts) - 1] = False
         self._heads = np.flatnonzero(has_next)
-        color = srgb(record.get("color") or STRAND_COLOR)
+        color = srgb_bytes(record.get("color") or STRAND_COLOR)
         self._color = np.append(color, 255.0)
         self._points = np.zeros((0, 3))
 

@@ -8,7 +8,7 @@ from functools import cache
 from animtool.preview.page import viewer_text
 
 # Constants of viewer modules that contain only GLSL.
-_CONSTANT = re.compile(
+_CONSTANT_LINE = re.compile(
     r"^(?:export )?const ([A-Z_]+) = (?:`([^`]*)`|'([^'\n]*)');$", re.M
 )
 _INSERTED_NAME = re.compile(r"\$\{([A-Z_]+)\}")
@@ -22,20 +22,23 @@ SHADER_HEADER = (
 )
 
 
-def shader(module: str, name: str) -> str:
+def shader_source(module: str, name: str) -> str:
     """Return a shader of the viewer, as used by WebGL.
 
-    >>> shader("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
+    >>> shader_source("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True
     """
-    shared_constants, texts = _constants(SHARED_MODULE), _constants(module)
+    shared_constants, texts = (
+        _shader_constants(SHARED_MODULE),
+        _shader_constants(module),
+    )
     return _INSERTED_NAME.sub(lambda match: shared_constants[match[1]], texts[name])
 
 
 @cache
-def _constants(module: str) -> dict[str, str]:
+def _shader_constants(module: str) -> dict[str, str]:
     text = viewer_text(module)
-    return {name: a or b for name, a, b in _CONSTANT.findall(text)}
+    return {name: a or b for name, a, b in _CONSTANT_LINE.findall(text)}
 
 
 @cache

@@ -21,7 +21,7 @@ from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.driving import with_combined_weights
 from animtool.motion.motion import Channel
-from animtool.motion.reorient import rotated_rig
+from animtool.motion.reorient import rotate_rig
 from animtool.motion.scores import PassScores
 from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
@@ -174,7 +174,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
         return take, []  # passes have put another rig there
     rotation = up_from_up(take.rig.up, full_rig.up)
     if rotation is not None:
-        full_rig = rotated_rig(full_rig, np.array(rotation), take.rig.up)
+        full_rig = rotate_rig(full_rig, np.array(rotation), take.rig.up)
     full_names = {shape.name for shape in full_rig.shapes}
     without_mesh = [s for s in take.rig.shapes if s.name not in full_names]
     shapes = (*full_rig.shapes, *without_mesh)

@@ -19,16 +19,16 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
     outside_take,
     plan_samples,
-    sample,
+    sample_blocks,
     single_frame_warning,
 )
-from animtool.edit.straight import straight_notices
+from animtool.edit.straight import interpolation_notices
 from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
@@ -92,27 +92,27 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     )
     if is_unchanged:
         return TimedTake(_stream_blocks(plan, stream), stream.rig)
-    curve = None if stream.altered else stream.curve
+    curve = None if stream.is_altered else stream.curve
     if curve is not None and options.rest_frame is None:
         return _sample_curve(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
-    rig, interpolation = take.rig, Between.of(take)
+    rig, interpolation = take.rig, TakeSampler.of(take)
     if options.rest_frame is not None:
         rig = _with_rest(plan, interpolation, options.rest_frame)
     plan.notices.extend(_straight_notices(plan, interpolation, times))
-    return TimedTake(sample(interpolation, times), rig, times)
+    return TimedTake(sample_blocks(interpolation, times), rig, times)
 
 
 def _straight_notices(
-    plan: TakePlan, interpolation: Between, times: SampleTimes
+    plan: TakePlan, interpolation: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
     """Report the error bound of linear interpolation, unless a pass reported it."""
     reported_codes = {notice.code for notice in plan.stream.notices}
     sample_times = FramePositions(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
-        for notice in straight_notices(
+        for notice in interpolation_notices(
             interpolation,
             sample_times,
             f"{argument('keep_samples', True)} keeps the frames as is",
@@ -317,7 +317,7 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     return notices
 
 
-def _with_rest(plan: TakePlan, interpolation: Between, frame: int) -> Rig:
+def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
     frames, take = FrameRange(frame, frame), interpolation.take
     try:
@@ -326,7 +326,7 @@ def _with_rest(plan: TakePlan, interpolation: Between, frame: int) -> Rig:
         last = plan.start + Fraction(take.clock.count - 1) * plan.fps / take.clock.rate
         fault = outside_take(frames, plan.start, last, name="rest_frame")
         raise OptionError(replace(fault, path=str(plan.source))) from error
-    ((_, pose),) = sample(interpolation, times)
+    ((_, pose),) = sample_blocks(interpolation, times)
     translations, rotations, _ = pose.dense()
     joints = tuple(
         replace(joint, translation=tuple(t), rotation=tuple(r))

@@ -23,11 +23,11 @@ from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
 from animtool.usd.rigs.skeleton import rest_record
-from animtool.usd.takes.author import Authored, author, write_usd
+from animtool.usd.takes.author import AuthoredLayers, author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 
 if TYPE_CHECKING:
-    from animtool.edit.thin import Thinned
+    from animtool.edit.thin import ThinnedSamples
 
 
 class JointPrims:
@@ -42,9 +42,9 @@ class JointPrims:
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
         if plan.form is LayerForm.LIBRARY and plan.target is not None:
-            from animtool.usd.takes.library import merged_library
+            from animtool.usd.takes.library import merge_library
 
-            authored.animation = merged_library(
+            authored.animation = merge_library(
                 plan.target.path, authored.animation, job.paths, plan.takes[0].name
             )
         notices = [notice for take in plan.takes for notice in take.stream.notices]
@@ -71,7 +71,7 @@ class JointFiles:
     """Layers of takes that are written as joints."""
 
     job: UsdJob
-    authored: Authored
+    authored: AuthoredLayers
     result: UsdResult
 
     def write(self, save: Save) -> None:
@@ -141,7 +141,7 @@ class _JointTake:
     def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
         self.seconds = {"read": 0.0}  # time to compute blocks [s]
-        self._thinned: Thinned | None = None
+        self._thinned: ThinnedSamples | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
         """Return the writer's description of the take, and its frames.
@@ -211,7 +211,7 @@ def _thinned(
     frames: tuple[Fraction, Fraction] | None,
     rig: Rig,
     step: Fraction,
-) -> tuple[TimedBlocks, Thinned, tuple[Fraction, Fraction]]:
+) -> tuple[TimedBlocks, ThinnedSamples, tuple[Fraction, Fraction]]:
     """Return the samples to keep, their errors, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 

@@ -18,7 +18,7 @@ from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import at_stage_origin, placement_notice, reorient
+from animtool.motion.reorient import placement_notice, reorient, unplace_take
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
@@ -370,7 +370,7 @@ def _on_stage(
     for source, stream in zip(sources, streams, strict=True):
         notices += placement_notice(stream.rig, str(source), kept=keeps_placement)
     if not keeps_placement:
-        streams = [at_stage_origin(stream) for stream in streams]
+        streams = [unplace_take(stream) for stream in streams]
     up = options.to_up or streams[0].rig.up
     return [reorient(stream, up) for stream in streams]
 
@@ -382,12 +382,12 @@ def _on_rig(
     notices: list[Fault],
 ) -> tuple[list[TakeStream], list[RigJointMap]]:
     """Return takes in the space of a rig layer, with the joints that they move."""
-    from animtool.usd.takes.over_rig import over_rig
+    from animtool.usd.takes.over_rig import convert_over_rig
 
     notices += target.notices
     rig, layer = target.skeleton.rig, str(target.path)
     over_rigs = [
-        over_rig(
+        convert_over_rig(
             reorient(stream, rig.up), target.placement, options.placement, layer, rig
         )
         for stream in streams

@@ -31,11 +31,11 @@ from animtool.scene.bake.prims import (
 from animtool.scene.bake.progress import prefetch
 from animtool.skin.character import CharacterMesh
 from animtool.skin.deform import (
-    Deformed,
+    DeformedFrames,
     block_frames,
     deform,
     deform_blocks,
-    displaced_points,
+    replace_points,
 )
 from animtool.usd.caches.point_cache import (
     CacheJob,
@@ -89,10 +89,10 @@ class PointStream:
     def _displaced_frames(
         self,
         mesh: int,
-        deformed: Iterator[Deformed],
+        deformed: Iterator[DeformedFrames],
         codes: FloatArray,
         points: Channel,
-    ) -> Iterator[Deformed]:
+    ) -> Iterator[DeformedFrames]:
         """Yield frames of a mesh that shapes or strands displace."""
         surfaces = self.character.surfaces
         surface = surfaces[mesh] if mesh < len(surfaces) else None
@@ -100,11 +100,15 @@ class PointStream:
         frames_done = 0
         for deformed_block in deformed:
             frames = slice(frames_done, frames_done + len(deformed_block.points))
-            yield displaced_points(deformed_block, points, frames, surface, times)
+            yield replace_points(deformed_block, points, frames, surface, times)
             frames_done = frames.stop
 
     def _float32_blocks(
-        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
+        self,
+        mesh: int,
+        codes: FloatArray,
+        deformed: Iterator[DeformedFrames],
+        counted: slice,
     ) -> Iterator[Block]:
         """Yield the counted frames of a piece in float32."""
         frames_done = 0
@@ -136,7 +140,7 @@ class PointStream:
         codes: FloatArray,
         weights: FloatArray | None,
         world: WorldTransforms,
-    ) -> Iterator[Deformed]:
+    ) -> Iterator[DeformedFrames]:
         record = mesh.mesh
         normals = record.normals is not None
         if _is_static(mesh, weights, world):
@@ -167,7 +171,7 @@ def _is_static(
     )
 
 
-def _repeat_frame(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
+def _repeat_frame(frame_block: DeformedFrames, frames: int) -> Iterator[DeformedFrames]:
     size = block_frames(frame_block.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:
@@ -175,7 +179,7 @@ def _repeat_frame(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
 
     for begin in range(0, frames, size):
         count = min(size, frames - begin)
-        yield Deformed(
+        yield DeformedFrames(
             repeat(frame_block.points, count),
             repeat(frame_block.extents, count),
             repeat(frame_block.normals, count),

@@ -25,7 +25,7 @@ from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import model_path, save_layer
 
 if TYPE_CHECKING:
-    from animtool.edit.thin import Thinned
+    from animtool.edit.thin import ThinnedSamples
     from animtool.scene.bake.frames import BakedTake, TakePlan
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.caches.writer import CachedMesh
@@ -78,7 +78,7 @@ class TakeReport:
     # Properties that the source states.
     details: dict[str, object] = field(default_factory=dict)
     # Result of reducing samples, if requested.
-    thinned: Thinned | None = None
+    thinned: ThinnedSamples | None = None
     thinned_joint: str = ""  # joint that reduction moved most
     # Written meshes, if they were deformed.
     meshes: list[MeshReport] = field(default_factory=list)

@@ -361,10 +361,10 @@ def output_files(
     files = output_paths(path, form_of(options))
     if options.chunk is None:
         return files
-    from animtool.usd.layers.chunks import point_files, system_files
+    from animtool.usd.layers.chunks import point_clip_files, system_clip_files
 
-    file_sets = [point_files(path)] if options.deform else []
-    file_sets += [system_files(path)] if simulated else []
+    file_sets = [point_clip_files(path)] if options.deform else []
+    file_sets += [system_clip_files(path)] if simulated else []
     chunks = [
         file
         for file_set in file_sets

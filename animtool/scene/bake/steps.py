@@ -15,7 +15,7 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.writers import CLIP, take_writer
 from animtool.motion.motion import Motion
-from animtool.motion.passes import TakePart, sees_tracks
+from animtool.motion.passes import TakePart, handles_tracks
 from animtool.motion.take import TakeStream
 from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
@@ -271,7 +271,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         if isinstance(value := getattr(options, field.name), Path)
     ]
     available_parts = state.moving | {TakePart.RIG, TakePart.CLOCK}
-    if not sees_tracks(entry.pass_):
+    if not handles_tracks(entry.pass_):
         available_parts -= {TakePart.TRACKS}
     left_out = []
     if scene.preroll is not None and not entry.pass_.settles:

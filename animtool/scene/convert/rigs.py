@@ -25,7 +25,7 @@ from animtool.core.names import has_kind_suffix, kind_suffixes
 from animtool.core.record import dataclass
 from animtool.core.writers import rig_writer
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import StoredArrays, with_file
+from animtool.rig.surfaces import StoredArrays, with_array_file
 from animtool.rig.write import rig_text
 from animtool.scene.sources.onto_rig import open_rig
 
@@ -155,7 +155,7 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
     changes_folder = source.resolve().parent != output.resolve().parent
-    rig, arrays = with_file(rig, arrays_path, copy_all=changes_folder)
+    rig, arrays = with_array_file(rig, arrays_path, copy_all=changes_folder)
     return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 

@@ -19,7 +19,12 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
-from animtool.documents.document import Document, Location, location_of, spelled
+from animtool.documents.document import (
+    Document,
+    Location,
+    location_text,
+    parse_location,
+)
 from animtool.motion.passes import Pass
 from animtool.motion.transforms import PropRequest
 from animtool.scene.bake.options import BakeOptions
@@ -104,7 +109,7 @@ def entry_location(
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
                 keys[f"{name}[{i}]"] = document.position((*at, name, i))
-    return EntryLocation(document.path, *document.position(at), spelled(at), keys)
+    return EntryLocation(document.path, *document.position(at), location_text(at), keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +185,7 @@ class SystemSetup:
     def joined(self) -> tuple[tuple[str, Location], ...]:
         """Names of the systems that it is joined to, and their locations."""
         names = () if self.record is None else self.record.joined
-        return tuple((name, (*self.at, *location_of(key))) for name, key in names)
+        return tuple((name, (*self.at, *parse_location(key))) for name, key in names)
 
     @property
     def writes(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from animtool.core.units import LengthUnit, UpAxis, parse_length
 from animtool.core.writers import Writer, writer_of
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
-from animtool.documents.references import referred, referred_input
+from animtool.documents.references import resolve_input, resolve_reference
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.entries import SceneOutput, entry_location
 from animtool.scene.file.option_text import parse_offsets
@@ -48,7 +48,7 @@ class KeyReader:
 
     def read_file(self, at: Location, name: str) -> Path:
         """Return an existing file to read."""
-        path = referred_input(self.document, at, name, self.roots)
+        path = resolve_input(self.document, at, name, self.roots)
         return Path(name) if path is None else path
 
 
@@ -204,7 +204,7 @@ class OutputReader:
 
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""
-        path = referred(self._document, at, name, self._roots, written=True)
+        path = resolve_reference(self._document, at, name, self._roots, written=True)
         return Path(name) if path is None else path
 
     def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:

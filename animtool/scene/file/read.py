@@ -20,10 +20,10 @@ from animtool.documents.check import (
     check_version,
     record_of_options,
     renamed_options,
-    validated,
+    validate_document,
 )
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.references import referred
+from animtool.documents.references import resolve_reference
 from animtool.documents.variables import resolve_variables
 from animtool.motion.passes import Pass, find_pass
 from animtool.scene.file.entries import (
@@ -48,7 +48,7 @@ from animtool.scene.systems.links import check_colliders, check_links
 from animtool.scene.systems.suspicions import warn_of_sizes
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.conversion import SceneUnits
-from animtool.systems.framework.fields import AROUND
+from animtool.systems.framework.fields import COLLISION_KEYS
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 # Reads whole scenes as characters, so it is loaded by name.
@@ -89,7 +89,7 @@ def scene_of_document(
     _expand_short_forms(document)
     keys = model_for(document.value)
     resolved = resolve_variables(document, keys, values, parts)
-    model = validated(document, keys)
+    model = validate_document(document, keys)
     variable_folders = {
         name: Path(text) for name, text in values.items() if Path(text).is_absolute()
     }
@@ -98,7 +98,7 @@ def scene_of_document(
     scene = replace(
         reader.scene(),
         variables=resolved.names,
-        idle_variables=resolved.idle,
+        idle_variables=resolved.unused,
         effective_variables=resolved.effective,
         notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
     )
@@ -230,7 +230,7 @@ class _SceneReader:
 
     def _written_systems(self) -> Any:
         """Return the raw entries of systems, even under a misspelt key."""
-        written = self.document.spellings.get(("systems",), "systems")
+        written = self.document.old_keys.get(("systems",), "systems")
         return self.document.value[written]
 
     def _check_simulated(self) -> None:
@@ -370,7 +370,9 @@ class _PassReader:
         options, files = self._with_colliders(at, options)
         _check_pass(self.keys, at, pass_, options)
         for written in getattr(options, "writes", ()):
-            referred(document, at, str(written), self.output_roots, written=True)
+            resolve_reference(
+                document, at, str(written), self.output_roots, written=True
+            )
         if faults:
             return None
         if name == "simulate":
@@ -384,7 +386,7 @@ class _PassReader:
         """Return options with their colliders, and the colliders' files."""
         entries = {
             name: models
-            for name in AROUND
+            for name in COLLISION_KEYS
             if (models := getattr(options, name, ()))
             and isinstance(models[0], FileModel)
         }

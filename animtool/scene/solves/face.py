@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from animtool.capture.face.capture import FaceCapture, in_order, read_capture
+from animtool.capture.face.capture import FaceCapture, order_landmarks, read_capture
 from animtool.capture.face.file import face_model, load_landmarks
 from animtool.capture.face.fit import FaceFit
 from animtool.capture.face.model import FaceModel
@@ -21,11 +21,11 @@ from animtool.core.errors import Fault, OptionError, Severity, faults_in
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.so3 import multiply, rotate
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.head import HEAD, head_joints, local_rotations
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.bake.options import BakeOptions
@@ -145,7 +145,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)
-    landmark_points, point_notices = in_order(capture, model)
+    landmark_points, point_notices = order_landmarks(capture, model)
     camera, landmark_points = _undistort(job, capture, landmark_points)
     read_at = time.perf_counter()
     with faults_in(job.capture):
@@ -169,7 +169,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     motion, head_notices = face_motion(fit, links, rig, head_motion)
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
-    take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
+    take = drive_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {
         "read": read_at - start_time,
         "solve": time.perf_counter() - read_at,
@@ -207,12 +207,12 @@ def _undistort(
         message = "landmarks are in pixels, but there is no camera"
         hint = f"set the lens of the camera with {argument('camera')} FILE"
         raise OptionError(Fault("FAC010", message, str(job.capture), (), hint))
-    from animtool.capture.cameras.camera import rays
+    from animtool.capture.cameras.camera import pixel_rays
     from animtool.capture.cameras.file import load_cameras
 
     lens = _camera(job, load_cameras(job.camera).cameras)
     numbers = np.array([*lens.focal, *lens.centre])
-    return numbers, rays(lens, points)[..., :2] * numbers[:2] + numbers[2:]
+    return numbers, pixel_rays(lens, points)[..., :2] * numbers[:2] + numbers[2:]
 
 
 def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
@@ -248,7 +248,7 @@ def _proportions(
             "that frame"
         )
         raise OptionError(Fault("FAC011", message))
-    return model.of_actor(points[options.neutral])
+    return model.with_proportions(points[options.neutral])
 
 
 def _turned_up(fit: FaceFit) -> FaceFit:
@@ -314,7 +314,9 @@ def _head_translations(
             "is ignored"
         )
         return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
-    rest_pose = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    rest_pose = forward_kinematics(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
     at = rest_pose.positions[0, joint]
     # The head rotates about its joint, so only the joint is moved.
     head_offsets = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))

@@ -45,7 +45,7 @@ from animtool.ik.report import (
 )
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
-from animtool.motion.driving import driven_take
+from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
@@ -348,9 +348,9 @@ def open_start(
     # What its blocks notice is known when all are read.
     take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
-        return driven_take(replace(take, rig=rig))
+        return drive_take(replace(take, rig=rig))
     motion, left_out = _map_motion(take, rig, path)
-    return driven_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
+    return drive_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
 
 
 def _crop_to_shot(take: Take, shot: Shot | None) -> Take:

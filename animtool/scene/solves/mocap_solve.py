@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from animtool.capture.options import SolveOptions
 from animtool.capture.solve.calibration import Calibration, calibrate
 from animtool.capture.solve.run import MarkerSolve, solve_markers
-from animtool.capture.solve.source import named_rig, solve_stream
+from animtool.capture.solve.source import rig_of_template, solve_stream
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import template_text
 from animtool.core.arguments import argument
@@ -113,7 +113,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     _check(job)
     target = job.target
     template = load_template(job.template)
-    rig_path = named_rig(template, job.rig, job.template)
+    rig_path = rig_of_template(template, job.rig, job.template)
     inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
     target.check(file_of(path) for path in inputs if path is not None)
     with atomic_outputs():

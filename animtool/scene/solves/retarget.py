@@ -17,14 +17,14 @@ from animtool.core.files.output import (
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.values import template_values
-from animtool.motion.driving import driven_stream
-from animtool.motion.reorient import at_stage_origin, placement_notice
+from animtool.motion.driving import drive_stream
+from animtool.motion.reorient import placement_notice, unplace_take
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
-from animtool.retarget.take_pass import checked_blocks, onto_rig
+from animtool.retarget.take_pass import checked_blocks, retarget_stream
 from animtool.retarget.verdict import FrameNumbers, Verdict
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
@@ -181,10 +181,10 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     from animtool.usd.rigs.target import open_target
 
     placement = open_target(layer, job.bake.prim_path).placement()
-    if placement.uneven or placement.stands.is_none:
+    if placement.uneven or placement.stands.is_identity:
         return stream
     notice = placement_notice(rig, str(job.source), kept=False, over=placement.stands)
-    return replace(at_stage_origin(stream), notices=stream.notices + notice)
+    return replace(unplace_take(stream), notices=stream.notices + notice)
 
 
 def _retarget(
@@ -203,7 +203,9 @@ def _retarget(
         seconds["read"] = time.perf_counter() - start_time
         stream.blocks = timed(stream.blocks, seconds, "read")
         with faults_in(job.source):
-            retargeting, joint_map, map_notices = onto_rig(stream, rig, job.options)
+            retargeting, joint_map, map_notices = retarget_stream(
+                stream, rig, job.options
+            )
     seconds["solve"] = time.perf_counter() - start_time - seconds["read"]
     target_notices = joint_map.target.notices
     notices = [*notices, *stream.notices]
@@ -226,4 +228,4 @@ def _retarget(
     )
     result.start = Fraction(1) if stream.start is None else stream.start
     result.rate = stream.fps / stream.step
-    return driven_stream(solved_stream), result
+    return drive_stream(solved_stream), result

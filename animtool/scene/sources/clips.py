@@ -20,7 +20,7 @@ from animtool.clip.schema import ChannelModel, key_times
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.units import unit_name
-from animtool.documents.document import Location, spelled
+from animtool.documents.document import Location, location_text
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -109,7 +109,7 @@ def _fault_of(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
             path=str(document.path),
             lines=(line,),
             column=column,
-            where=spelled(key_path),
+            where=location_text(key_path),
         )
     return replace(notice.fault, path=str(document.path))
 

@@ -98,7 +98,7 @@ class _Layer:
                 float(clock.start) + layer_seconds * float(clock.fps)
             )
         samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
-        return self.take.motion.map(samples.blend)
+        return self.take.motion.map(samples.interpolate)
 
     def _sample_curve(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock
@@ -230,7 +230,7 @@ class _JoinedTake:
             self._report_frames(self.base.count)
         elif any(layer.part.stream.curve is not None for layer in self.layers):
             # Layers keep their curves even if the first source has samples.
-            joined_stream.curve, joined_stream.altered = self._curve, True
+            joined_stream.curve, joined_stream.is_altered = self._curve, True
         return joined_stream
 
     @property

@@ -389,9 +389,9 @@ def _drive_tracks(stream: TakeStream) -> TakeStream:
     """Return a source whose driven tracks are evaluated from its rig."""
     if not stream.rig.is_driven:
         return stream
-    from animtool.motion.driving import driven_stream
+    from animtool.motion.driving import drive_stream
 
-    return driven_stream(stream, report_replaced=True)
+    return drive_stream(stream, report_replaced=True)
 
 
 def _refusal(name: str, path: Path) -> Fault:

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
-from animtool.edit.between import Between
+from animtool.edit.between import TakeSampler
 from animtool.edit.travel import nearby_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
@@ -60,7 +60,7 @@ def with_preroll(stream: TakeStream, count: int) -> TakeStream:
         start=start - count * stream.step,
         blocks=blocks(),
         curve=None if curve is None else first_pose,
-        altered=True,
+        is_altered=True,
         count=0,
         control_curves={},
     )
@@ -150,7 +150,7 @@ def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     sample = shot.media_in * stream.fps / stream.step
     if not 0 <= sample < take.clock.count:
         raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
-    pose = Between.of(take).at(nearby_positions([float(sample)], take.clock.count))
+    pose = TakeSampler.of(take).at(nearby_positions([float(sample)], take.clock.count))
     constant = pose.select(np.zeros(count, np.int64))
     return replace(
         stream,

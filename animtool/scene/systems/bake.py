@@ -25,7 +25,7 @@ from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh
-from animtool.usd.layers.chunks import growing_layer, system_files
+from animtool.usd.layers.chunks import growing_layer, system_clip_files
 from animtool.usd.layers.jobs import LayerForm, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import (
     StageMetadata,
@@ -151,7 +151,7 @@ class SystemFrames:
 
     def chunk(self, layer: Any, output: Path, size: int) -> None:
         """Simulate into files of some samples each, which a layer joins."""
-        clips = system_files(output)
+        clips = system_clip_files(output)
         self.files, self.written = chunk_simulated(
             self.job, self.rows, layer, clips, size
         )

@@ -27,7 +27,7 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.scene.sources.open import open_source
 from animtool.sim.colliders import Collider, Sheet, Sphere, rig_colliders
 from animtool.skin.character import character_meshes
-from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
+from animtool.skin.deform import DeformedFrames, DeformedMesh, deform_blocks
 from animtool.systems.framework.fields import CharacterModel
 
 
@@ -132,7 +132,7 @@ class CharacterSkin:
             None if weights is None else mesh.weights(weights.dense()[..., 0])
         )
 
-    def blocks(self) -> Iterator[Deformed]:
+    def blocks(self) -> Iterator[DeformedFrames]:
         """Yield all frames in blocks that reuse one buffer."""
         return deform_blocks(self._mesh, self._weights, self._world, normals=False)
 

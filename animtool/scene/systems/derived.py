@@ -21,7 +21,7 @@ from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.check import FileModel
-from animtool.documents.document import Document, Location, location_of
+from animtool.documents.document import Document, Location, parse_location
 from animtool.motion.frames import MeshFrame
 from animtool.motion.physics import Physics
 from animtool.motion.transforms import PropRequest
@@ -34,7 +34,7 @@ from animtool.scene.systems.suspicions import shape_volume, warn_of_sizes
 from animtool.scene.systems.suspicious_forces import FORCE_KEYS, warn_of_forces
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
-    AROUND,
+    COLLISION_KEYS,
     CarryingBodyModel,
     CarryingJointModel,
     CarryingPrimModel,
@@ -52,7 +52,7 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 from animtool.systems.framework.spec import SystemSpec
-from animtool.systems.framework.tied import OnBody
+from animtool.systems.framework.tied import BodyCarrier
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
@@ -315,9 +315,9 @@ class SpecPartReader(EntryReader):
         self.opened((*at, "prim"), lambda: open_prop(request, UpAxis.Y), "SIM053")
         return OnPrim(path, model.prim, model.frame)
 
-    def carrying_body(self, at: Location, model: CarryingBodyModel) -> OnBody:  # noqa: ARG002
+    def carrying_body(self, at: Location, model: CarryingBodyModel) -> BodyCarrier:  # noqa: ARG002
         """Return a rigid body as a carrier; its system is checked later."""
-        return OnBody(model.system, model.body)
+        return BodyCarrier(model.system, model.body)
 
     def _checked_part(self, at: Location, part: Any, *, check: bool) -> Any:
         """Return a parsed entry, with its own faults recorded if requested."""
@@ -377,11 +377,11 @@ def read_spec(
     """
     spec = units.converted(spec)
     collider_reader, reader = (SpecPartReader(document, roots, units) for _ in range(2))
-    collider_parts = collider_reader.parts(at, spec, AROUND[:1])
+    collider_parts = collider_reader.parts(at, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.
     is_valid = collider_reader.sound
-    collider_parts |= collider_reader.parts(at, spec, AROUND[1:])
-    parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
+    collider_parts |= collider_reader.parts(at, spec, COLLISION_KEYS[1:])
+    parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS})
     reader.note_ranges(at, spec)
     if not SIZES.isdisjoint(type(spec).model_fields):
         warn_of_sizes(document, at, spec.model_dump(include=SIZES | OF_SIZES))
@@ -389,7 +389,7 @@ def read_spec(
     warn_of_forces(document, at, stated_values, units.length, shape_volume)
     record, faults = spec.build_record(parts)
     for fault in faults:
-        at_key = (*at, *location_of(fault.where or ""))
+        at_key = (*at, *parse_location(fault.where or ""))
         document.add(fault.code, at_key, fault.message, fault.hint)
     if reader.sound:
         reader.note_entry(at, spec, spec.faults(parts))

@@ -23,8 +23,8 @@ from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER, record_of
 from animtool.documents.model_faults import LocatedFaults
 from animtool.documents.references import (
-    referred,
-    referred_input,
+    resolve_input,
+    resolve_reference,
     split_reference,
 )
 from animtool.maths import so3
@@ -393,7 +393,7 @@ class EntryReader:
 
     def input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None with a fault if it is missing."""
-        path = referred_input(self.document, at, name, self.roots)
+        path = resolve_input(self.document, at, name, self.roots)
         self.sound &= path is not None
         return path
 
@@ -405,7 +405,7 @@ class EntryReader:
 
     def output(self, at: Location, name: str) -> None:
         """Record the fault of a file that cannot be written."""
-        path = referred(self.document, at, name, self.roots, written=True)
+        path = resolve_reference(self.document, at, name, self.roots, written=True)
         self.sound &= path is not None
 
 

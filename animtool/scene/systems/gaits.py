@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.errors import faults_in
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
-from animtool.motion.reorient import reorient, rotated_rig
+from animtool.motion.reorient import reorient, rotate_rig
 from animtool.motion.take import Take
 from animtool.retarget.motion import retarget_take
 from animtool.retarget.pairing import map_joints
@@ -45,7 +45,7 @@ class GaitsSource:
         rig = at_origin(open_rig(self.rig)[0])
         rotation = up_from_up(UpAxis.Y, rig.up)
         if rotation is not None:
-            rig = rotated_rig(rig, np.array(rotation), UpAxis.Y)
+            rig = rotate_rig(rig, np.array(rotation), UpAxis.Y)
         return gaits_of(
             rig, [(clip_path.stem, _on_rig(clip_path, rig)) for clip_path in self.clips]
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 from animtool.core.errors import listed
 from animtool.core.names import nearest
-from animtool.documents.document import Document, Location, location_of
+from animtool.documents.document import Document, Location, parse_location
 from animtool.scene.file.entries import ScenePass, SceneSystem
 from animtool.systems.framework.fields import SystemSurfaceModel
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -139,7 +139,7 @@ def check_colliders(
 ) -> None:
     """Record unknown colliders that passes name (SIM183, SIM184, SCN063)."""
     for entry in passes:
-        at = location_of(entry.location.where)
+        at = parse_location(entry.location.where)
         for i, character in enumerate(getattr(entry.options, "characters", ())):
             if character.source:
                 message = (
@@ -186,7 +186,7 @@ def _check_body(
         return True
     message = f"unknown body {body!r} of {name!r}"
     hint = nearest(body, body_names) or f"it has {listed(body_names, 12)}"
-    document.add("SIM162", (*system.setup.at, *location_of(where)), message, hint)
+    document.add("SIM162", (*system.setup.at, *parse_location(where)), message, hint)
     return False
 
 
@@ -202,7 +202,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):
-            at_key = (*system.setup.at, *location_of(fault.where or ""))
+            at_key = (*system.setup.at, *parse_location(fault.where or ""))
             document.add(fault.code, at_key, fault.message, fault.hint)
     joined_text = any(system.setup.around.anything for system in systems)
     first_values: dict[str, tuple[str, Any]] = {}

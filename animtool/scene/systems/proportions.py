@@ -19,7 +19,7 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.systems.framework.fields import AROUND, PlacedModel
+from animtool.systems.framework.fields import COLLISION_KEYS, PlacedModel
 from animtool.systems.framework.spec import PinnedPoints
 
 # A system is probably in a wrong unit if its distance from a character is FAR_RATIO
@@ -126,7 +126,7 @@ def _points(system: SceneSystem) -> FloatArray:
     spec = system.setup.spec
     corners = [
         entry.at
-        for key in type(spec).model_fields.keys() - {*AROUND}
+        for key in type(spec).model_fields.keys() - {*COLLISION_KEYS}
         if isinstance(entries := getattr(spec, key), list)
         for entry in entries
         if isinstance(entry, PlacedModel) and "at" in entry.model_fields_set

@@ -27,8 +27,8 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
-from animtool.systems.framework.run import STEP_TOLERANCE, EntryRun, Reached
-from animtool.systems.framework.saved import Clocked, write_states
+from animtool.systems.framework.run import STEP_TOLERANCE, EntryRun, ReachedState
+from animtool.systems.framework.saved import StateClock, write_states
 from animtool.systems.framework.simulation import NeedsFinalState
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.names import distinct_names, legal_name
@@ -112,7 +112,7 @@ class SystemRun:
             for i, system in enumerate(systems)
             if system.setup.writes
         }
-        self._kept: dict[int, tuple[float, Reached[Any]]] = {}
+        self._kept: dict[int, tuple[float, ReachedState[Any]]] = {}
         self._warnings: list[Fault] = []
         if progress is not None:
             progress(0.0)
@@ -288,7 +288,7 @@ class SystemRun:
         """
         for i, (_, state) in self._kept.items():
             system, run = self.systems[i], self._open[i].run
-            clocked_system = Clocked(system.kind, run.begin, run.step_length)
+            clocked_system = StateClock(system.kind, run.begin, run.step_length)
             for name in system.setup.writes:
                 write_states(folder / name, {"": (clocked_system, state)})
 

@@ -28,7 +28,7 @@ from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.framework.run import EntryRun, SimulationRun
-from animtool.systems.framework.saved import Clocked, open_states
+from animtool.systems.framework.saved import StateClock, open_states
 from animtool.systems.framework.simulation import (
     Joined,
     Resumed,
@@ -36,7 +36,7 @@ from animtool.systems.framework.simulation import (
     Simulation,
 )
 from animtool.systems.framework.spec import SystemSpec
-from animtool.systems.framework.tied import OnBody
+from animtool.systems.framework.tied import BodyCarrier
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +121,9 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
             )
 
 
-def clocked(member: SceneSystem, run: SimulationRun) -> Clocked:
+def clocked(member: SceneSystem, run: SimulationRun) -> StateClock:
     """Return the steps between the states of a system."""
-    return Clocked(member.kind, run.begin, run.step_length)
+    return StateClock(member.kind, run.begin, run.step_length)
 
 
 def run_entries(
@@ -147,7 +147,7 @@ def run_entries(
     carriers = {name: context.built[name].tied() for name in surroundings.carriers}
 
     def poses(carrier: Any) -> Poses:
-        if isinstance(carrier, OnBody):
+        if isinstance(carrier, BodyCarrier):
             return carriers[carrier.system].start(carrier)
         poses_over_time: Poses = carrier.poses(context.characters)
         return poses_over_time

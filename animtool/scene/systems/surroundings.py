@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, refuse
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.documents.document import Location, location_of
+from animtool.documents.document import Location, parse_location
 from animtool.documents.fields import record_of
 from animtool.maths.faces import triangulated
 from animtool.scene.systems.character_motion import (
@@ -22,7 +22,7 @@ from animtool.scene.systems.character_motion import (
 from animtool.sim.colliders import Collider, Colliders, Sheet
 from animtool.sim.contact import Material
 from animtool.systems.framework.fields import (
-    AROUND,
+    COLLISION_KEYS,
     CharacterModel,
     MovingMeshModel,
     SystemSurfaceModel,
@@ -121,7 +121,7 @@ class Surroundings:
                     ),
                     getattr(combined, name),
                 )
-                for name in (*AROUND, "tied")
+                for name in (*COLLISION_KEYS, "tied")
             },
         )
 
@@ -151,7 +151,7 @@ class Surroundings:
     def _ties(self) -> tuple[tuple[str, Location], ...]:
         """Rigid systems that carry its particles, and their locations."""
         return tuple(
-            (name, (*self.at, *location_of(where)[:-1], "system"))
+            (name, (*self.at, *parse_location(where)[:-1], "system"))
             for name, _, where in self.tied
         )
 
@@ -192,7 +192,7 @@ class Surroundings:
     @property
     def anything(self) -> bool:
         """Whether there is any collider."""
-        return any(getattr(self, name) for name in AROUND)
+        return any(getattr(self, name) for name in COLLISION_KEYS)
 
     @property
     def count(self) -> int:

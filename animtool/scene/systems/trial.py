@@ -33,7 +33,7 @@ from animtool.sim.trials.trial import (
     Snapshot,
     Trial,
     TrialOutcome,
-    multiples,
+    rounded_multiples,
     step_settings,
 )
 from animtool.systems.framework.run import SimulationRun
@@ -154,7 +154,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             max_steps = (
                 spec.step if method == spec_method else LONG_STEP_RATIO * spec.step
             )
-            values = multiples(
+            values = rounded_multiples(
                 default if method == spec_method else TOLERANCE, TOLERANCES
             )
             known_settings += [

@@ -42,9 +42,9 @@ from animtool.sim.trials.trial import (
     Snapshot,
     Trial,
     TrialOutcome,
-    extent_of,
+    points_extent,
 )
-from animtool.usd.rigs.skinned import played_world
+from animtool.usd.rigs.skinned import usdskel_world
 
 # Sample rates relative to the source's. A sampled source is exact at its own rate.
 CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))
@@ -84,7 +84,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         message = f"is simulated, but {argument('table')} measures joints"
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
-    is_curved = stream.curve is not None and not stream.altered
+    is_curved = stream.curve is not None and not stream.is_altered
     full_take = stream.collect()
     take = _in_range(full_take, plan)
     rate = plan.options.fps or take.clock.rate
@@ -103,7 +103,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         # Results of passes are computed once.
         stream = TakeStream.of(take)
         if is_curved:
-            stream = replace(stream, altered=False, count=take.clock.count)
+            stream = replace(stream, is_altered=False, count=take.clock.count)
         return OpenTake(path, stream)
 
     return [
@@ -233,7 +233,7 @@ def _samples(
             report = _bake(open_source_stream(), output, options_of(setting))
             seconds = time.perf_counter() - started
             codes = float(report.start) + reference.seconds * float(report.fps)
-            world = played_world(output, codes)
+            world = usdskel_world(output, codes)
         snapshots = _shots(reference.rig, world)
         return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
@@ -262,7 +262,7 @@ def _samples(
         where=reference.where,
         lines=lambda setting: [_scene_text(path, setting, by_label)],
         write=write,
-        size=extent_of(reference.snapshots[:1]),
+        size=points_extent(reference.snapshots[:1]),
     )
 
 

@@ -90,7 +90,7 @@ class Collided:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class ColliderSamples:
     """Distances, normals and velocities of C colliders at N points.
 
     Attributes:
@@ -142,10 +142,10 @@ class Colliders(Sequence[Collider]):
             faults += sheet.faults(sheet.name or f"sheets[{i}]")
         if faults:
             raise OptionError(faults)
-        self._meshes, roots = _meshes([c.shape for c in rigid])
+        self._meshes, roots = _mesh_arrays([c.shape for c in rigid])
         self._kinds = np.array(
             [
-                (_SHAPE_KINDS[type(c.shape)], _side(c), root)
+                (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
                 for c, root in zip(rigid, roots, strict=True)
             ],
             np.int64,
@@ -188,14 +188,16 @@ class Colliders(Sequence[Collider]):
         ends = [system.ends(t0, t1) for system in self.bodies]
         return np.concatenate([np.zeros((0, 2, 7)), *ends])
 
-    def sample(self, points: ArrayLike, t0: float, t1: float | None = None) -> Samples:
+    def sample(
+        self, points: ArrayLike, t0: float, t1: float | None = None
+    ) -> ColliderSamples:
         """Sample signed distances at points ``(N, 3)`` and a time [s].
 
         Velocities are those of the step that begins at ``t0``.
         """
         positions = as_floats(points, ("N", 3), "points")
         end = t0 if t1 is None else t1
-        return Samples(
+        return ColliderSamples(
             *_kernels.sample_colliders(self.arrays(t0, end), positions, 0.0, end - t0)
         )
 
@@ -237,7 +239,7 @@ class Colliders(Sequence[Collider]):
         ]
 
 
-def _side(collider: Collider) -> int:
+def _active_side(collider: Collider) -> int:
     """Return the side on which a collider acts: 0 outside, 1 inside, 2 both."""
     if collider.container:
         return 1
@@ -361,20 +363,20 @@ def _stop_at_sheets(
     return contacts
 
 
-def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
+def _mesh_arrays(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
     """Return concatenated arrays of all meshes, and the root node of each shape."""
     meshes = [_NO_MESH]
     roots, offsets = [], np.zeros(3, np.int32)
     for shape in shapes:
         roots.append(int(offsets[2]))
         if isinstance(shape, Mesh):
-            arrays = _mesh(shape, *offsets.tolist())
+            arrays = _offset_mesh(shape, *offsets.tolist())
             meshes.append(arrays)
             offsets += [len(arrays[0]), len(arrays[1]), len(arrays[5])]
     return tuple(np.concatenate(arrays) for arrays in zip(*meshes, strict=True)), roots
 
 
-def _mesh(
+def _offset_mesh(
     shape: Mesh, point_offset: int, triangle_offset: int, node_offset: int
 ) -> tuple[Any, ...]:
     """Return a mesh's arrays, with indices offset by those of earlier meshes."""

@@ -16,7 +16,7 @@ from animtool.sim.colliders.shapes import Capsule
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Capsules:
+class JointCapsules:
     """C capsules attached to joints.
 
     Attributes:
@@ -30,14 +30,14 @@ class Capsules:
     radii: FloatArray
 
     @staticmethod
-    def of(rig: Rig) -> Capsules:
+    def of(rig: Rig) -> JointCapsules:
         """Return the capsules of a rig."""
         ends = []
         for collider in rig.colliders:
             capsule = collider.capsule
             half = np.array(capsule.axis) * (capsule.length / 2)
             ends.append([np.array(capsule.offset) + side * half for side in (-1, 1)])
-        return Capsules(
+        return JointCapsules(
             np.array(
                 [rig.index(collider.joint) for collider in rig.colliders], np.int64
             ),
@@ -48,13 +48,13 @@ class Capsules:
         )
 
     @staticmethod
-    def none() -> Capsules:
+    def none() -> JointCapsules:
         """Return an empty set."""
-        return Capsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
+        return JointCapsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
 
-    def select(self, mask: BoolArray) -> Capsules:
+    def select(self, mask: BoolArray) -> JointCapsules:
         """Return the capsules of a mask ``(C,)``."""
-        return Capsules(self.joints[mask], self.ends[mask], self.radii[mask])
+        return JointCapsules(self.joints[mask], self.ends[mask], self.radii[mask])
 
     def __len__(self) -> int:
         """Return the number of capsules."""
@@ -110,7 +110,7 @@ def rig_colliders(
         times: Times of the frames ``(F,)`` [s].
         template: Collider that provides the contact material; None for the default.
     """
-    capsules = Capsules.of(rig)
+    capsules = JointCapsules.of(rig)
     rows, ends = capsules.joint_poses_and_ends(world)
     colliders = []
     for c, radius in enumerate(capsules.world_radii(world).tolist()):

@@ -34,11 +34,11 @@ class Plane:
 
     def sizes(self) -> FloatArray:
         """Return the unit normal and offset ``(4,)``."""
-        return np.array([*_unit(self.normal), self.offset], np.float64)
+        return np.array([*_normalized(self.normal), self.offset], np.float64)
 
     def anchors(self) -> FloatArray:
         """Return points to measure its speed at ``(1, 3)`` [m]."""
-        return _unit(self.normal)[None] * self.offset
+        return _normalized(self.normal)[None] * self.offset
 
     def faults(self) -> list[str]:
         """Return messages about invalid values."""
@@ -93,7 +93,7 @@ class Capsule:
 
     def anchors(self) -> FloatArray:
         """Return points to measure its speed at ``(2, 3)`` [m]."""
-        half = _unit(self.axis) * (self.length / 2)
+        half = _normalized(self.axis) * (self.length / 2)
         centre = np.asarray(self.centre, np.float64)
         return np.stack([centre - half, centre + half])
 
@@ -165,7 +165,7 @@ class Mesh:
             np.asarray(self.points, np.float64), axis=0, return_inverse=True
         )
         triangles = inverse.reshape(-1)[np.asarray(self.triangles, np.int64)]
-        faces = triangles[_have_area(points, triangles)]
+        faces = triangles[_has_area(points, triangles)]
         return points, np.ascontiguousarray(faces, np.int32)
 
     @property
@@ -187,12 +187,12 @@ class Mesh:
             return [f"its triangles must have shape (T, 3), not {triangles.shape}"]
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
             return [f"corners of its triangles must refer to its {len(points)} points"]
-        if not triangles.size or not _have_area(points, triangles).any():
+        if not triangles.size or not _has_area(points, triangles).any():
             return ["it has no triangle with an area"]
         return []
 
 
-def _have_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
+def _has_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
     """Return a mask of the triangles ``(T, 3)`` that have an area ``(T,)``."""
     a, b, c = points[np.asarray(triangles, np.int64)].swapaxes(0, 1)
     return np.asarray(np.cross(b - a, c - a).any(axis=1), np.bool_)
@@ -251,7 +251,7 @@ SHAPES: dict[str, type[Any]] = {
 }
 
 
-def bounds(shape: Any) -> FloatArray:
+def shape_bounds(shape: Any) -> FloatArray:
     """Return a shape's lower and upper bounds, local space ``(2, 3)`` [m].
 
     The shape must be finite: not a plane.
@@ -268,7 +268,7 @@ def bounds(shape: Any) -> FloatArray:
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
-def _unit(direction: Vector) -> FloatArray:
+def _normalized(direction: Vector) -> FloatArray:
     vector = np.asarray(direction, np.float64)
     return np.asarray(vector / np.linalg.norm(vector), np.float64)
 

@@ -167,7 +167,9 @@ def collide_with_sheet(
     begin_points, end_points = sheet.motion.points(t0), sheet.motion.points(t1)
     triangles = sheet.motion.triangles(t1)
     nearby = np.flatnonzero(
-        _near_sheet(begin_points, end_points, before[0], after[0], radii + sheet.radius)
+        _is_near_sheet(
+            begin_points, end_points, before[0], after[0], radii + sheet.radius
+        )
     )
     if not len(nearby) or not len(triangles):
         return None
@@ -186,7 +188,7 @@ def collide_with_sheet(
     return nearby, (state, touches, normals)
 
 
-def _near_sheet(
+def _is_near_sheet(
     begin: FloatArray,
     end: FloatArray,
     start: FloatArray,

@@ -15,7 +15,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.explicit import RK4, Tableau
-from animtool.sim.integrators.integrator import Integrator, Step, StepControl
+from animtool.sim.integrators.integrator import Integrator, StepControl, StepResult
 from animtool.sim.stability import rate_limit
 
 
@@ -34,11 +34,11 @@ def step_doubling(base: Integrator) -> Integrator:
         hint = "use one with fixed steps, such as rk4 or implicit_euler"
         raise OptionError(Fault("SIM006", message, where="base", hint=hint))
     gain = 1 / (2**base.order - 1)
-    growth = _growth(base.growth, gain)
+    growth = _doubling_growth(base.growth, gain)
 
     def doubled_step(
         equations: Equations, t: float, y: FloatArray, h: float, memory: object
-    ) -> Step | None:
+    ) -> StepResult | None:
         full = step(equations, t, y, h, None)
         first = step(equations, t, y, h / 2, None)
         if full is None or first is None:
@@ -47,7 +47,7 @@ def step_doubling(base: Integrator) -> Integrator:
         if second is None:
             return None
         error = gain * (second.state - full.state)
-        return Step(second.state + error, error=error)
+        return StepResult(second.state + error, error=error)
 
     return replace(
         base,
@@ -66,7 +66,7 @@ def step_doubling(base: Integrator) -> Integrator:
     )
 
 
-def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
+def _doubling_growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
     """Return the growth polynomial of two half steps with correction, or empty."""
     if not base:
         return ()
@@ -78,8 +78,8 @@ def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
 
 ADAPTIVE_DOUBLING = step_doubling(RK4)
 
-_FIFTH = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
-_FOURTH = (
+_FIFTH_ORDER_WEIGHTS = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
+_FOURTH_ORDER_WEIGHTS = (
     *(5179 / 57600, 0.0, 7571 / 16695, 393 / 640),
     *(-92097 / 339200, 187 / 2100, 1 / 40),
 )
@@ -92,10 +92,15 @@ RK45 = Tableau(
         (44 / 45, -56 / 15, 32 / 9),
         (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
         (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
-        _FIFTH,
+        _FIFTH_ORDER_WEIGHTS,
     ),
-    (*_FIFTH, 0.0),
-    tuple(a - b for a, b in zip((*_FIFTH, 0.0), _FOURTH, strict=True)),
+    (*_FIFTH_ORDER_WEIGHTS, 0.0),
+    tuple(
+        a - b
+        for a, b in zip(
+            (*_FIFTH_ORDER_WEIGHTS, 0.0), _FOURTH_ORDER_WEIGHTS, strict=True
+        )
+    ),
 ).integrator("rk45", "adaptive, six rates per step: for smooth motion, try it first", 5)
 DOP853 = Integrator(
     "dop853",

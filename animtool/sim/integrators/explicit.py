@@ -13,7 +13,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Form, Integrator, Step, StepControl
+from animtool.sim.integrators.integrator import (
+    EquationForm,
+    Integrator,
+    StepControl,
+    StepResult,
+)
 from animtool.sim.stability import jury_limit, rate_limit
 
 
@@ -30,7 +35,7 @@ class Tableau:
 
     def step(
         self, equations: Equations, t: float, y: FloatArray, h: float, memory: object
-    ) -> Step:
+    ) -> StepResult:
         """Return the state after a step.
 
         If the last stage is at the step's end, it is the new state; its rate is reused
@@ -43,8 +48,10 @@ class Tableau:
             rates.append(equations.rate(t + node * h, stage))
         state = stage if self.first_as_last else _add_rates(y, h, self.weights, rates)
         if not self.errors:
-            return Step(state)
-        return Step(state, error=_add_rates(np.zeros_like(y), h, self.errors, rates))
+            return StepResult(state)
+        return StepResult(
+            state, error=_add_rates(np.zeros_like(y), h, self.errors, rates)
+        )
 
     @property
     def first_as_last(self) -> bool:
@@ -112,18 +119,18 @@ RK4 = Tableau(
 
 def modified_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step:
+) -> StepResult:
     """Return the state after a step along the mean of both velocities."""
     x, v = y
     v_end = v + h * equations.acceleration(t, x, v)
-    return Step(np.array((x + (0.5 * h) * (v + v_end), v_end)))
+    return StepResult(np.array((x + (0.5 * h) * (v + v_end), v_end)))
 
 
 MODIFIED_EULER = Integrator(
     "modified_euler",
     "uses the mean of the velocities at both ends; exact in a uniform field",
     order=1,
-    form=Form.ACCELERATIONS,
+    form=EquationForm.ACCELERATIONS,
     step=modified_euler,
     limit=jury_limit(lambda z: [2, -2 * z, -0.5], lambda z: [1, -2 * z, 0.5]),
     evaluations=1,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Integrator, Step
+from animtool.sim.integrators.integrator import Integrator, StepResult
 from animtool.sim.newton import solve_stage
-from animtool.sim.stability import unlimited
+from animtool.sim.stability import no_limit
 
 # BDF2 with variable steps is unstable above the ratio 1 + √2 of successive steps.
 MAX_STEP_RATIO = 2.4
@@ -27,10 +27,10 @@ class PreviousStep:
 
 def implicit_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step | None:
+) -> StepResult | None:
     """Return the state after a step along the rate at its end."""
     state = solve_stage(equations, t + h, y, y, h)
-    return None if state is None else Step(state)
+    return None if state is None else StepResult(state)
 
 
 IMPLICIT_EULER = Integrator(
@@ -38,18 +38,18 @@ IMPLICIT_EULER = Integrator(
     "uses the rate at the end, by Newton's method; stable with any step, damps",
     order=1,
     step=implicit_euler,
-    limit=unlimited,
+    limit=no_limit,
     implicit=True,
 )
 
 
 def trapezoid(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step | None:
+) -> StepResult | None:
     """Return the state after a step along the mean of the rates at both ends."""
     base = y + (0.5 * h) * equations.rate(t, y)
     state = solve_stage(equations, t + h, base, y, 0.5 * h)
-    return None if state is None else Step(state)
+    return None if state is None else StepResult(state)
 
 
 TRAPEZOID = Integrator(
@@ -57,7 +57,7 @@ TRAPEZOID = Integrator(
     "uses the mean of the rates at both ends, by Newton's method; does not damp",
     order=2,
     step=trapezoid,
-    limit=unlimited,
+    limit=no_limit,
     implicit=True,
     reversible=True,
 )
@@ -65,7 +65,7 @@ TRAPEZOID = Integrator(
 
 def bdf2(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step | None:
+) -> StepResult | None:
     """Return the state after a BDF2 step; the first step is implicit Euler."""
     base, scale = y, h
     previous = memory if isinstance(memory, PreviousStep) else PreviousStep(y, 0.0)
@@ -79,7 +79,7 @@ def bdf2(
         base = (weight * (1 + ratio) ** 2) * y - (weight * ratio**2) * previous.state
         scale = h * (1 + ratio) * weight
     state = solve_stage(equations, t + h, base, y, scale)
-    return None if state is None else Step(state, PreviousStep(y, h))
+    return None if state is None else StepResult(state, PreviousStep(y, h))
 
 
 BDF2 = Integrator(
@@ -87,7 +87,7 @@ BDF2 = Integrator(
     "backward difference over two steps, by Newton's method; stable, damps little",
     order=2,
     step=bdf2,
-    limit=unlimited,
+    limit=no_limit,
     implicit=True,
     multistep=True,
 )

@@ -12,7 +12,7 @@ from animtool.sim.equations import Equations
 from animtool.sim.stability import Limit
 
 
-class Form(StrEnum):
+class EquationForm(StrEnum):
     """The form of equations that a method needs.
 
     Attributes:
@@ -39,7 +39,7 @@ class StepControl(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StepResult:
     """The result of a step."""
 
     state: FloatArray  # after the step
@@ -52,7 +52,7 @@ class Step:
 # Memory is None at the start and after the state was changed from outside; the result
 # is None if an implicit step did not converge.
 StepFunction: TypeAlias = Callable[
-    [Equations, float, FloatArray, float, object], Step | None
+    [Equations, float, FloatArray, float, object], StepResult | None
 ]
 
 
@@ -85,7 +85,7 @@ class Integrator:
     name: str
     summary: str
     order: int
-    form: Form = Form.RATES
+    form: EquationForm = EquationForm.RATES
     control: StepControl = StepControl.FIXED
     step: StepFunction | None = None
     limit: Limit | None = None

@@ -16,24 +16,24 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Form, Integrator, Step
+from animtool.sim.integrators.integrator import EquationForm, Integrator, StepResult
 from animtool.sim.stability import jury_limit
 
 
 def symplectic_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step:
+) -> StepResult:
     """Return the state after a step: velocity first, then position."""
     x, v = y
     v_end = v + h * equations.acceleration(t, x, v)
-    return Step(np.array((x + h * v_end, v_end)))
+    return StepResult(np.array((x + h * v_end, v_end)))
 
 
 SYMPLECTIC_EULER = Integrator(
     "symplectic_euler",
     "velocity first, then position; cheap, and bounds the energy error",
     order=1,
-    form=Form.ACCELERATIONS,
+    form=EquationForm.ACCELERATIONS,
     step=symplectic_euler,
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     evaluations=1,
@@ -43,7 +43,7 @@ SYMPLECTIC_EULER = Integrator(
 
 def velocity_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step:
+) -> StepResult:
     """Return the state after a step: half a kick, a drift, half a kick.
 
     The force of the second kick is reused by the next step, unless forces depend on the
@@ -60,14 +60,14 @@ def velocity_verlet(
         equations.second_order is not None
         and not equations.second_order.velocity_dependent
     )
-    return Step(state, second if reusable else None)
+    return StepResult(state, second if reusable else None)
 
 
 VELOCITY_VERLET = Integrator(
     "velocity_verlet",
     "half a kick, a drift, half a kick; bounds the energy error",
     order=2,
-    form=Form.ACCELERATIONS,
+    form=EquationForm.ACCELERATIONS,
     step=velocity_verlet,
     limit=jury_limit(
         lambda z: [2, -2 * z, z * z - 1, 0.5 * z], lambda z: [1, -2 * z, z * z]
@@ -80,19 +80,19 @@ VELOCITY_VERLET = Integrator(
 
 def position_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
-) -> Step:
+) -> StepResult:
     """Return the state after a step: half a drift, a kick, half a drift."""
     x, v = y
     halfway = x + (0.5 * h) * v
     v_end = v + h * equations.acceleration(t + 0.5 * h, halfway, v)
-    return Step(np.array((halfway + (0.5 * h) * v_end, v_end)))
+    return StepResult(np.array((halfway + (0.5 * h) * v_end, v_end)))
 
 
 POSITION_VERLET = Integrator(
     "position_verlet",
     "half a drift, a kick, half a drift; one force per step, bounds the energy error",
     order=2,
-    form=Form.ACCELERATIONS,
+    form=EquationForm.ACCELERATIONS,
     step=position_verlet,
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     drag_order=1,

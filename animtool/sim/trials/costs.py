@@ -8,7 +8,7 @@ from animtool.core.record import dataclass
 
 # Errors within this factor count as equal; only costs below this fraction of the chosen
 # setting's cost are worth a recommendation.
-EQUAL_ERROR, WORTHWHILE_COST = 1.05, 0.8
+EQUAL_ERROR, MAX_WORTHWHILE_COST = 1.05, 0.8
 # Timings within this fraction count as equal; then the counted work decides.
 TIMING_NOISE = 0.25
 
@@ -55,7 +55,7 @@ def recommended_index(
         accepted_error if chosen_cost is None else chosen_cost.error * EQUAL_ERROR
     )
     max_cost = (
-        float("inf") if chosen_cost is None else chosen_cost.value * WORTHWHILE_COST
+        float("inf") if chosen_cost is None else chosen_cost.value * MAX_WORTHWHILE_COST
     )
     candidates = [
         (cost.value, i)

@@ -27,10 +27,10 @@ from animtool.sim.trials.trial import (
     Setting,
     Trial,
     TrialOutcome,
-    distances,
-    extent_of,
+    instance_reach,
     observed_order,
-    reach_of,
+    points_extent,
+    run_distances,
 )
 
 # A run with an observed order of convergence below this is chaotic.
@@ -48,7 +48,7 @@ FALLBACK_TOLERANCE = 0.01
 REPEAT_TIME, MAX_REPEATS = 0.3, 3
 # Finer settings of a method are skipped once it took this many times as long as the
 # reference.
-SLOW_FACTOR = 10.0
+SLOW_RUN_FACTOR = 10.0
 # Differences of figures that do not count [1], [m], [pairs].
 FIGURE_TOLERANCES = {Figure.STRETCH: 1e-3, Figure.DEPTH: 1e-4, Figure.PIERCED: 1.0}
 ENERGY_TOLERANCE = 1e-3
@@ -74,14 +74,18 @@ def measure(
     """
     settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
     count = len({*settings, *trial.references()[0]})
-    runs = _Runs(trial, count, progress)
+    runs = _RunCache(trial, count, progress)
     reference, reference_outcome = _reference(trial, runs)
-    rows = _rows(trial, runs, settings, reference_outcome)
+    rows = _trial_rows(trial, runs, settings, reference_outcome)
     extent = (
-        0.0 if reference_outcome is None else extent_of(reference_outcome.snapshots)
+        0.0 if reference_outcome is None else points_extent(reference_outcome.snapshots)
     )
-    reach = 0.0 if reference_outcome is None else reach_of(reference_outcome.snapshots)
-    notices = [*trial.notices, *_notices(trial, reference)]
+    reach = (
+        0.0
+        if reference_outcome is None
+        else instance_reach(reference_outcome.snapshots)
+    )
+    notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
             rows = _ranked_by_figures(rows, reference_outcome, trial.cost)
@@ -111,7 +115,7 @@ def measure(
     return replace(table, lines=tuple(trial.lines(row.setting)))
 
 
-class _Runs:
+class _RunCache:
     """Runs each setting once, and caches the result."""
 
     def __init__(
@@ -147,7 +151,7 @@ class _Runs:
 
 
 def _reference(
-    trial: Trial, runs: _Runs
+    trial: Trial, runs: _RunCache
 ) -> tuple[Reference | None, TrialOutcome | None]:
     for settings in trial.references():
         outcomes: list[TrialOutcome] = []
@@ -170,14 +174,14 @@ def _reference_of(
     if len(outcomes) == 1:
         return Reference(setting, PointDistances(0.0, 0.0, 0.0), None, False)
     differences = [
-        distances(fine_run.snapshots, coarse_run.snapshots)
+        run_distances(fine_run.snapshots, coarse_run.snapshots)
         for coarse_run, fine_run in pairwise(outcomes)
     ]
-    reach = reach_of(outcomes[-1].snapshots)
+    reach = instance_reach(outcomes[-1].snapshots)
     coarse_error, fine_error = (
         gap.error(measure, reach) for gap in (differences[0], differences[-1])
     )
-    extent = extent_of(outcomes[-1].snapshots) + reach
+    extent = points_extent(outcomes[-1].snapshots) + reach
     order = (
         observed_order(coarse_error, fine_error)
         if fine_error > ROUNDING * extent
@@ -192,9 +196,9 @@ def _reference_of(
     return Reference(setting, differences[-1].scaled(1 / factor), order, sensitive)
 
 
-def _rows(
+def _trial_rows(
     trial: Trial,
-    runs: _Runs,
+    runs: _RunCache,
     settings: Sequence[Setting],
     reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
@@ -203,7 +207,7 @@ def _rows(
     # Rows depend on timings only if time is the cost.
     is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
     limit = (
-        SLOW_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
+        SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
         if reference_outcome and is_timed
         else None
     )
@@ -214,7 +218,7 @@ def _rows(
             rows.append(TrialRow(setting, reason=reason))
             continue
         row = replace(
-            _row(trial, runs, setting, reference_outcome),
+            _trial_row(trial, runs, setting, reference_outcome),
             chosen=setting == trial.chosen,
         )
         if limit is not None and row.seconds > limit:
@@ -223,8 +227,11 @@ def _rows(
     return rows
 
 
-def _row(
-    trial: Trial, runs: _Runs, setting: Setting, reference_outcome: TrialOutcome | None
+def _trial_row(
+    trial: Trial,
+    runs: _RunCache,
+    setting: Setting,
+    reference_outcome: TrialOutcome | None,
 ) -> TrialRow:
     try:
         outcome = runs.outcome(setting)
@@ -242,14 +249,14 @@ def _row(
     if outcome.status is not Status.OK:
         return row
     complete = replace(
-        row, energy_drift=_drift(outcome.energies), figures=outcome.figures
+        row, energy_drift=_energy_drift(outcome.energies), figures=outcome.figures
     )
     if outcome.error is not None:
         return replace(complete, error=outcome.error, worst=outcome.worst)
     if reference_outcome is None:
         return complete
-    error = distances(reference_outcome.snapshots, outcome.snapshots)
-    reason = _failure_reason(error, extent_of(reference_outcome.snapshots))
+    error = run_distances(reference_outcome.snapshots, outcome.snapshots)
+    reason = _failure_reason(error, points_extent(reference_outcome.snapshots))
     if reason:
         return replace(
             row, status=Status.UNSTABLE, reason=reason, stable_step=outcome.stable_step
@@ -267,7 +274,7 @@ def _failure_reason(error: PointDistances, extent: float) -> str:
     return ""
 
 
-def _drift(energies: Sequence[Energy] | None) -> float | None:
+def _energy_drift(energies: Sequence[Energy] | None) -> float | None:
     """Return the largest energy change, relative to the largest energy."""
     if not energies:
         return None
@@ -277,7 +284,7 @@ def _drift(energies: Sequence[Energy] | None) -> float | None:
     return float(np.abs(totals - totals[0]).max()) / largest if largest > 0 else None
 
 
-def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
+def _trial_notices(trial: Trial, reference: Reference | None) -> list[Fault]:
     if reference is None:
         message = f"{trial.name}: there is no motion to compare with: every setting "
         message += "blew up"
@@ -312,7 +319,7 @@ def _with_recommendation(
     costs = [
         None
         if row.error is None
-        else _cost(row, trial.cost, max(row.error.error(trial.error, reach), floor))
+        else _row_cost(row, trial.cost, max(row.error.error(trial.error, reach), floor))
         for row in rows
     ]
     optimal = pareto_optimal(costs)
@@ -335,14 +342,14 @@ def _ranked_by_figures(
     The error of a row is the largest excess of one of its figures over that of the
     reference, relative to the figure's tolerance. Errors below 1 count as equal.
     """
-    reference_figures = _figures(
-        _drift(reference_outcome.energies), reference_outcome.figures
+    reference_figures = _relative_figures(
+        _energy_drift(reference_outcome.energies), reference_outcome.figures
     )
     if not reference_figures:
         return rows
     costs: list[Cost | None] = []
     for row in rows:
-        figures = _figures(row.energy_drift, row.figures)
+        figures = _relative_figures(row.energy_drift, row.figures)
         if row.status is not Status.OK or figures.keys() != reference_figures.keys():
             costs.append(None)
             continue
@@ -350,12 +357,14 @@ def _ranked_by_figures(
             max(0.0, figures[name] - reference_figures[name])
             for name in reference_figures
         ]
-        costs.append(_cost(row, measure, max(1.0, *excesses)))
+        costs.append(_row_cost(row, measure, max(1.0, *excesses)))
     optimal = pareto_optimal(costs)
     return [replace(row, best=i in optimal) for i, row in enumerate(rows)]
 
 
-def _figures(drift: float | None, figures: Mapping[Figure, float]) -> dict[str, float]:
+def _relative_figures(
+    drift: float | None, figures: Mapping[Figure, float]
+) -> dict[str, float]:
     """Return figures relative to their tolerances."""
     ratios = {
         str(k): x / FIGURE_TOLERANCES[k]
@@ -365,7 +374,7 @@ def _figures(drift: float | None, figures: Mapping[Figure, float]) -> dict[str, 
     return ratios if drift is None else {**ratios, "energy": drift / ENERGY_TOLERANCE}
 
 
-def _cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:
+def _row_cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:
     value = {
         CostMeasure.SECONDS: row.seconds,
         CostMeasure.BYTES: float(row.bytes),

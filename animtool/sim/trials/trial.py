@@ -149,10 +149,12 @@ class Trial:
     notices: tuple[Fault, ...] = ()  # warnings
 
 
-def multiples(value: float, factors: Sequence[float] = STEP_FACTORS) -> list[float]:
+def rounded_multiples(
+    value: float, factors: Sequence[float] = STEP_FACTORS
+) -> list[float]:
     """Return multiples of a value, rounded to 12 digits.
 
-    >>> multiples(0.03)
+    >>> rounded_multiples(0.03)
     [0.12, 0.06, 0.03, 0.015]
     """
     return [
@@ -164,7 +166,10 @@ def step_settings(
     method: str, step: float, factors: Sequence[float] = STEP_FACTORS
 ) -> list[Setting]:
     """Return settings of a method with multiples of a step [s]."""
-    return [Setting.of(method, step=multiple) for multiple in multiples(step, factors)]
+    return [
+        Setting.of(method, step=multiple)
+        for multiple in rounded_multiples(step, factors)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +202,7 @@ class PointDistances:
         )
 
 
-def distances(
+def run_distances(
     truth: Sequence[Snapshot], snapshots: Sequence[Snapshot]
 ) -> PointDistances:
     """Return distances between snapshots at the same times.
@@ -206,7 +211,7 @@ def distances(
 
     >>> true_rotations = Snapshot(np.zeros((2, 3)))
     >>> rotations = Snapshot(np.array([[0, 0, 3.0], [0, 4, 0]]))
-    >>> distances([true_rotations], [rotations]).largest
+    >>> run_distances([true_rotations], [rotations]).largest
     4.0
     """
     distance_arrays, unmatched, count = [np.zeros(0)], 0, 0
@@ -254,7 +259,7 @@ def _rms(values: FloatArray) -> float:
         return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
-def extent_of(snapshots: Sequence[Snapshot]) -> float:
+def points_extent(snapshots: Sequence[Snapshot]) -> float:
     """Return the diagonal of the bounding box of all points [m]."""
     point_arrays = [snapshot.points for snapshot in snapshots if len(snapshot.points)]
     if not point_arrays:
@@ -264,7 +269,7 @@ def extent_of(snapshots: Sequence[Snapshot]) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def reach_of(snapshots: Sequence[Snapshot]) -> float:
+def instance_reach(snapshots: Sequence[Snapshot]) -> float:
     """Return the largest extent of instances from their points, at any time [m]."""
     return max((snapshot.reach for snapshot in snapshots), default=0.0)
 

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.attach.bodies import AttachedBody, ChainBody
 from animtool.systems.attach.layers import ClothMotion, cloth_sheet
 from animtool.systems.attach.network import Network, lost_links, typical_edge
@@ -117,7 +117,9 @@ class Actor:
             margin_for(typical_edge(network), settings.radius),
             DEPENETRATION,
         )
-        capsules = Capsules.of(rig) if settings.options.capsules else Capsules.none()
+        capsules = (
+            JointCapsules.of(rig) if settings.options.capsules else JointCapsules.none()
+        )
         if self._skins:
             # Joints with a skin collide with that instead of their capsules.
             covered = np.any([skin.joints for skin in skins], axis=0)

@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
 # A root that ends within this many steps of its start is stationary [1].
@@ -69,7 +69,7 @@ def pose_path(rig: Rig, before: LocalPose, after: LocalPose, steps: int) -> Pose
     blur.
     """
     fractions = np.arange(steps + 1) / steps
-    world = forward(
+    world = forward_kinematics(
         rig,
         _lerp(before.translations, after.translations, fractions),
         _slerp(before.rotations, after.rotations, fractions),

@@ -15,7 +15,12 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.options import MAX_NUMBER, range_faults, ranges_of, within
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.motion.keyed import KeyInterpolation, Weight, parse_choice, weights_at
+from animtool.motion.keyed import (
+    KeyInterpolation,
+    WeightOption,
+    parse_choice,
+    weights_at,
+)
 from animtool.motion.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.systems.framework.fields import (
@@ -101,7 +106,7 @@ class SimulateOptions:
     loop_tolerance: str = "0.1mm"
     loop_repeats: Annotated[int, within(1.0, "SIM004", 10_000.0)] = 20  # most repeats
     # Blend weight of the simulation, one number or ``[[frame, weight], …]`` [1].
-    weight: Weight = 1.0
+    weight: WeightOption = 1.0
     # Interpolation of weights between keys.
     interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     # Speed of the carrier above which it teleports [m/s]; 0 is never.

@@ -43,8 +43,8 @@ from animtool.systems.attach.skins import SkinSurface, skins_of
 from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
-from animtool.systems.framework.run import Reached
-from animtool.systems.framework.saved import Clocked
+from animtool.systems.framework.run import ReachedState
+from animtool.systems.framework.saved import StateClock
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import LOOK_BACK
 
@@ -76,9 +76,9 @@ class SavedFrame:
     states: Mapping[str, AttachState]  # by the attachment's name
 
 
-def saved_state(body: AttachedBody, frame: float) -> tuple[str, Clocked]:
+def saved_state(body: AttachedBody, frame: float) -> tuple[str, StateClock]:
     """Return the name of a saved state in a file, and its clock."""
-    return f"{frame!r}/{body.name}", Clocked(body.kind, frame, 1.0)
+    return f"{frame!r}/{body.name}", StateClock(body.kind, frame, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class AttachSimulation:
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []  # one for each body, from the first frame on
         # Requested states, with the steps per frame.
-        self.saved: dict[str, tuple[Clocked, Reached[AttachState]]] = {}
+        self.saved: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
         self.codes: list[float] = []  # visited time codes
         self.resumed = resumed  # states to resume from
         self.closing: Closing | None = None  # result of a cycle
@@ -310,7 +310,7 @@ class AttachSimulation:
                     spring_state.motion[1],
                     spring_state.passages,
                 )
-                self.saved[name] = clock, Reached(actor.steps, state)
+                self.saved[name] = clock, ReachedState(actor.steps, state)
 
     def _cycle(self, motion: Motion) -> Motion:
         """Return a cycle whose attachments end as they start."""

@@ -13,7 +13,7 @@ from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders, Sheet
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.framework.meter import ClosedSurface, closed_surfaces, depths_of
 from animtool.systems.springs.contacts import (
     CellColliders,
@@ -142,7 +142,7 @@ def depth(
 
 
 def depth_at_bind(
-    capsules: Capsules, rig: Rig, points: FloatArray, margin: float
+    capsules: JointCapsules, rig: Rig, points: FloatArray, margin: float
 ) -> FloatArray:
     """Return signed distances from capsules at bind ``(C, N)`` [m], at most 0.
 
@@ -161,7 +161,7 @@ class CharacterColliders:
 
     def __init__(
         self,
-        capsules: Capsules,
+        capsules: JointCapsules,
         radii: FloatArray,
         depths: tuple[FloatArray, Sequence[FloatArray]],
         radius: float,

@@ -40,8 +40,8 @@ from animtool.systems.attach.simulation import (
     SavedFrame,
     saved_state,
 )
-from animtool.systems.framework.meter import VISIBLE_DEPTH, Peak
-from animtool.systems.framework.run import Reached
+from animtool.systems.framework.meter import VISIBLE_DEPTH, PeakValue
+from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
 
@@ -103,10 +103,10 @@ class AttachReport:
     unresolved: int  # most particles left inside colliders
     passed: int  # most particles through the cloth
     cut: int  # most pairs of edges through each other
-    depth: Peak  # largest depth in a skin or a capsule [m]
-    pierced: Peak  # most intersecting pairs of an edge and a triangle
-    strain: Peak  # largest strain of a cloth side [1]
-    strain_99: Peak  # largest 99th percentile of strain [1]
+    depth: PeakValue  # largest depth in a skin or a capsule [m]
+    pierced: PeakValue  # most intersecting pairs of an edge and a triangle
+    strain: PeakValue  # largest strain of a cloth side [1]
+    strain_99: PeakValue  # largest 99th percentile of strain [1]
     jumps: int  # number of teleports
     seconds: float  # time spent [s]
 
@@ -333,7 +333,9 @@ def _load_states(
         frame = max(frames)
         for body in bodies:
             count = body.network.count
-            start = Reached(0, AttachState(np.zeros((count, 3)), np.zeros((count, 3))))
+            start = ReachedState(
+                0, AttachState(np.zeros((count, 3)), np.zeros((count, 3)))
+            )
             try:
                 state = saved.read(*saved_state(body, frame), start).state
             except OptionError as error:

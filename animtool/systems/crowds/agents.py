@@ -22,7 +22,7 @@ from animtool.core.errors import (
     warning,
 )
 from animtool.core.record import dataclass
-from animtool.systems.crowds.ground import Frame
+from animtool.systems.crowds.ground import GroundFrame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.particles.emitter import Emitter, uniforms
@@ -90,11 +90,14 @@ class AgentMotion:
     headings: FloatArray  # about y, 0 is along z (N,) [rad]
 
 
-def agents_of(
-    spec: CrowdsModel, parts: Sequence[Mapping[str, Any]], begin: float, frame: Frame
+def build_agents(
+    spec: CrowdsModel,
+    parts: Sequence[Mapping[str, Any]],
+    begin: float,
+    frame: GroundFrame,
 ) -> tuple[Agents, list[Fault]]:
     """Return the agents of a spec; overlapping ones are separated (SIM147)."""
-    _check(spec)
+    _check_keys(spec)
     samples = [
         _sample_population(population, part, begin, frame)
         for population, part in zip(spec.populations, parts, strict=True)
@@ -202,7 +205,10 @@ def separate_agents(
 
 
 def _sample_population(
-    population: PopulationModel, parts: Mapping[str, Any], begin: float, frame: Frame
+    population: PopulationModel,
+    parts: Mapping[str, Any],
+    begin: float,
+    frame: GroundFrame,
 ) -> tuple[Any, ...]:
     """Return start positions and other sampled fields of a population, groups last."""
     points = parts.get("points")
@@ -264,12 +270,12 @@ def _unit_vectors(angles: FloatArray) -> FloatArray:
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _check(spec: CrowdsModel) -> None:
+def _check_keys(spec: CrowdsModel) -> None:
     """Refuse invalid combinations of keys (SIM145)."""
-    refuse_all("SIM145", _problems(spec))
+    refuse_all("SIM145", _key_problems(spec))
 
 
-def _problems(spec: CrowdsModel) -> Iterator[Problem]:
+def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
     goals = [goal.name for goal in spec.goals]
     yield from duplicate_names("goals", goals)
     yield from duplicate_names(

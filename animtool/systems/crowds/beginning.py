@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, counted, refuse, warning
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Mesh
 from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, Agents, separate_agents
-from animtool.systems.crowds.ground import Frame, Terrain
+from animtool.systems.crowds.ground import GroundFrame, Terrain
 from animtool.systems.crowds.obstacles import Obstacles, is_blocked
 from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.spec import CrowdsModel
@@ -19,7 +19,7 @@ from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
 
 # Passes that move agents out of obstacles at the start.
-MAX_PASSES = 20
+MAX_CLEARING_PASSES = 20
 
 
 def clear_starts(
@@ -34,7 +34,7 @@ def clear_starts(
             is_off_grid[:, None], grid.positions_of(grid.nearest_free_node(x)), x
         )
     radius = float(agents.radii.max(initial=1.0))
-    for _ in range(MAX_PASSES):
+    for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, x)
         if not (walls.gaps < 0).any() and (x == agents.starts).all():
             break
@@ -53,7 +53,7 @@ def clear_starts(
     return x, notices
 
 
-def unreachable(
+def unreachable_goal_warnings(
     spec: CrowdsModel, agents: Agents, steering: Steering, start: FloatArray
 ) -> list[Fault]:
     """Return warnings about goals that agents cannot reach (SIM146)."""
@@ -80,7 +80,7 @@ def unreachable(
     return faults
 
 
-def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
+def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatArray:
     """Return a world direction projected on the ground ``(2,)``, normalised."""
     ground_direction = frame.vector_to_local(np.array(direction, float))[[0, 2]]
     length = float(np.linalg.norm(ground_direction))
@@ -90,7 +90,7 @@ def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
     return np.asarray(ground_direction / length)
 
 
-def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
+def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
     """Return the frame of the ground, and its terrain."""
     components = context.parts["ground"]
     poses, shape, mesh = (
@@ -102,7 +102,7 @@ def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
         message = "the ground cannot move"
         refuse("SIM145", message, "ground", "remove moves and turns")
     pose = poses.at(context.begin)
-    frame = Frame(pose[:3], pose[3:])
+    frame = GroundFrame(pose[:3], pose[3:])
     if shape is not None and mesh is not None:
         message = "the ground is either a shape or a mesh of a file"
         refuse("SIM145", message, "ground", "remove one of them")

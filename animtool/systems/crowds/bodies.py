@@ -14,9 +14,9 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, limited_landings
-from animtool.systems.crowds.gaits import PHASES
+from animtool.systems.crowds.gaits import PHASE_COUNT
 from animtool.systems.crowds.ground import rotated_about_y, wrap_angles
-from animtool.systems.crowds.reach import MAX_RATE, Reach, Stances, step_rates
+from animtool.systems.crowds.reach import MAX_CYCLE_RATE, LegReach, Stances, step_rates
 from animtool.systems.crowds.shoulders import Trunk
 
 # Agents slower than this fraction of the slowest gait stand, unless a foot is
@@ -39,7 +39,7 @@ MAX_CADENCE_CHANGE = 12.0
 # Speed at which lowered hips rise, over the leg length [1/s].
 HIP_RISE_SPEED = 0.6
 # Fraction of a swing after which its landing does not change.
-LANDING_FIXED = 0.6
+LANDING_FIXED_PHASE = 0.6
 # Largest yaw by which a landing is predicted [rad].
 MAX_YAW = 1.0
 # Speeds in any direction above this multiple of the standing speed count as walking.
@@ -110,7 +110,7 @@ class AgentBodies(Footing):
             paces[:, 1],
             paces[:, 2] / self.scales,
         )
-        weights = _weights(
+        weights = _gait_weights(
             np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1),
             np.array([[gait.speed, leg * gait.turning] for gait in moving]),
         )
@@ -133,7 +133,7 @@ class AgentBodies(Footing):
         )
         stance_yaw = np.abs(yaw_rates) * stance_fractions.mean(axis=1) / rate
         excess = np.maximum(excess, stance_yaw / MAX_STANCE_YAW)
-        excess = np.clip(excess, 1.0, np.maximum(MAX_RATE / rate, 1.0))
+        excess = np.clip(excess, 1.0, np.maximum(MAX_CYCLE_RATE / rate, 1.0))
         free_rate, rate = rate, rate * excess
         stride = speeds / speed / (rate * period)
         steps[..., 1] *= stride[:, None]
@@ -173,7 +173,7 @@ class AgentBodies(Footing):
             state, blend, walks & (state.still >= 1), is_misplaced, after
         )
         advances = walks | ~is_standing
-        stances = self._stances(state, after, phases, blend)
+        stances = self._foot_stances(state, after, phases, blend)
         speeds = local_velocities / self.scales[:, None]
         yaw_rates = np.clip(
             yaw_velocities,
@@ -198,16 +198,22 @@ class AgentBodies(Footing):
                 ends[:, k], stances.begins[:, k], blend.stance_fractions[:, k]
             )
             heel_pitches = self.pitches(k, begins, blend, state.still)
-            self._advance(k, phases, change, blend, (before, after), footholds, swings)
+            self._advance_foot(
+                k, phases, change, blend, (before, after), footholds, swings
+            )
             has_lifted = (state.swings[:, k] < 0) & (swings[:, k] >= 0)
             heels[has_lifted, k] = heel_pitches[has_lifted]
             remaining_phases = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
             spans[has_lifted, k] = remaining_phases[has_lifted]
-            has_landed = (state.swings[:, k] >= LANDING_FIXED) & (swings[:, k] < 0)
+            has_landed = (state.swings[:, k] >= LANDING_FIXED_PHASE) & (
+                swings[:, k] < 0
+            )
             footholds[has_landed, k] = state.aims[has_landed, k]
         phases = (phases + change) % 1.0
         for k in range(2):
-            is_swinging = (swings[:, k] >= 0) & ~(state.swings[:, k] >= LANDING_FIXED)
+            is_swinging = (swings[:, k] >= 0) & ~(
+                state.swings[:, k] >= LANDING_FIXED_PHASE
+            )
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
             future_points = after.points + after.velocities * remaining_times[:, None]
@@ -246,7 +252,7 @@ class AgentBodies(Footing):
         dt: float,
     ) -> BodyState:
         """Return bodies with landed feet within reach, and hips lowered for them."""
-        stances = self._stances(state, motion, state.phases, blend)
+        stances = self._foot_stances(state, motion, state.phases, blend)
         footholds = state.places.copy()
         leg = self.gaits.walker.leg
         lowering = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
@@ -271,23 +277,25 @@ class AgentBodies(Footing):
         return replace(state, places=footholds, lowered=lowering)
 
     @cached_property
-    def reach(self) -> Reach:
+    def reach(self) -> LegReach:
         """Return the reach of the legs."""
-        return Reach.of(self.gaits)
+        return LegReach.of(self.gaits)
 
     def pitches(
         self, k: int, begins: FloatArray, blend: Blend, standing: FloatArray
     ) -> FloatArray:
         """Return heel pitches of planted feet ``(N,)`` [rad]."""
         stance_rows = np.clip(begins / blend.stance_fractions[:, k], 0.0, 1.0) * (
-            PHASES - 1
+            PHASE_COUNT - 1
         )
         pitch = np.zeros(len(begins))
         for weight, gait in zip(blend.weights.T, self.gaits.moving, strict=True):
-            pitch += weight * np.interp(stance_rows, np.arange(PHASES), gait.pitches[k])
+            pitch += weight * np.interp(
+                stance_rows, np.arange(PHASE_COUNT), gait.pitches[k]
+            )
         return np.asarray(pitch * (1 - standing))
 
-    def _stances(
+    def _foot_stances(
         self, state: BodyState, motion: AgentMotion, phases: FloatArray, blend: Blend
     ) -> Stances:
         """Return the stances of feet at phases ``(N,)``."""
@@ -356,7 +364,7 @@ class AgentBodies(Footing):
         )
         return np.where(begins, lift_phases % 1.0, state.phases)
 
-    def _advance(
+    def _advance_foot(
         self,
         k: int,
         phases: FloatArray,
@@ -387,7 +395,7 @@ class AgentBodies(Footing):
         swings[has_landed, k] = -1.0
 
 
-def _weights(points: FloatArray, gait_points: FloatArray) -> FloatArray:
+def _gait_weights(points: FloatArray, gait_points: FloatArray) -> FloatArray:
     """Return gait weights ``(N, G)`` by gradient-band interpolation (Johansen, 2009).
 
     ``points`` ``(N, 2)`` and ``gait_points`` ``(G, 2)``: speed and scaled yaw rate.

@@ -9,22 +9,22 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import refuse
-from animtool.systems.crowds.agents import Agents, agents_of
+from animtool.systems.crowds.agents import Agents, build_agents
 from animtool.systems.crowds.beginning import (
-    along_ground,
     clear_starts,
     ground_of,
-    unreachable,
+    project_direction,
+    unreachable_goal_warnings,
 )
 from animtool.systems.crowds.crowd import Crowd
-from animtool.systems.crowds.ground import Frame, Terrain
+from animtool.systems.crowds.ground import GroundFrame, Terrain
 from animtool.systems.crowds.obstacles import Obstacles, navigation_grids
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
 
 if TYPE_CHECKING:
-    from animtool.systems.crowds.cast import Casting
+    from animtool.systems.crowds.cast import AgentCast
     from animtool.systems.crowds.falls import FallSimulator
 
 
@@ -40,14 +40,14 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         message = "crowds avoid shapes, rigid bodies and the capsules of characters"
         hint = "use its colliders instead of the surface"
         refuse("SIM145", message, "systems", hint)
-    agents, notices = agents_of(spec, parts, begin, frame)
-    steering, obstacles = _navigation(spec, agents, frame, ground, context)
+    agents, notices = build_agents(spec, parts, begin, frame)
+    steering, obstacles = _build_steering(spec, agents, frame, ground, context)
     start, moved = clear_starts(agents, steering.grid, obstacles, begin)
-    notices += [*moved, *unreachable(spec, agents, steering, start)]
+    notices += [*moved, *unreachable_goal_warnings(spec, agents, steering, start)]
     shows = [part.get("shows") for part in parts]
     cycles = {show: show() for show in shows if show is not None}
     order = list(cycles)
-    casting, falling = _bodies(spec, agents, frame, ground, context)
+    casting, falling = _build_bodies(spec, agents, frame, ground, context)
     if casting is not None:
         for group in casting.groups:
             notices += group.bodies.gaits.notices
@@ -68,21 +68,21 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     )
 
 
-def _navigation(
+def _build_steering(
     spec: CrowdsModel,
     agents: Agents,
-    frame: Frame,
+    frame: GroundFrame,
     ground: Terrain,
     context: SimContext,
 ) -> tuple[Steering, Obstacles]:
     """Return the steering towards goals, and the obstacles."""
     colliders, begin = context.colliders, context.begin
-    goals = _on_ground(frame, [goal.at for goal in spec.goals])
+    goals = _project_on_ground(frame, [goal.at for goal in spec.goals])
     grid, edge = navigation_grids(spec, agents, frame, ground, colliders, goals, begin)
     queues = [
         [0.0, 0.0]
         if goal.queue is None
-        else along_ground(frame, goal.queue.direction) * goal.queue.spacing
+        else project_direction(frame, goal.queue.direction) * goal.queue.spacing
         for goal in spec.goals
     ]
     steering = Steering(
@@ -92,7 +92,9 @@ def _navigation(
         [door.begin for door in spec.doors],
         [door.end for door in spec.doors],
     ]
-    ends = np.stack([_on_ground(frame, points) for points in door_points], axis=1)
+    ends = np.stack(
+        [_project_on_ground(frame, points) for points in door_points], axis=1
+    )
     for door, (first, last) in zip(spec.doors, ends, strict=True):
         if not ((last - first) ** 2).sum() > 0:
             message = f"both ends of {door.name!r} are at the same position on the "
@@ -105,26 +107,26 @@ def _navigation(
     return steering, obstacles
 
 
-def _bodies(
+def _build_bodies(
     spec: CrowdsModel,
     agents: Agents,
-    frame: Frame,
+    frame: GroundFrame,
     ground: Terrain,
     context: SimContext,
-) -> tuple[Casting | None, FallSimulator | None]:
+) -> tuple[AgentCast | None, FallSimulator | None]:
     """Return bodies if populations have gaits, and ragdolls if something can hit."""
     sources = [part.get("gaits") for part in context.parts["populations"]]
     gaits = [source for source in sources if source is not None]
     if not gaits:
         return None, None
-    from animtool.systems.crowds.cast import Casting
+    from animtool.systems.crowds.cast import AgentCast
     from animtool.systems.crowds.falls import FallSimulator
 
     colliders = context.colliders
     moving = bool(colliders.bodies) or any(
         len(c.poses.sample_times) > 1 for c in colliders
     )
-    casting = Casting.of(agents, gaits, ground, falls=moving)
+    casting = AgentCast.of(agents, gaits, ground, falls=moving)
     possible = [FallSimulator.has_bodies(group.cast.rig) for group in casting.groups]
     if not (moving and all(possible) and len(agents)):
         return casting, None
@@ -134,6 +136,8 @@ def _bodies(
     return casting, falling
 
 
-def _on_ground(frame: Frame, points: Sequence[Sequence[float]]) -> FloatArray:
+def _project_on_ground(
+    frame: GroundFrame, points: Sequence[Sequence[float]]
+) -> FloatArray:
     """Project world points on the ground: x and z ``(K, 2)``."""
     return frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]

@@ -12,14 +12,14 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import Cast, CharactersFrame
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.crowds.agents import AgentMotion, Agents
 from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
-from animtool.systems.crowds.ground import Frame, about_up
+from animtool.systems.crowds.ground import GroundFrame, rotations_about_y
 from animtool.systems.crowds.poses import poses_of
 
 # Sample rate of the idle cycle [1/s], which is slow.
@@ -38,7 +38,7 @@ class CastGroup:
 
 
 @dataclass(frozen=True)
-class Casting:
+class AgentCast:
     """The bodies of N agents, grouped by rig."""
 
     groups: Sequence[CastGroup]
@@ -51,7 +51,7 @@ class Casting:
         ground: Heights,
         *,
         falls: bool,
-    ) -> Casting:
+    ) -> AgentCast:
         """Return bodies for agents, from their populations' gaits; some may fall."""
         distinct = list(dict.fromkeys(sources))
         sources_of_agents = np.array([distinct.index(source) for source in sources])[
@@ -61,9 +61,9 @@ class Casting:
         for k, source in enumerate(distinct):
             rows = np.flatnonzero(sources_of_agents == k)
             bodies = AgentBodies(source(), agents.sizes[rows], ground)
-            groups.append(CastGroup(rows, bodies, _cast(bodies, falls=falls)))
+            groups.append(CastGroup(rows, bodies, _build_cast(bodies, falls=falls)))
         order = np.concatenate([group.agents for group in groups])
-        return Casting(groups, order)
+        return AgentCast(groups, order)
 
     def first(self, motion: AgentMotion, chances: FloatArray) -> BodyState:
         """Return the initial bodies of all agents."""
@@ -123,7 +123,7 @@ class Casting:
         self,
         state: BodyState,
         motion: AgentMotion,
-        frame: Frame,
+        frame: GroundFrame,
         ground: Heights,
         agent: int,
     ) -> WorldTransforms:
@@ -138,8 +138,8 @@ class Casting:
         poses = poses_of(bodies, select_rows(state, row), select_rows(motion, row))
         positions = np.repeat(rig.rest_translations[None], 1, axis=0)
         positions[:, 0] = poses.roots
-        world = forward(rig, positions, poses.rotations)
-        heading = about_up(motion.headings[row])
+        world = forward_kinematics(rig, positions, poses.rotations)
+        heading = rotations_about_y(motion.headings[row])
         rotation = so3.multiply(frame.rotation, heading)
         heights = np.nan_to_num(ground(motion.points[row])[0])
         origin = np.insert(motion.points[row], 1, heights, axis=1)
@@ -154,7 +154,7 @@ class Casting:
         state: BodyState,
         motion: AgentMotion,
         heights: FloatArray,
-        placed: tuple[Frame, FloatArray],
+        placed: tuple[GroundFrame, FloatArray],
         visible: BoolArray,
         primvars: Mapping[str, Any],
         fallen: Mapping[int, tuple[FloatArray, FloatArray]],
@@ -184,7 +184,7 @@ class Casting:
             for i, (positions, fallen_rotations) in fallen.items():
                 for row in np.flatnonzero(group.agents == i).tolist():
                     rotation = so3.multiply(
-                        frame.rotation, about_up(motion.headings[i])
+                        frame.rotation, rotations_about_y(motion.headings[i])
                     )
                     to_ground = so3.conjugate(rotation)
                     poses.rotations[row] = fallen_rotations
@@ -234,20 +234,20 @@ def select_rows(record: Any, rows: IntArray) -> Any:
     return replace(record, **changes)
 
 
-def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
+def _build_cast(bodies: AgentBodies, *, falls: bool) -> Cast:
     """Return the character of a group, with the pose that idle agents share."""
     gaits = bodies.gaits
     period = 2 * gaits.idle.period if len(gaits.idle.rotations) > 1 else 0.0
     count = max(round(period * IDLE_RATE), 1)
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
     motion = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
-    level_bodies = replace(bodies, scales=np.ones(count), ground=_level)
+    level_bodies = replace(bodies, scales=np.ones(count), ground=_flat_ground)
     initial = level_bodies.first(motion, np.zeros(count))
     poses = poses_of(level_bodies, replace(initial, clocks=clocks), motion)
     animated_joints = bodies.animated
     if falls:
         animated_joints = np.union1d(
-            animated_joints, Capsules.of(gaits.walker.rig).joints
+            animated_joints, JointCapsules.of(gaits.walker.rig).joints
         )
     left, right = (leg[3] if leg[3] >= 0 else leg[2] for leg in gaits.walker.legs)
     return Cast(
@@ -260,6 +260,6 @@ def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
     )
 
 
-def _level(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _flat_ground(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return flat ground."""
     return np.zeros(len(points)), np.tile([0.0, 1.0, 0.0], (len(points), 1))

@@ -21,7 +21,7 @@ from animtool.motion.frames import (
     TransformsFrame,
 )
 from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, AgentMotion, Agents
-from animtool.systems.crowds.ground import Frame, Terrain, about_up
+from animtool.systems.crowds.ground import GroundFrame, Terrain, rotations_about_y
 from animtool.systems.crowds.obstacles import Obstacles, Walls
 from animtool.systems.crowds.shoulders import (
     DEPTH_RATIO,
@@ -34,7 +34,7 @@ from animtool.systems.framework.simulation import Diagnostics
 
 if TYPE_CHECKING:
     from animtool.rig.kinematics import WorldTransforms
-    from animtool.systems.crowds.cast import Casting
+    from animtool.systems.crowds.cast import AgentCast
     from animtool.systems.crowds.falls import Falls, FallSimulator
     from animtool.systems.crowds.footing import BodyState
 
@@ -85,14 +85,14 @@ class Crowd:
 
     spec: CrowdsModel
     begin: float
-    ground_frame: Frame
+    ground_frame: GroundFrame
     ground: Terrain
     agents: Agents
     steering: Steering
     obstacles: Obstacles
     start: FloatArray
     notices: Sequence[Fault]
-    casting: Casting | None
+    casting: AgentCast | None
     falling: FallSimulator | None
     meshes: tuple[MeshFrame, ...]
     shown: IntArray
@@ -272,7 +272,7 @@ class Crowd:
             )
         if not self.meshes:
             return PointsFrame(ids, points, velocities, agents.radii[ids], primvars)
-        yaw_rotations = about_up(state.headings[ids])
+        yaw_rotations = rotations_about_y(state.headings[ids])
         return TransformsFrame(
             ids,
             points,

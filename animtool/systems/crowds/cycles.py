@@ -17,28 +17,32 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import FootContacts, find_contacts
 from animtool.motion.take import Take
 from animtool.retarget.transfer import middle_of_hips
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.gaits import (
-    PHASES,
+    PHASE_COUNT,
     Gait,
     Gaits,
     Walker,
-    about_side,
+    rotations_about_x,
     sample_rows,
     standing_ankle,
     swing_progress,
 )
-from animtool.systems.crowds.ground import about_up, rotated_about_y, wrap_angles
+from animtool.systems.crowds.ground import (
+    rotated_about_y,
+    rotations_about_y,
+    wrap_angles,
+)
 
 # Slower clips count as standing; in leg lengths per second [1/s].
 MIN_TRAVEL_SPEED = 0.2
 # Bounds of the period of a gait, two steps [s].
 MIN_PERIOD, MAX_PERIOD = 0.4, 2.5
 # Cycles with a larger seam, relative to their motion, are rejected.
-MAX_SEAM = 0.35
+MAX_SEAM_FRACTION = 0.35
 # Repeats of a cycle for step detection: the middle one has both neighbours.
-REPEATS = 3
+CYCLE_REPEATS = 3
 
 
 def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
@@ -52,7 +56,7 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     idle: list[Gait] = []
     reactions: list[Gait] = []
     for name, take in takes:
-        kind, gait = _gait(walker, name, take)
+        kind, gait = _build_gait(walker, name, take)
         {"moves": moving, "stands": idle, "reacts": reactions}[kind].append(gait)
     notices = []
     if not moving:
@@ -83,7 +87,7 @@ def heading_of(rotations: FloatArray) -> FloatArray:
     return np.asarray(2 * np.arctan2(rotations[..., 1], rotations[..., 3]))
 
 
-def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
+def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     """Return the kind of a take (moves, stands, reacts), and its gait."""
     world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.person, world.positions)
@@ -99,12 +103,12 @@ def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
         return "stands", _uncut_gait(walker, name, take, world)
     if (
         cycle_frames is None
-        or cycle_frames.share > MAX_SEAM
+        or cycle_frames.share > MAX_SEAM_FRACTION
         or distance < MIN_TRAVEL_SPEED * walker.leg * seconds
     ):
         return "reacts", _uncut_gait(walker, name, take, world)
-    cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=REPEATS)
-    gait = _cycle(walker, name, cycle)
+    cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=CYCLE_REPEATS)
+    gait = _cycle_gait(walker, name, cycle)
     return (
         ("reacts", _uncut_gait(walker, name, take, world))
         if gait is None
@@ -140,7 +144,8 @@ class CyclePath:
         """Return x and z ``(K, 2)`` [m]."""
         return (
             self.origin
-            + _arc(self.heading, self.turning, frames - self.begin) @ self.velocity
+            + _arc_integrals(self.heading, self.turning, frames - self.begin)
+            @ self.velocity
         )
 
     @staticmethod
@@ -150,14 +155,14 @@ class CyclePath:
         turning = float(headings[2 * length] - headings[length]) / length
         heading = float((headings[frames] - turning * (frames - length)).mean())
         flat = hips[:, [0, 2]]
-        cycle_integral = _arc(heading, turning, np.array([float(length)]))[0]
+        cycle_integral = _arc_integrals(heading, turning, np.array([float(length)]))[0]
         velocity = np.linalg.solve(cycle_integral, flat[2 * length] - flat[length])
         path = CyclePath(length, length, np.zeros(2), heading, velocity, turning)
         offsets = flat[frames] - path.positions(frames.astype(float))
         return replace(path, origin=offsets.mean(axis=0))
 
 
-def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
+def _arc_integrals(heading: float, turning: float, t: FloatArray) -> FloatArray:
     """Return integrals of velocity in a rotating frame, as matrices ``(K, 2, 2)``."""
     end = heading + turning * t
     if abs(turning) < 1e-9:
@@ -170,34 +175,34 @@ def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
     )
 
 
-def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
+def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
     """Return the second of three cycles as a gait; None without exactly two steps."""
     translations, rotations, _ = take.motion.dense()
-    world = forward(walker.rig, translations, rotations)
-    length, fps = take.clock.count // REPEATS, float(take.clock.rate)
+    world = forward_kinematics(walker.rig, translations, rotations)
+    length, fps = take.clock.count // CYCLE_REPEATS, float(take.clock.rate)
     hips = middle_of_hips(walker.person, world.positions)
-    path = CyclePath.of(hips, _headings(walker, world), length)
+    path = CyclePath.of(hips, _hip_headings(walker, world), length)
     if path.velocity[1] <= abs(path.velocity[0]):
         return None
-    ground = _ground(walker, world)
-    stances = [_stance(walker, world, k, length, fps) for k in range(2)]
+    ground = _ground_height(walker, world)
+    stances = [_find_stance(walker, world, k, length, fps) for k in range(2)]
     if any(stance is None for stance in stances):
         return None
     left, right = (stance for stance in stances if stance is not None)
     right_phase = ((right.lands - left.lands) / length) % 1.0
     if not 0.2 < right_phase < 0.8:
         return None
-    phases = np.arange(PHASES) / PHASES
+    phases = np.arange(PHASE_COUNT) / PHASE_COUNT
     cycle_fractions = np.interp(phases, [0.0, 0.5, 1.0], [0.0, right_phase, 1.0])
     frames = left.lands + cycle_fractions * length
     frames = np.where(frames >= 2 * length, frames - length, frames)
-    to_body = about_up(-path.headings(frames))
+    to_body = rotations_about_y(-path.headings(frames))
     origins = np.insert(path.positions(frames), 1, ground, axis=1)
     local = _interpolate(rotations, frames)
     local[:, 0] = so3.multiply(to_body, local[:, 0])
     root = so3.rotate(to_body, sample_rows(world.positions[:, 0], frames) - origins)
     steps = [
-        _step(walker, world, path, ground, k, stance)
+        _build_step(walker, world, path, ground, k, stance)
         for k, stance in enumerate((left, right))
     ]
     return Gait(
@@ -221,7 +226,7 @@ class FootStance:
     flat: BoolArray  # by frame
 
 
-def _stance(
+def _find_stance(
     walker: Walker, world: WorldTransforms, k: int, length: int, fps: float
 ) -> FootStance | None:
     """Return a foot's single stance that begins in the second cycle, or None."""
@@ -241,7 +246,7 @@ def _stance(
     return FootStance(*second_cycle_runs[0], contacts.ankle & contacts.toe)
 
 
-def _step(
+def _build_step(
     walker: Walker,
     world: WorldTransforms,
     path: CyclePath,
@@ -262,7 +267,7 @@ def _step(
     yaw = float(np.unwrap(heading_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]
     foothold = toe_positions[stance_frames].mean(axis=0) - so3.rotate(
-        about_up(np.array(yaw)), ball
+        rotations_about_y(np.array(yaw)), ball
     )
     foothold = foothold[[0, 2]]
     # In the frame of the body, the foot lands there in every cycle.
@@ -280,18 +285,18 @@ def _step(
         end_point + rotated_about_y(step[:2], end_heading),
         yaw + end_heading - start_heading,
     )
-    fractions = np.linspace(0.0, 1.0, PHASES)
+    fractions = np.linspace(0.0, 1.0, PHASE_COUNT)
     stance_rotations = _interpolate(
         soles, stance.lands + fractions * (stance.lifts - stance.lands)
     )
-    stance_rotations = so3.multiply(about_up(np.array(-yaw)), stance_rotations)
+    stance_rotations = so3.multiply(rotations_about_y(np.array(-yaw)), stance_rotations)
     pitches = 2 * np.arctan2(stance_rotations[:, 0], stance_rotations[:, 3])
     pitches = wrap_angles(pitches)
     frames = stance.lifts + fractions * (stance.lands + path.length - stance.lifts)
     progress = swing_progress(fractions)
     positions = foothold + progress[:, None] * (next_foothold[:2] - foothold)
     yaws = yaw + progress * (next_foothold[2] - yaw)
-    to_path = about_up(-yaws)
+    to_path = rotations_about_y(-yaws)
     swings = so3.multiply(to_path, _interpolate(soles, frames))
     ankles = sample_rows(world.positions[:, foot], frames) - np.insert(
         positions, 1, ground, axis=1
@@ -300,7 +305,7 @@ def _step(
     # The swing ends with the pitches of the stance.
     for end, weights in ((-1, 1 - fractions), (0, fractions)):
         row = 0 if end else -1
-        stance_rotation = about_side(pitches[end : end + 1 or None])
+        stance_rotation = rotations_about_x(pitches[end : end + 1 or None])
         correction = so3.multiply(
             stance_rotation, so3.conjugate(swings[row : row + 1 or None])
         )
@@ -320,10 +325,10 @@ def _interpolate(rotations: FloatArray, frames: FloatArray) -> FloatArray:
 def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
     """Return an uncut take as a gait, relative to its first hip position."""
     _, rotations, _ = take.motion.dense()
-    heading = _headings(walker, world)[0]
-    to_forward = about_up(np.array(-heading))
+    heading = _hip_headings(walker, world)[0]
+    to_forward = rotations_about_y(np.array(-heading))
     hips = middle_of_hips(walker.person, world.positions)
-    origin = np.array([hips[0, 0], _ground(walker, world), hips[0, 2]])
+    origin = np.array([hips[0, 0], _ground_height(walker, world), hips[0, 2]])
     root = so3.rotate(to_forward, world.positions[:, 0] - origin)
     local = rotations.copy()
     local[:, 0] = so3.multiply(to_forward, rotations[:, 0])
@@ -331,7 +336,7 @@ def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -
     return Gait(name, local, root, seconds, np.zeros(2), 0.0)
 
 
-def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
+def _hip_headings(walker: Walker, world: WorldTransforms) -> FloatArray:
     """Return the heading of the hips over time ``(F,)`` [rad]."""
     hips = max(walker.person.first("hips"), 0)
     rest = walker.person.rotations[hips]
@@ -339,7 +344,7 @@ def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
     return np.unwrap(heading_of(rotations)) + walker.heading
 
 
-def _ground(walker: Walker, world: WorldTransforms) -> float:
+def _ground_height(walker: Walker, world: WorldTransforms) -> float:
     """Return the height of the ground below planted feet [m]."""
     feet = [leg[2] for leg in walker.legs]
     heights = world.positions[:, feet, 1] - walker.ankle

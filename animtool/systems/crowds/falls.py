@@ -11,12 +11,12 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
-from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.crowds.ground import Frame, Terrain
+from animtool.sim.colliders.on_joints import JointCapsules
+from animtool.systems.crowds.ground import GroundFrame, Terrain
 from animtool.systems.crowds.limits import clamped_to_limits, with_widened_limits
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
@@ -71,7 +71,7 @@ class Falls:
         )
 
 
-_Pose = tuple[FloatArray, FloatArray]
+_LocalPose = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class FallSimulator:
         self,
         rigs: Sequence[Rig],
         sizes: FloatArray,
-        frame: Frame,
+        frame: GroundFrame,
         ground: Terrain,
         colliders: Colliders,
         step: float,
@@ -123,19 +123,19 @@ class FallSimulator:
         self._gravity = (-GRAVITY * self._up).tolist()
         self._step = step
         self._ragdolls: dict[tuple[int, bytes], FallingRagdoll] = {}
-        self._cached_poses: dict[int, tuple[tuple[bytes, ...], _Pose]] = {}
+        self._cached_poses: dict[int, tuple[tuple[bytes, ...], _LocalPose]] = {}
 
     @staticmethod
     def has_bodies(rig: Rig) -> bool:
         """Return whether a rig has bodies for a ragdoll."""
-        return bool(len(Capsules.of(rig)))
+        return bool(len(JointCapsules.of(rig)))
 
     def none(self) -> Falls:
         """Return an empty record of falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
         return Falls.none(
-            joints, max(len(np.unique(Capsules.of(rig).joints)) for rig in rigs)
+            joints, max(len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs)
         )
 
     def add_falls(
@@ -188,7 +188,7 @@ class FallSimulator:
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
 
-    def poses(self, falls: Falls, k: int) -> _Pose:
+    def poses(self, falls: Falls, k: int) -> _LocalPose:
         """Return a fallen agent's local translations and rotations (cached).
 
         Those of the first joint are in world space. The pose of agents at rest is
@@ -200,7 +200,7 @@ class FallSimulator:
             self._cached_poses[agent] = key, self._pose(falls, k)
         return self._cached_poses[agent][1]
 
-    def _pose(self, falls: Falls, k: int) -> _Pose:
+    def _pose(self, falls: Falls, k: int) -> _LocalPose:
         """Compute `poses` from the ragdoll."""
         agent = int(falls.agents[k])
         fall = self._ragdoll_of(agent, falls.positions[k], falls.turns[k])
@@ -213,7 +213,7 @@ class FallSimulator:
             0.0,
         )
         count = len(rig.joints)
-        local = _local(rig, falls.turns[k, :count])
+        local = _local_rotations(rig, falls.turns[k, :count])
         has_parent = rig.parents >= 0
         translations = rig.rest_translations.copy()
         translations[~has_parent] = falls.positions[k, :count][~has_parent]
@@ -233,9 +233,9 @@ class FallSimulator:
         key = agent, positions.tobytes()
         if key not in self._ragdolls:
             size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
-            rig = placed_rig(self._rigs[agent], size)
+            rig = place_rig(self._rigs[agent], size)
             count = len(rig.joints)
-            rig = with_widened_limits(rig, _local(rig, rotations[:count]))
+            rig = with_widened_limits(rig, _local_rotations(rig, rotations[:count]))
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(rotations[None, :count])
             )
@@ -276,7 +276,7 @@ def _step_ragdoll(
     return result
 
 
-def _local(rig: Rig, rotations: FloatArray) -> FloatArray:
+def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return local rotations ``(J, 4)`` from world rotations."""
     local: FloatArray = rotations.copy()
     has_parent = rig.parents >= 0

@@ -10,13 +10,13 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.skeleton import Rig
-from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.ground import rotations_about_y
 
 # Number of phases at which a cycle is sampled; interpolated in between.
-PHASES = 64
+PHASE_COUNT = 64
 SIDES = "lr"
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -52,14 +52,14 @@ class Walker:
     @staticmethod
     def of(rig: Rig) -> Walker:
         """Return a biped from its rest pose (SIM149 if it lacks two legs)."""
-        person = RoledSkeleton.of(rig, anatomy(rig).roles)
+        person = RoledSkeleton.of(rig, find_anatomy(rig).roles)
         left, right, facing = person.leg("l"), person.leg("r"), person.facing
         if left is None or right is None or facing is None:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))
         heading = float(np.arctan2(facing[2, 0], facing[2, 2]))
-        to_forward = about_up(np.array([-heading]))[0]
-        ground = _ground(person)
+        to_forward = rotations_about_y(np.array([-heading]))[0]
+        ground = _rest_ground_height(person)
         feet = [left[2], right[2]]
         toe_offsets = []
         for leg in (left, right):
@@ -82,7 +82,7 @@ class Walker:
         )
 
 
-def _ground(person: RoledSkeleton) -> float:
+def _rest_ground_height(person: RoledSkeleton) -> float:
     """Return the height of the ground below a rig at rest [m].
 
     At its lowest joint or bone end, such as that of a toe.
@@ -160,7 +160,7 @@ def swing_progress(fraction: FloatArray) -> FloatArray:
     return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 
-def about_side(angles: FloatArray) -> FloatArray:
+def rotations_about_x(angles: FloatArray) -> FloatArray:
     """Return rotations about x ``(…, 4)`` by angles [rad]."""
     rotations = np.zeros((*angles.shape, 4))
     rotations[..., 0], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)

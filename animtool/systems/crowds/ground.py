@@ -14,10 +14,10 @@ from animtool.maths import so3
 # Largest number of grid cells along an axis.
 MAX_CELLS = 2048
 # Points outside a triangle by less are on its edge [1].
-EDGE = 1e-9
+EDGE_TOLERANCE = 1e-9
 
 
-def about_up(angles: FloatArray) -> FloatArray:
+def rotations_about_y(angles: FloatArray) -> FloatArray:
     """Return rotations about y ``(…, 4)`` by angles [rad]."""
     rotations = np.zeros((*angles.shape, 4))
     rotations[..., 1], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
@@ -37,7 +37,7 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Frame:
+class GroundFrame:
     """The frame of the ground: agents use its x and z; y is up.
 
     Attributes:
@@ -103,7 +103,7 @@ class Terrain:
         edge_distance = np.minimum(
             np.minimum(weight_b, weight_c), 1 - weight_b - weight_c
         )
-        is_inside = edge_distance >= -EDGE
+        is_inside = edge_distance >= -EDGE_TOLERANCE
         rows, faces = rows[is_inside], faces[is_inside]
         face_heights = (
             a[faces, 1]
@@ -139,7 +139,7 @@ class Terrain:
         to_b, to_c = b - a, c - a
         area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
         size = np.abs(to_b).sum(axis=1) * np.abs(to_c).sum(axis=1)
-        return np.asarray(self.triangles[area > EDGE * size])
+        return np.asarray(self.triangles[area > EDGE_TOLERANCE * size])
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
@@ -150,12 +150,12 @@ class Terrain:
         counts = np.array([cells_per_axis, cells_per_axis])
         cell_size = np.maximum((high - low) / counts, np.finfo(float).tiny)
         first = np.clip(
-            ((flat.min(axis=1) - low) / cell_size - EDGE).astype(np.int64),
+            ((flat.min(axis=1) - low) / cell_size - EDGE_TOLERANCE).astype(np.int64),
             0,
             cells_per_axis - 1,
         )
         last = np.clip(
-            ((flat.max(axis=1) - low) / cell_size + EDGE).astype(np.int64),
+            ((flat.max(axis=1) - low) / cell_size + EDGE_TOLERANCE).astype(np.int64),
             0,
             cells_per_axis - 1,
         )
@@ -181,7 +181,10 @@ class Terrain:
         """Return pairs of points and triangles that may overlap as seen from above."""
         low, size, counts, faces, starts = self._grid
         grid_points = (points - low) / size
-        inside = np.all((grid_points >= -EDGE) & (grid_points <= counts + EDGE), axis=1)
+        inside = np.all(
+            (grid_points >= -EDGE_TOLERANCE) & (grid_points <= counts + EDGE_TOLERANCE),
+            axis=1,
+        )
         cells = np.clip(
             np.where(inside.reshape(-1, 1), grid_points, 0).astype(np.int64),
             0,

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
-from animtool.rig.limits import SMALLEST_CONE, BallLimit, RangeLimit, swing_twist
+from animtool.rig.limits import MIN_CONE, BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 
@@ -17,7 +17,7 @@ def with_widened_limits(rig: Rig, rotations: FloatArray) -> Rig:
 
     A walking pose may exceed its rig's limits, which would snap it back at once.
     """
-    joints = zip(rig.joints, _motions(rig, rotations), strict=True)
+    joints = zip(rig.joints, _rotations_from_rest(rig, rotations), strict=True)
     return replace(rig, joints=tuple(_with_widened_limits(*args) for args in joints))
 
 
@@ -26,10 +26,10 @@ def clamped_to_limits(rig: Rig, rotations: FloatArray) -> FloatArray:
 
     The joints of crushed bodies may be separated and rotated arbitrarily for a moment.
     """
-    motions = _motions(rig, rotations)
+    motions = _rotations_from_rest(rig, rotations)
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
-            angle = _angle(joint, motions[j])
+            angle = _pin_angle(joint, motions[j])
             if isinstance(joint.limits, RangeLimit):
                 angle = float(joint.limits.clamped(np.array(angle)))
             motions[j] = so3.from_axis_angle(joint.axis, np.array(angle))
@@ -38,12 +38,12 @@ def clamped_to_limits(rig: Rig, rotations: FloatArray) -> FloatArray:
     return so3.multiply(rig.rest_rotations, motions)
 
 
-def _motions(rig: Rig, rotations: FloatArray) -> FloatArray:
+def _rotations_from_rest(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return joint rotations relative to rest ``(J, 4)``."""
     return so3.multiply(so3.conjugate(rig.rest_rotations), rotations)
 
 
-def _angle(joint: Joint, motion: FloatArray) -> float:
+def _pin_angle(joint: Joint, motion: FloatArray) -> float:
     """Return a pin's angle about its axis, unwrapped near its limits [rad]."""
     angle = 2 * float(np.arctan2(motion[:3] @ np.array(joint.axis), motion[3]))
     limits = joint.limits
@@ -55,7 +55,7 @@ def _with_widened_limits(joint: Joint, motion: FloatArray) -> Joint:
     """Return a joint with limits widened to a rotation from rest ``(4,)``."""
     limits = joint.limits
     if joint.type is JointType.PIN and isinstance(limits, RangeLimit):
-        angle = _angle(joint, motion)
+        angle = _pin_angle(joint, motion)
         wider = RangeLimit(min(limits.low, angle), max(limits.high, angle))
         return replace(joint, limits=wider)
     if joint.type is not JointType.BALL or not isinstance(limits, BallLimit):
@@ -65,7 +65,7 @@ def _with_widened_limits(joint: Joint, motion: FloatArray) -> Joint:
     if twist is not None:
         twist = min(twist[0], float(twists[0])), max(twist[1], float(twists[0]))
     if swing is not None:
-        min_swing = np.maximum(swing, SMALLEST_CONE)
+        min_swing = np.maximum(swing, MIN_CONE)
         ratio = np.linalg.norm(so3.log(swings[0]) @ limits.axes[1:].T / min_swing)
         first, second = (min_swing * max(1.0, float(ratio))).tolist()
         swing = first, second

@@ -12,9 +12,9 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
-from animtool.sim.colliders.shapes import bounds
+from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.ground import Frame, Terrain, walkable
+from animtool.systems.crowds.ground import GroundFrame, Terrain, walkable
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
@@ -59,7 +59,7 @@ class Obstacles:
     """
 
     agents: Agents
-    frame: Frame
+    frame: GroundFrame
     ground: Terrain
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
@@ -146,7 +146,7 @@ class Obstacles:
 
 def capsule_distances(
     colliders: Colliders,
-    frame: Frame,
+    frame: GroundFrame,
     x: FloatArray,
     base: FloatArray,
     radii: FloatArray,
@@ -190,7 +190,7 @@ def capsule_distances(
 def navigation_grids(
     spec: CrowdsModel,
     agents: Agents,
-    frame: Frame,
+    frame: GroundFrame,
     ground: Terrain,
     colliders: Colliders,
     goals: FloatArray,
@@ -254,7 +254,7 @@ def navigation_grids(
 
 def _bounds_of_obstacles(
     static: Sequence[Collider],
-    frame: Frame,
+    frame: GroundFrame,
     low: FloatArray,
     high: FloatArray,
     margin: float,
@@ -273,7 +273,7 @@ def _bounds_of_obstacles(
             if np.linalg.norm(horizontal) > MIN_WALL_NORMAL * np.linalg.norm(normal):
                 return low, high
             continue
-        ends = bounds(collider.shape)
+        ends = shape_bounds(collider.shape)
         box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
         corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
         first = np.minimum(first, corners.min(axis=0))

@@ -8,23 +8,23 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.legs import ankle_rotations
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import Blend, BodyState
 from animtool.systems.crowds.gaits import (
-    PHASES,
+    PHASE_COUNT,
     SIDES,
     UP,
     Gait,
     Gaits,
     Walker,
-    about_side,
+    rotations_about_x,
     sample_rows,
     standing_ankle,
     swing_progress,
 )
-from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.ground import rotations_about_y
 from animtool.systems.crowds.reach import MAX_EXTENSION, MAX_LOWERING, SWING_MARGIN
 
 # Blend time at both ends of a reaction [s].
@@ -62,7 +62,9 @@ def poses_of(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> Body
     rotations[:, bodies.animated] = played
     bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
     feet, normals, foothold_distances = bodies.feet(state, motion)
-    goals, soles = _ankles(bodies, state, blend, feet, normals, foothold_distances)
+    goals, soles = _ankle_targets(
+        bodies, state, blend, feet, normals, foothold_distances
+    )
     # Hips stay above the mean ground of both feet.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
     lowered, missed = _solve_legs(
@@ -88,7 +90,7 @@ def _solve_legs(
     rig = walker.rig
     translations = np.repeat(rig.rest_translations[None], len(rotations), axis=0)
     translations[:, 0] = roots
-    world = forward(rig, translations, rotations)
+    world = forward_kinematics(rig, translations, rotations)
     joints = world.positions
     world_rotations = {
         joint: so3.from_matrix(world.linear[:, joint])
@@ -187,7 +189,7 @@ def min_sole_height(distances: FloatArray) -> FloatArray:
     return np.minimum(SOLE_SLOPE * distances, SOLE_CLEARANCE)
 
 
-def _ankles(
+def _ankle_targets(
     bodies: AgentBodies,
     state: BodyState,
     blend: Blend,
@@ -200,7 +202,7 @@ def _ankles(
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
         begin = (state.phases - 0.5 * k) % 1.0
-        foot_rotations = about_side(bodies.pitches(k, begin, blend, state.still))
+        foot_rotations = rotations_about_x(bodies.pitches(k, begin, blend, state.still))
         ankle_offsets = standing_ankle(gaits.walker, k, foot_rotations)
         is_swinging = state.swings[:, k] >= 0
         if is_swinging.any():
@@ -214,8 +216,8 @@ def _ankles(
                 ankle_offsets[is_swinging],
                 foothold_distances[is_swinging, k],
             )
-        tilt = _tilts(normals[:, k])
-        yaw = about_up(feet[:, k, 3])
+        tilt = _tilt_rotations(normals[:, k])
+        yaw = rotations_about_y(feet[:, k, 3])
         goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, ankle_offsets))
         soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, foot_rotations))
     return goals, soles
@@ -262,7 +264,7 @@ def _swing_poses(
     start_rotations, start_offsets = _gait_swing(
         gaits, state, blend, k, is_swinging, np.zeros_like(swings)
     )
-    stance_rotations = about_side(state.heels[is_swinging, k])
+    stance_rotations = rotations_about_x(state.heels[is_swinging, k])
     weight = (1 - swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0)))[:, None]
     correction = so3.multiply(stance_rotations, so3.conjugate(start_rotations))
     identity = np.broadcast_to(so3.IDENTITY, correction.shape)
@@ -285,7 +287,7 @@ def _gait_swing(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and ankles of swinging feet from their gaits."""
     moving_gaits = gaits.moving
-    rows = swings * (PHASES - 1)
+    rows = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
     swing_rotations = _blend_rotations(
         [sample_rows(gait.swings[k], rows) for gait in moving_gaits], weights
@@ -304,7 +306,7 @@ def _gait_swing(
         )
         for end in (0, -1)
     ]
-    fraction = rows / (PHASES - 1)
+    fraction = rows / (PHASE_COUNT - 1)
     straight = end_offsets[0] + fraction * (end_offsets[1] - end_offsets[0])
     stride = np.minimum(blend.stride[is_swinging], 1.0)
     ankle_offsets[:, 2] = straight + stride * (ankle_offsets[:, 2] - straight)
@@ -335,7 +337,7 @@ def _gait_rotations(
     bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
     """Return local rotations of `animated` ``(N, M, 4)``, and root translations."""
-    gaits, rows = bodies.gaits, state.phases * PHASES
+    gaits, rows = bodies.gaits, state.phases * PHASE_COUNT
     tables, idle_table = bodies.tables
     walk_rotations = _blend_rotations(
         [sample_rows(table, rows, cyclic=True) for table in tables], blend.weights
@@ -391,7 +393,7 @@ def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatA
     return np.asarray(total / np.linalg.norm(total, axis=-1, keepdims=True))
 
 
-def _tilts(normals: FloatArray) -> FloatArray:
+def _tilt_rotations(normals: FloatArray) -> FloatArray:
     """Return rotations from upright to normals ``(N, 3)``, up to `MAX_TILT`."""
     axis = np.cross(UP, normals)
     size = np.linalg.norm(axis, axis=1)

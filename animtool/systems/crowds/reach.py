@@ -10,16 +10,16 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.systems.crowds.gaits import (
-    PHASES,
+    PHASE_COUNT,
     Gait,
     Gaits,
-    about_side,
+    rotations_about_x,
     sample_rows,
     standing_ankle,
 )
-from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.ground import rotations_about_y
 
 # Largest leg extension, as a fraction of its length.
 MAX_EXTENSION = 0.998
@@ -29,15 +29,15 @@ MAX_STANCE_LOWERING, MAX_LOWERING = 0.09, 0.11
 # Largest yaw of a planted foot against the body [rad].
 MAX_YAW_INWARDS, MAX_YAW_OUTWARDS = 0.4, 0.6
 # Least margins of reach [m] and yaw [rad], so that slow agents do not hurry.
-MIN_MARGIN, MIN_YAW_MARGIN = 0.05, 0.3
+MIN_REACH_MARGIN, MIN_YAW_MARGIN = 0.05, 0.3
 # Additional margin of airborne feet.
 SWING_MARGIN = 0.045
 # Largest cadence [cycles/s].
-MAX_RATE = 2.5
+MAX_CYCLE_RATE = 2.5
 
 
 @dataclass(frozen=True)
-class Reach:
+class LegReach:
     """Thigh positions of a rig while walking and standing.
 
     Attributes:
@@ -51,16 +51,16 @@ class Reach:
     standing: FloatArray
 
     @staticmethod
-    def of(gaits: Gaits) -> Reach:
+    def of(gaits: Gaits) -> LegReach:
         """Return the reach of a rig with some gaits."""
-        walking = tuple(_thighs(gaits, gait) for gait in gaits.moving)
-        return Reach(gaits, walking, _thighs(gaits, gaits.idle).mean(axis=0))
+        walking = tuple(_gait_thighs(gaits, gait) for gait in gaits.moving)
+        return LegReach(gaits, walking, _gait_thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
         self, phases: FloatArray, weights: FloatArray, standing: FloatArray
     ) -> FloatArray:
         """Return thighs of bodies above level ground ``(N, 2, 3)``."""
-        rows = phases * PHASES
+        rows = phases * PHASE_COUNT
         thighs = np.zeros((len(phases), 2, 3))
         for weight, table in zip(weights.T, self.walking, strict=True):
             thighs += weight[:, None, None] * sample_rows(table, rows, cyclic=True)
@@ -105,8 +105,8 @@ class Reach:
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return vectors from thighs to ankles of planted feet ``(N, 3)``."""
-        lifts = standing_ankle(self.gaits.walker, k, about_side(pitches))
-        ankles = feet[:, :3] + so3.rotate(about_up(feet[:, 3]), lifts)
+        lifts = standing_ankle(self.gaits.walker, k, rotations_about_x(pitches))
+        ankles = feet[:, :3] + so3.rotate(rotations_about_y(feet[:, 3]), lifts)
         return np.asarray(ankles - thighs)
 
 
@@ -134,7 +134,7 @@ class Stances:
 
 
 def step_rates(
-    reach: Reach, stances: Stances, hip_velocities: FloatArray, yaw_rates: FloatArray
+    reach: LegReach, stances: Stances, hip_velocities: FloatArray, yaw_rates: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return cycle rates ``(N,)`` [1/s] and a mask of feet out of reach ``(N, 2)``.
 
@@ -157,16 +157,16 @@ def step_rates(
         )
         twist_rates = -yaw_rates * np.sign(foot_yaw)
         required_rates = np.maximum(
-            _rate_to_reach(lift_margin, MIN_MARGIN, leaving_speed),
+            _rate_to_reach(lift_margin, MIN_REACH_MARGIN, leaving_speed),
             _rate_to_reach(max_yaw - np.abs(foot_yaw), MIN_YAW_MARGIN, twist_rates),
         ) * np.maximum(stance_fraction - phase, 0.0)
         ends[:, k] = ~is_swinging & (np.maximum(current_margin, lift_margin) < 0)
         # A foot that lifted too early lands soon.
         lifted_early = (is_swinging & (phase < stance_fraction)) | ends[:, k]
         required_rates = np.where(
-            lifted_early, MAX_RATE, np.where(is_swinging, 0.0, required_rates)
+            lifted_early, MAX_CYCLE_RATE, np.where(is_swinging, 0.0, required_rates)
         )
-        rate = np.maximum(rate, np.minimum(required_rates, MAX_RATE))
+        rate = np.maximum(rate, np.minimum(required_rates, MAX_CYCLE_RATE))
     return rate, ends
 
 
@@ -177,10 +177,12 @@ def _rate_to_reach(
     return np.asarray(np.maximum(speed, 0.0) / np.maximum(margin, min_margin))
 
 
-def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
+def _gait_thighs(gaits: Gaits, gait: Gait) -> FloatArray:
     """Return the thighs over a gait ``(P, 2, 3)``."""
     rig = gaits.walker.rig
     translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
     translations[:, 0] = gait.hips
     legs = [leg[0] for leg in gaits.walker.legs]
-    return np.asarray(forward(rig, translations, gait.rotations).positions[:, legs])
+    return np.asarray(
+        forward_kinematics(rig, translations, gait.rotations).positions[:, legs]
+    )

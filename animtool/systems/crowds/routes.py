@@ -18,7 +18,7 @@ MAX_NODES = 4_000_000
 STRAIGHT_DETOUR = 1.5
 # A straight path must be free for this many cells.
 LOOKAHEAD_NODES = 8
-TINY = 1e-300
+TINY_LENGTH = 1e-300
 
 
 @dataclass(frozen=True)
@@ -207,12 +207,12 @@ class FlowField:
         is_near &= (grid.border_distance(points) < grid.cell) | (
             grid.border_distance(goal) > -grid.cell
         )
-        is_near[is_near] = self._sees(points[is_near], targets[is_near])
+        is_near[is_near] = self._has_line_of_sight(points[is_near], targets[is_near])
         unit_vectors[is_near] = (targets - points)[is_near]
         lengths = np.linalg.norm(unit_vectors, axis=1)[:, None]
         return np.asarray(unit_vectors / np.where(lengths > 0, lengths, 1.0))
 
-    def _sees(self, points: FloatArray, targets: FloatArray) -> BoolArray:
+    def _has_line_of_sight(self, points: FloatArray, targets: FloatArray) -> BoolArray:
         """Return whether nearby targets ``(K, 2)`` are in line of sight."""
         grid = self.grid
         offset = targets - points
@@ -222,7 +222,9 @@ class FlowField:
             / LOOKAHEAD_NODES
         )
         offsets = np.arange(1, LOOKAHEAD_NODES + 1)[:, None, None] * step_lengths
-        samples = points + offsets * (offset / np.maximum(distances, TINY)[:, None])
+        samples = points + offsets * (
+            offset / np.maximum(distances, TINY_LENGTH)[:, None]
+        )
         rows, columns = grid.nearest_nodes(samples.reshape(-1, 2)).T
         free = grid.free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
         return np.asarray(free.all(axis=0), np.bool_)

@@ -13,7 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.ground import rotations_about_y
 
 if TYPE_CHECKING:
     from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -92,7 +92,7 @@ class Trunk:
             parent_rotation = np.broadcast_to(so3.IDENTITY, (len(rows), 4))
             for j in _ancestors(parents, joint):
                 parent_rotation = so3.multiply(parent_rotation, local[:, j])
-            yaw = about_up(fraction * angle)
+            yaw = rotations_about_y(fraction * angle)
             local_yaw = so3.multiply(
                 so3.conjugate(parent_rotation), so3.multiply(yaw, parent_rotation)
             )

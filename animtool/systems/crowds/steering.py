@@ -159,15 +159,15 @@ class Steering:
         # Waiting agents make room for those behind, and stay.
         is_waiting = (progress.waited > 0) & ~is_queued
         if is_waiting.any():
-            radius = self._radius(goal, progress.waited > 0)
+            radius = self._arrival_radii(goal, progress.waited > 0)
             inward_speeds = (
                 np.maximum(distances - INNER_RADIUS * radius, 0.0) / STOPPING_TIME
             )
             speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
         preferred = directions * speeds[:, None]
-        return self._in_groups(preferred, is_queued | is_waiting, x)
+        return self._keep_groups(preferred, is_queued | is_waiting, x)
 
-    def _in_groups(
+    def _keep_groups(
         self, preferred: FloatArray, is_excluded: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities that keep groups side by side."""
@@ -214,7 +214,7 @@ class Steering:
                 [entry.queue is not None for entry in self.goals],
             )
         )
-        radius = self._radius(goal, progress.waited > 0)
+        radius = self._arrival_radii(goal, progress.waited > 0)
         tickets = self._with_new_tickets(progress.tickets, goal, has_goal & queues, x)
         target, is_queued = self.targets(replace(progress, tickets=tickets), goal, x)
         target_distances = np.linalg.norm(target - x, axis=1)
@@ -236,7 +236,7 @@ class Steering:
             stages, np.where(passed, 0.0, waited), np.where(passed, NO_TICKET, tickets)
         )
 
-    def _radius(self, goal: IntArray, arrived: BoolArray) -> FloatArray:
+    def _arrival_radii(self, goal: IntArray, arrived: BoolArray) -> FloatArray:
         """Return each goal's arrival radius ``(N,)`` [m], larger when crowded."""
         radii = np.array([entry.radius for entry in self.goals])[goal]
         count = np.bincount(goal[arrived & (goal >= 0)], minlength=len(self.goals))[

@@ -37,11 +37,11 @@ GRAVITY = 9.81  # [m/s²]
 # Time constant of banking [s].
 BANKING_TIME = 0.15
 _UP = np.array([0.0, 1.0, 0.0])
-_TINY = 1e-9  # shorter vectors have no direction
+_TINY_LENGTH = 1e-9  # shorter vectors have no direction
 
 
 @dataclass(frozen=True, slots=True)
-class Heading:
+class MemberHeadings:
     """Orientations of N members: z forward, y up."""
 
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
@@ -49,7 +49,7 @@ class Heading:
     phases: FloatArray  # cycles of the shown animation so far (N,)
 
 
-def first_heading(members: Members, v: FloatArray) -> Heading:
+def first_heading(members: Members, v: FloatArray) -> MemberHeadings:
     """Return initial orientations for velocities ``(N, 3)`` [m/s]."""
     count = len(v)
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
@@ -57,14 +57,14 @@ def first_heading(members: Members, v: FloatArray) -> Heading:
         uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
         for species, rows in zip(members.entries, members.rows_by_entry, strict=True)
     ]
-    return Heading(
+    return MemberHeadings(
         _look_rotations(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
     )
 
 
 def next_heading(
-    members: Members, heading: Heading, v0: FloatArray, v1: FloatArray, dt: float
-) -> Heading:
+    members: Members, heading: MemberHeadings, v0: FloatArray, v1: FloatArray, dt: float
+) -> MemberHeadings:
     """Return orientations after a step [s]: ``v0`` and ``v1`` ``(N, 3)``.
 
     Members bank like aircraft: their up vector follows the lift, which is perpendicular
@@ -76,21 +76,21 @@ def next_heading(
     lift = banking_factors * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
-    directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
+    directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY_LENGTH)[:, None]
     lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
     length = np.linalg.norm(lift, axis=1)[:, None]
-    banked_up = up + (lift / np.maximum(length, _TINY) - up) * -np.expm1(
+    banked_up = up + (lift / np.maximum(length, _TINY_LENGTH) - up) * -np.expm1(
         -dt / BANKING_TIME
     )
     look_rotations = _look_rotations(
-        heading.rotations, v1, np.where(length > _TINY, banked_up, up)
+        heading.rotations, v1, np.where(length > _TINY_LENGTH, banked_up, up)
     )
     rotations = so3.align_signs(look_rotations[None], heading.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(heading.rotations))
     spins = so3.log(step_rotation) / dt
     beats = members.each([entry.beat / entry.speed.cruise for entry in members.entries])
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
-    return Heading(rotations, spins, heading.phases + beats * speeds * dt)
+    return MemberHeadings(rotations, spins, heading.phases + beats * speeds * dt)
 
 
 def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatA
     Members at rest keep their rotation.
     """
     speeds = np.linalg.norm(v, axis=1)[:, None]
-    forward = v / np.maximum(speeds, _TINY)
+    forward = v / np.maximum(speeds, _TINY_LENGTH)
     left = so3.cross(np.broadcast_to(up, v.shape), forward)
     # In vertical flight, members keep their left axis.
     length = np.linalg.norm(left, axis=1)[:, None]
@@ -107,10 +107,12 @@ def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatA
     previous_left = (
         previous_left - (previous_left * forward).sum(axis=1)[:, None] * forward
     )
-    left = np.where(length > 1e-6, left / np.maximum(length, _TINY), previous_left)
-    left = left / np.maximum(np.linalg.norm(left, axis=1)[:, None], _TINY)
+    left = np.where(
+        length > 1e-6, left / np.maximum(length, _TINY_LENGTH), previous_left
+    )
+    left = left / np.maximum(np.linalg.norm(left, axis=1)[:, None], _TINY_LENGTH)
     axes = np.stack([left, so3.cross(forward, left), forward], axis=-1)
-    return np.where(speeds > _TINY, so3.from_matrix(axes), before)
+    return np.where(speeds > _TINY_LENGTH, so3.from_matrix(axes), before)
 
 
 def mesh_indices(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
@@ -129,7 +131,7 @@ class FlockState:
     """Positions, velocities and orientations of members."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    heading: Heading | None  # None if points are shown
+    heading: MemberHeadings | None  # None if points are shown
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         colliders,
         context.parts.get("forces", ()),
         rules_of(members),
-        wrapped(np.stack([points, members.velocities]), spec.domain),
+        wrap_motion(np.stack([points, members.velocities]), spec.domain),
         spacing,
     )
     check_supported(Equations(system), integrator)
@@ -245,7 +247,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     )
 
 
-def wrapped(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
+def wrap_motion(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
     """Return a motion ``(2, N, 3)`` with positions wrapped into a periodic domain."""
     if domain is None or not domain.wrap:
         return motion
@@ -285,7 +287,7 @@ class Flock:
             heading = next_heading(
                 self.system.members, heading, state.motion[1], motion[1], dt
             )
-        return FlockState(wrapped(motion, system.domain), heading)
+        return FlockState(wrap_motion(motion, system.domain), heading)
 
     def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
         """Return points and meshes at a time."""

@@ -28,7 +28,7 @@ from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
 # Passes that move members out of colliders at the start; then colliders overlap.
-MAX_PASSES = 20
+MAX_CLEARING_PASSES = 20
 # Clearance beyond the surface, over the radius [1].
 CLEARANCE = 1e-6
 # Least displacement, over the radius, that is reported.
@@ -87,7 +87,7 @@ class Members(Groups):
         Members that start inside are moved out with a warning (SIM124).
         """
         points, is_moved = self.points, np.zeros(len(self), bool)
-        for _ in range(MAX_PASSES if colliders.rigid else 0):
+        for _ in range(MAX_CLEARING_PASSES if colliders.rigid else 0):
             volumes = colliders.volumes.sample(points, self.begin)
             depths = self.radii - volumes.distances
             deepest = np.argmax(depths, axis=0)
@@ -172,10 +172,10 @@ def _start_motion(
 
 def check_species(spec: FlocksModel) -> None:
     """Refuse invalid combinations of a species' keys (SIM060)."""
-    refuse_all("SIM060", _problems(spec))
+    refuse_all("SIM060", _key_problems(spec))
 
 
-def _problems(spec: FlocksModel) -> Iterator[Problem]:
+def _key_problems(spec: FlocksModel) -> Iterator[Problem]:
     names = [species.name for species in spec.species]
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):

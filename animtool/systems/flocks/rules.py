@@ -18,8 +18,8 @@ from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 Indices: TypeAlias = npt.NDArray[np.int32]
 # Neighbour pairs per member on average, and in total. Beyond both, thousands of members
 # see each other and a step takes minutes.
-MAX_PAIRS_EACH, MAX_PAIRS = 20_000, 2_000_000_000
-_OFF = (0.0, 0.0)
+MAX_PAIRS_PER_MEMBER, MAX_PAIRS = 20_000, 2_000_000_000
+_NO_INTERACTION = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ def rules_of(members: Members) -> list[FlockRule]:
         subject_members = _members_of(members, [index])
         flock_members = [index, *(names.index(name) for name in species.joins)]
         rules.append(
-            _flocking(
+            _flocking_rule(
                 species, subject_members, _members_of(members, sorted({*flock_members}))
             )
         )
@@ -54,8 +54,8 @@ def rules_of(members: Members) -> list[FlockRule]:
             push = (flee.weight, flee.radius)
             rules.append(
                 FlockRule(
-                    subject_members, targets, flee.radius, -1.0, 0, _OFF, _OFF, push,
-                    species.repulsion.softening,
+                    subject_members, targets, flee.radius, -1.0, 0,
+                    _NO_INTERACTION, _NO_INTERACTION, push, species.repulsion.softening,
                 )
             )  # fmt: skip
         for chase in species.chases:
@@ -69,15 +69,15 @@ def rules_of(members: Members) -> list[FlockRule]:
                     -1.0,
                     1,
                     pull,
-                    _OFF,
-                    _OFF,
+                    _NO_INTERACTION,
+                    _NO_INTERACTION,
                     0.0,
                 )
             )
     return [rule for rule in rules if _has_effect(rule)]
 
 
-def _flocking(
+def _flocking_rule(
     species: SpeciesModel, subjects: Indices | None, mates: Indices | None
 ) -> FlockRule:
     vision, repulsion = species.vision, species.repulsion
@@ -127,7 +127,7 @@ def periodic_box(domain: DomainModel | None) -> FloatArray:
 
 def max_pairs(count: int) -> float:
     """Return the maximum number of neighbour pairs for N members."""
-    return float(max(MAX_PAIRS_EACH * count, MAX_PAIRS))
+    return float(max(MAX_PAIRS_PER_MEMBER * count, MAX_PAIRS))
 
 
 def rule_accelerations(

@@ -11,7 +11,7 @@ from animtool.systems.flocks.spec import PathModel
 
 # Members processed together, so that their distances fit the cache.
 BLOCK_SIZE = 4096
-_TINY = 1e-12  # lengths and speeds below have no direction [m], [m/s]
+_TINY_LENGTH = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 
 
 def goal_accelerations(
@@ -52,7 +52,7 @@ def _excess_over_radius(vectors: FloatArray, radius: float) -> FloatArray:
         return vectors
     lengths = np.linalg.norm(vectors, axis=1)[:, None]
     return np.asarray(
-        vectors * np.maximum(1 - radius / np.maximum(lengths, _TINY), 0.0)
+        vectors * np.maximum(1 - radius / np.maximum(lengths, _TINY_LENGTH), 0.0)
     )
 
 
@@ -64,7 +64,7 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
     segments = np.diff(points, axis=0)
     lengths = np.linalg.norm(segments, axis=1)
     fractions = ((x[:, None] - points[:-1]) * segments).sum(axis=2)
-    fractions = np.clip(fractions / np.maximum(lengths**2, _TINY), 0.0, 1.0)
+    fractions = np.clip(fractions / np.maximum(lengths**2, _TINY_LENGTH), 0.0, 1.0)
     offsets = points[:-1] + fractions[..., None] * segments - x[:, None]
     nearest = np.argmin((offsets * offsets).sum(axis=2), axis=1)
     arc_lengths = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -133,21 +133,25 @@ def _limit_turning(
 ) -> FloatArray:
     """Return accelerations limited to a turning rate [rad/s]."""
     speeds = np.linalg.norm(v[rows], axis=1)[:, None]
-    directions = v[rows] / np.maximum(speeds, _TINY)
+    directions = v[rows] / np.maximum(speeds, _TINY_LENGTH)
     parallel = (requested[rows] * directions).sum(axis=1)[:, None] * directions
     requested = requested.copy()
     perpendicular = requested[rows] - parallel
     lengths = np.linalg.norm(perpendicular, axis=1)[:, None]
     # Members at rest turn at once.
-    fraction = np.minimum(max_rate * speeds / np.maximum(lengths, _TINY), 1.0)
-    requested[rows] = parallel + perpendicular * np.where(speeds > _TINY, fraction, 1.0)
+    fraction = np.minimum(max_rate * speeds / np.maximum(lengths, _TINY_LENGTH), 1.0)
+    requested[rows] = parallel + perpendicular * np.where(
+        speeds > _TINY_LENGTH, fraction, 1.0
+    )
     return requested
 
 
-def clamp_lengths(values: FloatArray, most: float) -> FloatArray:
+def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
     """Return vectors ``(N, 3)`` clamped to a length."""
     lengths = np.linalg.norm(values, axis=1)[:, None]
-    return np.asarray(values * np.minimum(most / np.maximum(lengths, _TINY), 1.0))
+    return np.asarray(
+        values * np.minimum(max_length / np.maximum(lengths, _TINY_LENGTH), 1.0)
+    )
 
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
@@ -155,8 +159,10 @@ def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
     min_speeds = members.each([entry.speed.least for entry in members.entries])
     max_speeds = members.each([max_speed(entry) for entry in members.entries])
     speeds = np.linalg.norm(v, axis=1)
-    is_outside = (speeds > max_speeds) | ((speeds < min_speeds) & (speeds > _TINY))
+    is_outside = (speeds > max_speeds) | (
+        (speeds < min_speeds) & (speeds > _TINY_LENGTH)
+    )
     if not is_outside.any():
         return v
-    factors = np.clip(speeds, min_speeds, max_speeds) / np.maximum(speeds, _TINY)
+    factors = np.clip(speeds, min_speeds, max_speeds) / np.maximum(speeds, _TINY_LENGTH)
     return np.where(is_outside[:, None], v * factors[:, None], v)

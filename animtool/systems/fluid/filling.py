@@ -14,11 +14,11 @@ from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
-from animtool.sim.colliders.shapes import bounds
+from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
 # Largest number of lattice points for each particle.
-MAX_REJECTED = 8
+MAX_REJECTED_POINTS = 8
 # Closer particles count as coincident, in spacings.
 MIN_SPACING = 0.25
 # Least distance of entering particles from others, in spacings.
@@ -59,7 +59,10 @@ def coarse_drops(
     if not spec.tension:
         return
     radii = [
-        (_fill_label(spec, i), float(np.diff(bounds(part["shape"]), axis=0).min()) / 2)
+        (
+            _fill_label(spec, i),
+            float(np.diff(shape_bounds(part["shape"]), axis=0).min()) / 2,
+        )
         for i, part in enumerate(parts)
         if isinstance(part.get("shape"), Sphere | Capsule)
     ]
@@ -90,7 +93,7 @@ def _fill_motion(
         state = _points_of_file(fill, part, name)
         _check_outside(state[0], colliders, t, name)
         return state
-    points = _lattice(spec, part["shape"], part["poses"], t)
+    points = _lattice_points(spec, part["shape"], part["poses"], t)
     if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
         points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
@@ -186,11 +189,11 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
         refuse("SIM064", message, key, hint)
 
 
-def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
+def _lattice_points(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
     """Return lattice points inside a shape ``(N, 3)`` [m]."""
-    low, high = bounds(shape)
+    low, high = shape_bounds(shape)
     sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
-    _check_count(spec, float(np.prod(sizes)) / MAX_REJECTED, "fills")
+    _check_count(spec, float(np.prod(sizes)) / MAX_REJECTED_POINTS, "fills")
     axes = [
         (np.arange(int(n)) + 0.5 - n / 2) * spec.spacing + (a + b) / 2
         for n, a, b in zip(sizes, low, high, strict=True)
@@ -229,7 +232,9 @@ class Nozzle:
         radius = emitter.radius
         width, depth = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (width, depth)]
-        _check_count(spec, float(counts[0]) * counts[1] / MAX_REJECTED, "emitters")
+        _check_count(
+            spec, float(counts[0]) * counts[1] / MAX_REJECTED_POINTS, "emitters"
+        )
         x, z = ((np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts)
         grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
         if radius is None or len(grid) == 1:
@@ -259,11 +264,13 @@ class Nozzle:
                 continue
             layers = first_layer + np.arange(count)
             times: FloatArray = span[0] + np.float64(self._period) * layers
-            states.append(self._layers(times, end, gravity))
+            states.append(self._released_layers(times, end, gravity))
             births.append(np.repeat(times, size))
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
 
-    def _layers(self, times: FloatArray, end: float, gravity: FloatArray) -> FloatArray:
+    def _released_layers(
+        self, times: FloatArray, end: float, gravity: FloatArray
+    ) -> FloatArray:
         """Return layers that were released at ``times``, at ``end`` ``(2, K M, 3)``."""
         poses, earlier_poses = (
             self._poses.at_times(times),

@@ -46,8 +46,8 @@ DOUBLING_GAIN = 0.8
 MAX_SHORTENING = 1000
 # Divisors of the step to try for a hint, and the number of trial steps of each.
 STEP_DIVISORS, TRIAL_STEPS = (2.0, 4.0, 8.0, 16.0), 4
-REMEDIES = "use weaker forces, a larger spacing, or slower colliders"
-_NONE = np.zeros((2, 0, 3))
+REMEDY_HINT = "use weaker forces, a larger spacing, or slower colliders"
+_NO_PARTICLES = np.zeros((2, 0, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +355,9 @@ class Fluid:
         if notices is not None and shorter < MAX_SHORTENING:
             step = self._working_step(state, t, dt, shorter)
         hint = (
-            REMEDIES if step is None else f"step: {plain_number(step)}, or {REMEDIES}"
+            REMEDY_HINT
+            if step is None
+            else f"step: {plain_number(step)}, or {REMEDY_HINT}"
         )
         self._stop("SIM102", t + dt, message, hint)
 

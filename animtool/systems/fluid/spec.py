@@ -11,7 +11,14 @@ from pydantic import Field
 from animtool.core.errors import Fault, Problem
 from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Integer, NotNegative, Pair, Positive, Real, Vector
+from animtool.documents.fields import (
+    Integer,
+    NotNegative,
+    NumberPair,
+    Positive,
+    Real,
+    Vector,
+)
 from animtool.systems.framework.colours import ColourModel
 from animtool.systems.framework.fields import (
     ArrayEntry,
@@ -61,7 +68,7 @@ class FluidEmitterModel(PlacedModel):
         default=None,
     )
     speed: Positive = key("Outflow speed [m/s].", 2, default=1.0)
-    opens: list[Pair] = key(
+    opens: list[NumberPair] = key(
         "Spans of seconds, from the first frame, in which it runs. Default: always.",
         [[0, 1.5], [2, 3]],
         default=[],

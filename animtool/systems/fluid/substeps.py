@@ -15,7 +15,7 @@ from animtool.systems.fluid.spec import FluidModel
 # than half the maximum, which leaves a margin.
 COMPRESSION_MARGIN = 1.1
 # Largest motion in a substep, in spacings.
-MAX_TRAVEL = 0.25
+MAX_SUBSTEP_TRAVEL = 0.25
 # Largest substep over squared spacing / viscosity: diffusion is unstable above 0.23.
 MAX_DIFFUSION = 0.1
 # Largest substep over the period of the shortest ripples.
@@ -99,7 +99,7 @@ class Substeps:
     def parts(self, dt: float, fastest: float, sound: float) -> float:
         """Return the number of substeps; infinite if it overflows."""
         spec = self._spec
-        rates = [sound / spec.spacing, fastest / (MAX_TRAVEL * spec.spacing)]
+        rates = [sound / spec.spacing, fastest / (MAX_SUBSTEP_TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (MAX_DIFFUSION * spec.spacing**2))
         if spec.tension:
             ripple = 2 * math.pi * spec.tension / (spec.density * spec.spacing**3)

@@ -49,7 +49,9 @@ def surface_of(
     """
     assert spec.surface is not None
     if not len(points):
-        return _mesh(points, velocities, np.zeros((0, 3), np.int64), dict(primvars))
+        return _surface_mesh(
+            points, velocities, np.zeros((0, 3), np.int64), dict(primvars)
+        )
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
 
@@ -63,10 +65,10 @@ def surface_of(
         hint = "drain stray particles, use larger cells, or raise max_cells"
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in sizes)
-    values = field(points, low, shape, cell, radius, spec.spacing)
+    values = density_field(points, low, shape, cell, radius, spec.spacing)
     if not values.max() > ISO_LEVEL:
         vertex_primvars = {name: array[:0] for name, array in primvars.items()}
-        return _mesh(
+        return _surface_mesh(
             points[:0], points[:0], np.zeros((0, 3), np.int64), vertex_primvars
         )
     vertices, faces, _, _ = marching_cubes(values, ISO_LEVEL)
@@ -74,10 +76,12 @@ def surface_of(
     vertices, faces = vertices.astype(np.float64) * cell + low, faces[:, ::-1]
     _, nearest = cKDTree(points).query(vertices)
     vertex_primvars = {name: values[nearest] for name, values in primvars.items()}
-    return _mesh(vertices, velocities[nearest], faces.astype(np.int64), vertex_primvars)
+    return _surface_mesh(
+        vertices, velocities[nearest], faces.astype(np.int64), vertex_primvars
+    )
 
 
-def _mesh(
+def _surface_mesh(
     points: FloatArray, velocities: FloatArray, faces: Any, primvars: dict[str, Any]
 ) -> MeshFrame:
     counts = np.full(len(faces), 3, np.int64)
@@ -86,7 +90,7 @@ def _mesh(
     )
 
 
-def field(
+def density_field(
     points: FloatArray,
     low: FloatArray,
     shape: tuple[int, ...],

@@ -13,14 +13,24 @@ from animtool.core.errors import Fault, excerpt
 from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Real
+from animtool.documents.fields import Name, NumberPair, Real
 
 Colour = Annotated[list[Annotated[Real, Ge(0), Le(1)]], Len(3, 3)]
 # Lazily computes the values of a quantity ``(N,)``.
 Quantities: TypeAlias = Mapping[str, Callable[[], FloatArray | IntArray]]
 # Perceptually even ramp from dark to light, and distinct colours for kinds.
-RAMP = ((0.05, 0.03, 0.25), (0.45, 0.1, 0.5), (0.87, 0.33, 0.3), (1.0, 0.9, 0.6))
-PALETTE = ((0.3, 0.55, 0.95), (0.95, 0.6, 0.25), (0.4, 0.8, 0.45), (0.85, 0.35, 0.6))
+DEFAULT_RAMP = (
+    (0.05, 0.03, 0.25),
+    (0.45, 0.1, 0.5),
+    (0.87, 0.33, 0.3),
+    (1.0, 0.9, 0.6),
+)
+DEFAULT_PALETTE = (
+    (0.3, 0.55, 0.95),
+    (0.95, 0.6, 0.25),
+    (0.4, 0.8, 0.45),
+    (0.85, 0.35, 0.6),
+)
 # Default colour range as quantiles, to ignore outliers.
 LOW_QUANTILE, HIGH_QUANTILE = 0.02, 0.98
 # Number of neighbours for density estimates.
@@ -31,7 +41,7 @@ class ColourModel(FileModel):
     """How points are coloured (`displayColor`)."""
 
     by: Name = key("The quantity.", "speed")
-    range: Pair | None = key(
+    range: NumberPair | None = key(
         "Values at the ends of the colour ramp. Default: the 2nd and 98th percentile "
         "at the start.",
         [0, 3],
@@ -72,7 +82,9 @@ class Colouring:
     def of(model: ColourModel, quantities: Quantities) -> Colouring:
         """Return the colouring of a model, with ranges from the first state."""
         is_palette = model.by == "species"
-        ramp = np.array(model.ramp or (PALETTE if is_palette else RAMP), np.float64)
+        ramp = np.array(
+            model.ramp or (DEFAULT_PALETTE if is_palette else DEFAULT_RAMP), np.float64
+        )
         if model.range is not None:
             return Colouring(model.by, (model.range[0], model.range[1]), ramp)
         values = quantities[model.by]()

@@ -18,10 +18,10 @@ from animtool.documents.check import FileModel
 from animtool.systems.framework.fields import TimedVector
 
 # Powers of the length in named units; 0 in all others.
-_POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}
+_LENGTH_POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}
 _SUPERSCRIPTS = {"²": 2, "³": 3}
 _BRACKETS = re.compile(r"\[([^\]]+)\]")
-_FACTOR = re.compile(r"([a-zA-Z]+)([²³]?)")
+_UNIT_FACTOR = re.compile(r"([a-zA-Z]+)([²³]?)")
 
 # Units of options without a description; empty for numbers without a unit.
 RECORD_UNITS: Mapping[str, Mapping[str, str]] = {
@@ -69,7 +69,7 @@ PASS_UNITS: Mapping[str, Mapping[str, str]] = {
     },
 }
 # Units of the quantities that points can be coloured by.
-_COLOURS = {
+_COLOUR_UNITS = {
     "speed": "m/s",
     "acceleration": "m/s²",
     "density": "kg/m³",
@@ -80,18 +80,19 @@ _COLOURS = {
 Model = TypeVar("Model", bound=FileModel)
 
 
-def powers(unit: str) -> tuple[int, int]:
+def unit_powers(unit: str) -> tuple[int, int]:
     """Return the powers of the length and of the degree in a unit.
 
-    >>> powers("kg/m³"), powers("N m s/rad"), powers("m³/(kg s²)"), powers("deg/s")
+    >>> units = ("kg/m³", "N m s/rad", "m³/(kg s²)", "deg/s")
+    >>> tuple(unit_powers(unit) for unit in units)
     ((-3, 0), (2, 0), (3, 0), (0, 1))
     """
     length = angle = 0
     numerator, _, denominator = unit.partition(",")[0].partition("/")
     for text, sign in ((numerator, 1), (denominator, -1)):
-        for name, superscript in _FACTOR.findall(text):
+        for name, superscript in _UNIT_FACTOR.findall(text):
             exponent = sign * _SUPERSCRIPTS.get(superscript, 1)
-            length += exponent * _POWERS.get(name, 0)
+            length += exponent * _LENGTH_POWERS.get(name, 0)
             angle += exponent * (name == "deg")
     return length, angle
 
@@ -128,7 +129,7 @@ class SceneUnits:
         >>> SceneUnits.of("cm", None).factor("m/s²")
         0.01
         """
-        length, angle = powers(unit)
+        length, angle = unit_powers(unit)
         # A quotient of integers is more precise than a negative power.
         scale = self.length**length if length >= 0 else 1 / self.length**-length
         return scale * float(self.angle**angle)
@@ -152,8 +153,8 @@ class SceneUnits:
             units = _BRACKETS.findall(info.description or "") or [inherited]
             unit = units[min(len(units) - 1, int(kind == "prismatic"))]
             if key == "range" and hasattr(model, "ramp"):
-                unit = _COLOURS.get(str(getattr(model, "by", "")), "")
-            is_timed = _contains(info.annotation, TimedVector)
+                unit = _COLOUR_UNITS.get(str(getattr(model, "by", "")), "")
+            is_timed = _contains_marker(info.annotation, TimedVector)
             update[key] = self._value(value, unit, kind, timed=is_timed)
         return model.model_copy(update=update)
 
@@ -181,10 +182,10 @@ class SceneUnits:
             for key, value in source.items()
         }
         if name == "central" and isinstance(source.get("strength"), (int, float)):
-            options["strength"] = self._central(source)
+            options["strength"] = self._convert_central(source)
         return options
 
-    def _central(self, options: Mapping[str, Any]) -> float:
+    def _convert_central(self, options: Mapping[str, Any]) -> float:
         """Return the acceleration at one metre from that at one length unit.
 
         It scales with a power of the distance.
@@ -218,9 +219,9 @@ class SceneUnits:
         return self.factor(units[0]) if units else 1.0
 
 
-def _contains(annotation: Any, marker: Any) -> bool:
+def _contains_marker(annotation: Any, marker: Any) -> bool:
     return annotation == marker or any(
-        _contains(arg, marker) for arg in get_args(annotation)
+        _contains_marker(arg, marker) for arg in get_args(annotation)
     )
 
 

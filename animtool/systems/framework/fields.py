@@ -24,7 +24,7 @@ from animtool.documents.fields import (
     shared_key,
     with_fields,
 )
-from animtool.documents.forms import Forms
+from animtool.documents.forms import EntryForms
 from animtool.sim.contact import Contact, Material
 
 # A name of a table with its options.
@@ -47,7 +47,7 @@ ArrayEntry = Annotated[Name, EntryPart.ARRAY]
 NameEntry = Annotated[str | Integer, EntryPart.NAMES]
 ForceEntry = Annotated[Named, EntryPart.FORCE]
 # Syntax of shapes.
-SHAPE_FORMS = Forms(
+SHAPE_FORMS = EntryForms(
     {
         "box": {"size": [1, 1, 1]},
         "capsule": {"radius": 0.1, "length": 0.5},
@@ -348,7 +348,7 @@ Meshes = Annotated[
         [{"file": "set.usda", "prim": "/Set/rock", "closed": True}],
     ),
 ]
-AROUND = ("colliders", "characters", "systems", "meshes")
+COLLISION_KEYS = ("colliders", "characters", "systems", "meshes")
 Forces = Annotated[
     list[ForceEntry],
     shared_key(

@@ -38,7 +38,7 @@ class HasMotion(Protocol):
         """Positions, then velocities ``(2, N, 3)``."""
 
 
-Sums = TypeVar("Sums")
+InteractionSums = TypeVar("InteractionSums")
 State = TypeVar("State", bound=HasMotion)
 
 
@@ -60,7 +60,7 @@ def integrate_step(
     return np.asarray(trajectory.states[-1])
 
 
-class StepSystem(SecondOrder, Generic[Sums]):
+class StepSystem(SecondOrder, Generic[InteractionSums]):
     """Bodies for one step, with cached sums at the last positions.
 
     Args:
@@ -74,10 +74,10 @@ class StepSystem(SecondOrder, Generic[Sums]):
 
     def __init__(
         self,
-        bodies: Interacting[Any, Sums],
+        bodies: Interacting[Any, InteractionSums],
         motion: FloatArray,
-        cached: Sums,
-        check: Callable[[float, FloatArray, Sums], None] = lambda *_: None,
+        cached: InteractionSums,
+        check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
     ) -> None:
         self._bodies, self._motion, self._check = bodies, motion, check
         self._cached = motion[0], cached
@@ -87,7 +87,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
         """Initial state."""
         return self._motion
 
-    def at(self, x: FloatArray) -> Sums:
+    def at(self, x: FloatArray) -> InteractionSums:
         """Return the sums at positions ``(N, 3)``, cached."""
         cached, sums = self._cached
         if x is not cached and not np.array_equal(x, cached):
@@ -110,7 +110,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
         return self._bodies.suspect(state[0], self.at(state[0]))
 
 
-class Interacting(ABC, Generic[State, Sums]):
+class Interacting(ABC, Generic[State, InteractionSums]):
     """Base class of simulations of interacting bodies.
 
     A subclass calls `__init__`, sets the remaining attributes, calls `begin`, and
@@ -168,18 +168,20 @@ class Interacting(ABC, Generic[State, Sums]):
         """Return the initial state, from the motion of `bodies`."""
 
     @abstractmethod
-    def _sums(self, state: State) -> Sums:
+    def _state_sums(self, state: State) -> InteractionSums:
         """Return the sums of a state."""
 
     @abstractmethod
-    def compute_sums(self, x: FloatArray, before: Sums) -> Sums:
+    def compute_sums(self, x: FloatArray, before: InteractionSums) -> InteractionSums:
         """Return interaction sums at positions ``(N, 3)``; ``before`` are the last."""
 
     @abstractmethod
-    def _forces(self, sums: Sums) -> FloatArray:
+    def _forces(self, sums: InteractionSums) -> FloatArray:
         """Return forces from sums ``(N, 3)``, to be divided by `inertia`."""
 
-    def accelerations_from(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
+    def accelerations_from(
+        self, t: float, x: FloatArray, sums: InteractionSums
+    ) -> FloatArray:
         """Return accelerations ``(N, 3)`` at a time of the integrator."""
         forces = self._forces(sums)
         if self.external_forces:
@@ -192,7 +194,7 @@ class Interacting(ABC, Generic[State, Sums]):
     ) -> tuple[FloatArray, FloatArray]:
         """Return accelerations and energies by an external force at ``(3,)``."""
 
-    def suspect(self, x: FloatArray, sums: Sums) -> str:  # noqa: ARG002
+    def suspect(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
         """Return why positions are hard to integrate; may be empty."""
         return ""
 
@@ -223,10 +225,10 @@ class Interacting(ABC, Generic[State, Sums]):
     def _system(
         self,
         state: State,
-        check: Callable[[float, FloatArray, Sums], None] = lambda *_: None,
-    ) -> StepSystem[Sums]:
+        check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
+    ) -> StepSystem[InteractionSums]:
         """Return the system of one step from a state."""
-        return StepSystem(self, state.motion, self._sums(state), check)
+        return StepSystem(self, state.motion, self._state_sums(state), check)
 
     @cached_property
     def _is_driven(self) -> bool:
@@ -249,7 +251,7 @@ class Interacting(ABC, Generic[State, Sums]):
         return self._initial_state
 
     def _integrate(
-        self, system: StepSystem[Sums], t: float, dt: float, step: float
+        self, system: StepSystem[InteractionSums], t: float, dt: float, step: float
     ) -> FloatArray:
         """Return the motion after a duration, in steps [s], as `integrate_step`."""
         options = replace(self._options, step=step * self._time_scale)

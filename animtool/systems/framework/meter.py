@@ -21,7 +21,7 @@ VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Peak:
+class PeakValue:
     """Largest value over the frames, with its frame and position."""
 
     value: float = 0.0  # a length in [m], a fraction or a count
@@ -69,11 +69,13 @@ class ContactMeter:
     """Peaks of depth, piercing and strain over the measured frames."""
 
     seconds: bool = False  # whether frames are times in [s], as for systems
-    depth: Peak = field(default_factory=Peak)  # in a skin or a collider [m]
+    depth: PeakValue = field(default_factory=PeakValue)  # in a skin or a collider [m]
     # Intersecting pairs of an edge and a triangle, with itself and with skins.
-    pierced: Peak = field(default_factory=Peak)
-    strain: Peak = field(default_factory=Peak)  # largest strain of a side [1]
-    strain_99: Peak = field(default_factory=Peak)  # 99th percentile of strain [1]
+    pierced: PeakValue = field(default_factory=PeakValue)
+    strain: PeakValue = field(default_factory=PeakValue)  # largest strain of a side [1]
+    strain_99: PeakValue = field(
+        default_factory=PeakValue
+    )  # 99th percentile of strain [1]
 
     def measure(
         self,
@@ -122,14 +124,19 @@ class ContactMeter:
             )
 
     def _larger(
-        self, peak: Peak, value: float, frame: float, points: FloatArray, point: int
-    ) -> Peak:
+        self,
+        peak: PeakValue,
+        value: float,
+        frame: float,
+        points: FloatArray,
+        point: int,
+    ) -> PeakValue:
         """Return the larger of the peak so far and a frame's value."""
         if not value > peak.value:
             return peak
         x, y, z = points[point].tolist()
         code, t = (None, frame) if self.seconds else (frame, None)
-        return Peak(value, code, point, (x, y, z), t)
+        return PeakValue(value, code, point, (x, y, z), t)
 
     @property
     def values(self) -> dict[str, dict[str, object]]:

@@ -35,7 +35,7 @@ STEP_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Reached(Generic[State]):
+class ReachedState(Generic[State]):
     """A state and its number of steps."""
 
     steps: int
@@ -153,15 +153,15 @@ class SimulationRun(EntryRun):
         simulation: Simulation[Any],
         begin: float,
         step_length: float,
-        state: Reached[Any] | None = None,
+        state: ReachedState[Any] | None = None,
     ) -> None:
         super().__init__(name, self, simulation)
         self.begin, self.step_length = begin, step_length
-        self.state = Reached(0, simulation.initial()) if state is None else state
+        self.state = ReachedState(0, simulation.initial()) if state is None else state
         self.steps_taken = 0
         self.step_notices: list[Fault] = []
         # States that observers may still request.
-        self._past_states: list[Reached[Any]] | None = None
+        self._past_states: list[ReachedState[Any]] | None = None
         self._observers: list[SystemSurface | BodyColliders] = []
         self._pushed_bodies: Sequence[MovingBodies] = ()
         # Systems that push it; and queued pushes: time, index of the pusher, impulses.
@@ -170,7 +170,7 @@ class SimulationRun(EntryRun):
         # Systems with particles attached to its bodies, which pull them during a step.
         self._pullers: list[tuple[TiedBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
-        self._pushed_states: dict[int, Reached[Any]] = {}
+        self._pushed_states: dict[int, ReachedState[Any]] = {}
         self.observed: tuple[Any, float] = self.state.state, self.time(self.state.steps)
         self._last_time: float | None = None  # last requested time [s]
         stepper = simulation if isinstance(simulation, ManySteps) else None
@@ -231,7 +231,7 @@ class SimulationRun(EntryRun):
             step = self.step_length
             stepped = self._many_steps(self.state.state, self.time(steps), step, count)
             self.state, self.steps_taken = (
-                Reached(end_step, stepped.state),
+                ReachedState(end_step, stepped.state),
                 self.steps_taken + count,
             )
             self._record_notices(stepped.notices)
@@ -252,13 +252,13 @@ class SimulationRun(EntryRun):
         for bodies in self._pushed_bodies:
             bodies.forget(end)
 
-    def _partial_step(self, state: Reached[Any], t: float) -> Reached[Any]:
+    def _partial_step(self, state: ReachedState[Any], t: float) -> ReachedState[Any]:
         """Return a state advanced by a partial step to a time [s]."""
         if t <= self.time(state.steps) + STEP_TOLERANCE * self.step_length:
             return state
         return self._step_until(self._with_pushes(state), t)[0]
 
-    def _with_pushes(self, state: Reached[Any]) -> Reached[Any]:
+    def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
         """Return a state with pushes applied, as the next step starts."""
         current = state.steps == self.state.steps
         return (
@@ -273,7 +273,7 @@ class SimulationRun(EntryRun):
         ):
             self._queued_pushes.append((t, who, wrenches))
 
-    def receive(self) -> Reached[Any]:
+    def receive(self) -> ReachedState[Any]:
         """Return the last state with all pushes until then applied.
 
         Pushers are advanced to the same time first, so that the result does not depend
@@ -300,7 +300,7 @@ class SimulationRun(EntryRun):
                 self.state.state,
                 Wrenches.sum([push[2].after(time - push[0]) for push in pushes]),
             )
-            self._pushed_states[steps] = Reached(steps, pushed_state)
+            self._pushed_states[steps] = ReachedState(steps, pushed_state)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
@@ -370,8 +370,8 @@ class SimulationRun(EntryRun):
         }
 
     def _step_until(
-        self, state: Reached[Any], end: float
-    ) -> tuple[Reached[Any], Sequence[Wrenches]]:
+        self, state: ReachedState[Any], end: float
+    ) -> tuple[ReachedState[Any], Sequence[Wrenches]]:
         """Return the state after a full or partial step until a time [s].
 
         Also returns its pushes on bodies of other systems.
@@ -382,7 +382,7 @@ class SimulationRun(EntryRun):
         self.steps_taken += 1
         self._record_notices(result.notices)
         if getattr(self.simulation, "checked", False):
-            return Reached(state.steps + 1, result.state), result.wrenches
+            return ReachedState(state.steps + 1, result.state), result.wrenches
         frame = self.simulation.frame(result.state, end)
         check_finite(self.name, frame, end, self.step_length)
-        return Reached(state.steps + 1, result.state), result.wrenches
+        return ReachedState(state.steps + 1, result.state), result.wrenches

@@ -17,7 +17,7 @@ from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
-from animtool.systems.framework.run import Reached
+from animtool.systems.framework.run import ReachedState
 
 FORMAT = "animtool-system/1"
 # Largest integer that is exact as a float.
@@ -28,7 +28,7 @@ _Arrays = dict[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Clocked:
+class StateClock:
     """Clock of a state, which must match that of the resumed system."""
 
     kind: str  # kind of the system or attachment
@@ -37,7 +37,7 @@ class Clocked:
 
 
 def write_states(
-    path: Path, states: Mapping[str, tuple[Clocked, Reached[Any]]]
+    path: Path, states: Mapping[str, tuple[StateClock, ReachedState[Any]]]
 ) -> None:
     """Write states by name, replacing the file; a single state has no name.
 
@@ -48,7 +48,7 @@ def write_states(
     for name, (clocked, reached) in states.items():
         prefix = f"{name}/" if name else ""
         head = [clocked.begin, clocked.step, float(reached.steps)]
-        state = _arrays(reached.state)
+        state = _state_arrays(reached.state)
         arrays[f"{prefix}kind"] = np.array(clocked.kind)
         arrays[f"{prefix}clock"] = np.array(head)
         arrays[f"{prefix}state"] = np.array(_names_text(state))
@@ -91,7 +91,9 @@ class SavedStates:
         names = [name.rpartition("/") for name in self.archives.names(self.path)]
         return [prefix for prefix, _, key in names if key == "clock"]
 
-    def read(self, name: str, clocked: Clocked, start: Reached[Any]) -> Reached[Any]:
+    def read(
+        self, name: str, clocked: StateClock, start: ReachedState[Any]
+    ) -> ReachedState[Any]:
         """Return a state with the structure of an initial one.
 
         Raises:
@@ -121,7 +123,7 @@ class SavedStates:
             message += f"scene, of {clocked.step:g} s, start at {clocked.begin:g} s"
             hint = "keep the step and the pre-roll it was saved with"
             raise mismatch(message, hint)
-        expected, metadata = _arrays(start.state), _FieldMetadata()
+        expected, metadata = _state_arrays(start.state), _FieldMetadata()
         _collect_metadata(start.state, metadata)
         saved_names = archives.text(path, f"{prefix}state")
         names_in_file = set(saved_names.split(", "))
@@ -165,7 +167,7 @@ class SavedStates:
             )
         try:
             arrays |= {key: expected[key] for key in missing}
-            return Reached(int(steps), _restore(start.state, arrays, metadata))
+            return ReachedState(int(steps), _restore(start.state, arrays, metadata))
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
 
@@ -216,7 +218,7 @@ def _names_text(names: Collection[str]) -> str:
     return ", ".join(sorted(names)) or "nothing"
 
 
-def _arrays(state: Any, prefix: str = "") -> _Arrays:
+def _state_arrays(state: Any, prefix: str = "") -> _Arrays:
     """Return the arrays and numbers of a state by name; None is skipped."""
     if state is None:
         return {}
@@ -229,7 +231,7 @@ def _arrays(state: Any, prefix: str = "") -> _Arrays:
         return {prefix: array}
     arrays: _Arrays = {}
     for name, part in _fields_by_name(state).items():
-        arrays |= _arrays(part, f"{prefix}.{name}" if prefix else name)
+        arrays |= _state_arrays(part, f"{prefix}.{name}" if prefix else name)
     return arrays
 
 

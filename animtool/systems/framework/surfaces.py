@@ -102,7 +102,7 @@ class RigidSystem(Protocol):
 
 
 @runtime_checkable
-class Skinned(Protocol):
+class HasCollisionSurface(Protocol):
     """A simulation with a collision surface other than its frame."""
 
     radius: float  # half its thickness [m]
@@ -153,7 +153,7 @@ class SystemSurface(_StateObserver):
 
     def __init__(self, run: ObservedRun, view: Any) -> None:
         super().__init__(run)
-        skinned = isinstance(view, Skinned)
+        skinned = isinstance(view, HasCollisionSurface)
         self.radius: float = view.radius if skinned else DEFAULT_RADIUS
         self.closed: bool = view.closed if skinned else True
         frame_of = view.surface if skinned else view.frame

@@ -22,7 +22,7 @@ PULL_DISPLACEMENT = 0.52
 
 
 @dataclass(frozen=True, slots=True)
-class OnBody:
+class BodyCarrier:
     """A rigid body of the scene that carries particles."""
 
     system: str  # name of the system
@@ -46,7 +46,7 @@ class TiedBodies(BodyColliders):
         self.begin, self.step = begin, step
         self._start: Any = simulation.initial()
 
-    def number(self, carrier: OnBody) -> int:
+    def number(self, carrier: BodyCarrier) -> int:
         """Return the index of a body; raise SIM162 if the name is unknown."""
         names = list(self.system.shared.names)
         if carrier.body in names:
@@ -56,13 +56,13 @@ class TiedBodies(BodyColliders):
         fault = Fault("SIM162", message, hint=hint, where=carrier.where)
         raise OptionError(fault)
 
-    def start(self, carrier: OnBody) -> Poses:
+    def start(self, carrier: BodyCarrier) -> Poses:
         """Return the initial pose of a body."""
         frames = self.system.frames(self._start, self.begin)
         row = frames[self.number(carrier)]
         return Poses.fixed(row[:3], row[3:])
 
-    def gap(self, carrier: OnBody, points: FloatArray) -> tuple[float, float]:
+    def gap(self, carrier: BodyCarrier, points: FloatArray) -> tuple[float, float]:
         """Return the initial distance of points ``(P, 3)`` from a body's surface [m].
 
         The distance is that of the nearest point, 0 inside the body. Also returns the

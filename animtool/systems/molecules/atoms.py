@@ -25,7 +25,7 @@ CHARGE_TOLERANCE = 1e-9
 MAX_SITES_PER_ATOM = 64
 # Seed offset of velocities.
 _VELOCITY_SEED = 1000
-_FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
+_FCC_SITES = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
 
 
 class PeriodicBox:
@@ -66,7 +66,7 @@ class Atoms(PointMasses):
                 motions.append(_read(model, part, box))
         refusals.check()
         on_lattice = [k for k, (points, _) in enumerate(motions) if points is None]
-        sites = _sites(spec, [spec.species[k].count for k in on_lattice])
+        sites = _lattice_sites(spec, [spec.species[k].count for k in on_lattice])
         for k, site in zip(on_lattice, sites, strict=True):
             motions[k] = site, motions[k][1]
         points = [np.zeros((0, 3)) if p is None else p for p, _ in motions]
@@ -78,7 +78,7 @@ class Atoms(PointMasses):
         masses = by_atom([species.mass for species in spec.species])
         atoms = Atoms(
             np.concatenate(points),
-            _velocities(spec, masses, kinds, [v for _, v in motions]),
+            _initial_velocities(spec, masses, kinds, [v for _, v in motions]),
             masses,
             kinds.astype(np.int32),
             by_atom([species.charge for species in spec.species]),
@@ -121,13 +121,13 @@ def _read(
     return x, None if velocities is None else box.velocities_to_local(bodies.velocities)
 
 
-def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
+def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     """Return lattice sites for each species ``(N, 3)`` [nm]."""
     total = sum(counts)
     if not total:
         return []
     size = np.array(spec.block or spec.box)
-    basis = _FCC if spec.lattice == "fcc" else np.full((1, 3), 0.5)
+    basis = _FCC_SITES if spec.lattice == "fcc" else np.full((1, 3), 0.5)
     spacing = (len(basis) * size.prod() / total) ** (1 / 3)
     shape = np.maximum(np.round(size / spacing), 1)
     if not len(basis) * shape.prod() <= MAX_SITES_PER_ATOM * total + MAX_SITES_PER_ATOM:
@@ -154,7 +154,7 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     return np.split(points, np.cumsum(counts)[:-1])
 
 
-def _velocities(
+def _initial_velocities(
     spec: MoleculesModel,
     masses: FloatArray,
     kinds: npt.NDArray[np.int64],

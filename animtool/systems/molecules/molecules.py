@@ -36,7 +36,7 @@ MAX_STEP, RECOMMENDED_STEP = 1.0, 0.1
 # Seed offset of the thermostat.
 _THERMOSTAT_SEED = 2000
 # Largest motion of an atom in a step, over the box.
-MAX_TRAVEL = 0.25
+MAX_STEP_TRAVEL = 0.25
 # Largest average neighbour count: no matter is denser.
 MAX_NEIGHBOURS = 5000
 
@@ -208,7 +208,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         forces = self._interactions.acting(points, points)
         return MoleculeState(motion, points, forces, 0.0, 0)
 
-    def _sums(self, state: MoleculeState) -> ListedForces:
+    def _state_sums(self, state: MoleculeState) -> ListedForces:
         return state.acting, state.reference
 
     def compute_sums(self, x: FloatArray, before: ListedForces) -> ListedForces:
@@ -246,7 +246,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             raise StoppedError(faults, error.stats) from None
         distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
         i = int(np.argmax(distances))
-        if not distances[i] <= MAX_TRAVEL * self._periodic_box.size.min():
+        if not distances[i] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
             self._stop(state, t + dt, f"atom {i} moves {distances[i]:.3g} nm in a step")
         (forces, reference), heat = system.at(motion[0]), state.heat
         if spec.thermostat is not None:

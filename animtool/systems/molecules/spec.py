@@ -14,7 +14,7 @@ from animtool.documents.fields import (
     Count,
     Name,
     NotNegative,
-    Pair,
+    NumberPair,
     Positive,
     Real,
     Vector,
@@ -63,7 +63,7 @@ class AtomsModel(FileModel):
 class ThermostatModel(FileModel):
     """A bath that keeps a temperature: canonical velocity rescaling."""
 
-    temperatures: Annotated[list[Pair], Len(1, 10_000)] = key(
+    temperatures: Annotated[list[NumberPair], Len(1, 10_000)] = key(
         "Rows of seconds from the first frame and a temperature [K], linear in "
         "between.",
         [[0, 20], [4, 120]],

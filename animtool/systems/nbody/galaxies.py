@@ -36,7 +36,7 @@ RADIUS_COUNT = 4096
 # Largest speed over the escape velocity.
 MAX_SPEED_RATIO = 0.95
 # Toomre's constant for stars.
-TOOMRE = 3.36
+TOOMRE_CONSTANT = 3.36
 # Largest radial dispersion over the circular velocity.
 MAX_DISPERSION_RATIO = 0.7
 
@@ -153,10 +153,12 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
         zero = np.zeros((1, 3))
         parts.append(PointMasses(zero, zero, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
-        parts.append(_disc(galaxy.disc, profile, galaxy.seed))
+        parts.append(_build_disc(galaxy.disc, profile, galaxy.seed))
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
         if part is not None:
-            parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
+            parts.append(
+                _build_spheroid(part, profile, galaxy.seed + 1000 * (number + 1))
+            )
     bodies = PointMasses.concatenate(parts)
     # Its centre of mass is at the position and velocity of the file.
     weights = bodies.masses / bodies.masses.sum()
@@ -164,7 +166,9 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
     return PointMasses(x, v, bodies.masses)
 
 
-def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> PointMasses:
+def _build_spheroid(
+    part: SpheroidModel, profile: MassProfile, seed: int
+) -> PointMasses:
     u = uniforms(seed, np.arange(part.count), 6)
     r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
@@ -178,7 +182,7 @@ def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> PointMass
     )
 
 
-def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
+def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
     u = uniforms(seed, np.arange(disc.count), 6)
     r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
@@ -213,7 +217,7 @@ def disc_velocities(
     squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
     epicycle = np.sqrt(np.maximum(squares, 1e-300))
     surface = disc_surface(disc, r)
-    radial = disc.stability * TOOMRE * profile.constant * surface / epicycle
+    radial = disc.stability * TOOMRE_CONSTANT * profile.constant * surface / epicycle
     radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
     ratio = epicycle / np.maximum(2 * angular_velocity, 1e-300)
     drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)

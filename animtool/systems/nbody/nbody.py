@@ -25,7 +25,7 @@ from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 # visited cells grow with the accuracy to about this power.
 CROSSOVER, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
 # Tree forces are float32: no finer accuracy is possible.
-FINEST_TREE = 1e-6
+MIN_TREE_ACCURACY = 1e-6
 # Sampled bodies for the error of tree forces.
 ERROR_SAMPLES = 16
 # Largest orbital phase of a close pair in a step [rad]: softened, with bounded forces,
@@ -38,7 +38,7 @@ RECOMMENDED_STEP = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Pulls:
+class MutualGravity:
     """Mutual accelerations of N bodies."""
 
     accelerations: FloatArray  # (N, 3) [m/s²]
@@ -52,7 +52,7 @@ class NbodyState:
     """Positions and velocities of bodies, and their accelerations."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    pulls: Pulls
+    pulls: MutualGravity
     encounters: int  # number of divided steps so far
     divided: int  # largest number of substeps
 
@@ -61,7 +61,9 @@ class TooCloseError(Exception):
     """Two bodies came too close for a step, at a time [s] and positions."""
 
 
-def _check_close(limit: float, t: float, x: FloatArray, pulls: Pulls) -> None:
+def _check_closest_pair(
+    limit: float, t: float, x: FloatArray, pulls: MutualGravity
+) -> None:
     """Raise `TooCloseError` if a pair orbits faster than a limit [1/s²]."""
     if len(x) and pulls.rates.max() > limit:
         raise TooCloseError(t, x, pulls.rates)
@@ -95,7 +97,7 @@ def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
         refuse(spec.code, message, "bodies")
 
 
-class Nbody(Interacting[NbodyState, Pulls]):
+class Nbody(Interacting[NbodyState, MutualGravity]):
     """Simulation of gravitating bodies.
 
     Attributes:
@@ -123,25 +125,29 @@ class Nbody(Interacting[NbodyState, Pulls]):
             for count, dark in zip(counts, dark_counts, strict=True)
         ]
         self.shown = np.flatnonzero(np.concatenate(is_visible))
-        accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
+        accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, MIN_TREE_ACCURACY)
         is_large = (
             len(self.bodies.masses) > CROSSOVER * accuracy_factor**CROSSOVER_POWER
         )
-        self.tree = spec.accuracy >= FINEST_TREE and is_large
+        self.tree = spec.accuracy >= MIN_TREE_ACCURACY and is_large
 
     def _start(self, motion: FloatArray) -> NbodyState:
         return NbodyState(motion, self.compute_sums(motion[0]), 0, 1)
 
-    def _sums(self, state: NbodyState) -> Pulls:
+    def _state_sums(self, state: NbodyState) -> MutualGravity:
         return state.pulls
 
-    def compute_sums(self, x: FloatArray, before: Pulls | None = None) -> Pulls:  # noqa: ARG002
+    def compute_sums(
+        self,
+        x: FloatArray,
+        before: MutualGravity | None = None,  # noqa: ARG002
+    ) -> MutualGravity:
         """Return mutual accelerations of bodies at points ``(N, 3)`` [m]."""
         spec, accuracy = self._spec, self._spec.accuracy if self.tree else 0.0
         law = spec.gravity_constant, spec.softening, accuracy
-        return Pulls(*_kernels.gravity(x, self.bodies.masses, *law))
+        return MutualGravity(*_kernels.gravity(x, self.bodies.masses, *law))
 
-    def _forces(self, sums: Pulls) -> FloatArray:
+    def _forces(self, sums: MutualGravity) -> FloatArray:
         return sums.accelerations
 
     def external_effect(
@@ -154,7 +160,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         potentials = self._spec.gravity_constant * one.mass / distances
         return (potentials / distances**2)[:, None] * offsets, -potentials
 
-    def suspect(self, x: FloatArray, sums: Pulls) -> str:
+    def suspect(self, x: FloatArray, sums: MutualGravity) -> str:
         """Return the closest pair, for messages."""
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
@@ -188,7 +194,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
                     (RATE_TOLERANCE * self._phase * substeps / dt) ** 2,
                     dt / substeps,
                 )
-            system = self._system(state, partial(_check_close, limit))
+            system = self._system(state, partial(_check_closest_pair, limit))
             try:
                 motion = self._integrate(system, t, dt, step)
             except TooCloseError as error:
@@ -281,15 +287,15 @@ class Nbody(Interacting[NbodyState, Pulls]):
             values["force_error"] = self._force_error(x, state.pulls)
         return values
 
-    def _force_error(self, x: FloatArray, pulls: Pulls) -> float:
+    def _force_error(self, x: FloatArray, pulls: MutualGravity) -> float:
         """Return the relative force error of the tree, on sampled bodies [1]."""
         rows = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
-        exact = np.array([self._direct(x, x[i]) for i in rows])
+        exact = np.array([self._direct_sum(x, x[i]) for i in rows])
         errors = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
         sizes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
         return float(np.sqrt(((errors / sizes) ** 2).mean()))
 
-    def _direct(self, x: FloatArray, at: FloatArray) -> FloatArray:
+    def _direct_sum(self, x: FloatArray, at: FloatArray) -> FloatArray:
         """Return the acceleration at a point by direct summation ``(3,)``."""
         offsets = x - at
         squares = (offsets * offsets).sum(axis=1)

@@ -43,7 +43,7 @@ class ParticleForces(_MovingParticles, SecondOrder):
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
-        return accelerations(self.setup, self.particles, t, x, v)
+        return force_accelerations(self.setup, self.particles, t, x, v)
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
@@ -84,7 +84,7 @@ class ParticleForces(_MovingParticles, SecondOrder):
         """Return the energy of a state; None if a force has no potential."""
         # Energies of resumed states may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
-            sums, known = energies(self.setup, self.particles, state)
+            sums, known = particle_energies(self.setup, self.particles, state)
             if not known:
                 return None
             kinetic, potential = sums.sum(axis=1).tolist()
@@ -149,7 +149,7 @@ def particle_system(
     return ParticleForces(setup, colliders, particles, state)
 
 
-def energies(
+def particle_energies(
     setup: Particles, particles: ParticleState, state: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return kinetic and potential energies ``(2, N)`` [J], and whether all are known.
@@ -164,7 +164,7 @@ def energies(
     return np.stack([kinetic, potential]), len(known) == len(potentials)
 
 
-def accelerations(
+def force_accelerations(
     setup: Particles,
     particles: ParticleState,
     t: float | FloatArray,
@@ -223,7 +223,9 @@ def _rk4_births(
         if setup.velocity is not None:
             speed = setup.velocity.velocity(times, state[0], particles)
             return np.stack([speed, np.zeros_like(speed)])
-        return np.stack([state[1], accelerations(setup, particles, times, *state)])
+        return np.stack(
+            [state[1], force_accelerations(setup, particles, times, *state)]
+        )
 
     k1 = rate(0.0, birth_states)
     k2 = rate(0.5, birth_states + h / 2 * k1)
@@ -262,7 +264,7 @@ class DivergenceCheck:
         energies_ = np.zeros((2, len(particles)))
         energies_[:, is_known] = self._first_energies[:, rows[is_known]]
         is_new = ~is_known
-        energies_[:, is_new] = energies(
+        energies_[:, is_new] = particle_energies(
             self._setup, particles.select(is_new), state[:, is_new]
         )[0]
         self._particles, self._ids, self._first_energies = (
@@ -275,7 +277,7 @@ class DivergenceCheck:
         """Reset the reference energies of particles that colliders moved."""
         if self._setup.velocity is None and mask.any():
             particles = self._particles.select(mask)
-            self._first_energies[:, mask] = energies(
+            self._first_energies[:, mask] = particle_energies(
                 self._setup, particles, state[:, mask]
             )[0]
 
@@ -285,7 +287,7 @@ class DivergenceCheck:
             return "its state is not finite"
         if self._setup.velocity is not None:
             return ""
-        current_energies, known = energies(self._setup, self._particles, state)
+        current_energies, known = particle_energies(self._setup, self._particles, state)
         pairs = any(force.pairs for force in self._setup.forces)
         if not known and (pairs or not self.too_long):
             return ""

@@ -8,7 +8,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.colliding import Contacts
-from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.simulation import ParticleRunState, ParticleSimulation
 
@@ -53,7 +53,7 @@ class ParticleRun(SimulationRun):
         self,
         setup: Particles,
         begin: float = 0.0,
-        state: Reached[ParticleRunState] | None = None,
+        state: ReachedState[ParticleRunState] | None = None,
     ) -> None:
         self._particles = ParticleSimulation(setup, begin)
         step = setup.options.step

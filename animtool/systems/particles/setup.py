@@ -106,7 +106,7 @@ class Particles:
         return faults
 
     def _parts(self) -> list[Fault]:
-        faults = _faults("emitters", self.emitters)
+        faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
             faults += [
                 Fault(
@@ -118,12 +118,14 @@ class Particles:
             ]
         if self.velocity is not None:
             faults += self.velocity.faults("velocity")
-        faults += _faults("colliders", self.colliders)
-        faults += _faults("kills", [kill.region for kill in self.kills])
-        return faults + _faults("sheets", self.sheets)
+        faults += _record_faults("colliders", self.colliders)
+        faults += _record_faults("kills", [kill.region for kill in self.kills])
+        return faults + _record_faults("sheets", self.sheets)
 
 
-def _faults(key: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:
+def _record_faults(
+    key: str, records: Sequence[Emitter | Collider | Sheet]
+) -> list[Fault]:
     """Return faults of records, each with its name or number."""
     labels = [
         (record, record.name or f"{key}[{i}]") for i, record in enumerate(records)

@@ -22,12 +22,12 @@ from animtool.sim.checks import (
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
-from animtool.sim.integrating import advance, checkpoint_of, stats_of
+from animtool.sim.integrating import advance_run, checkpoint_of, stats_of
 from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.implicit import PreviousStep
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import check_options
-from animtool.sim.run import Run
+from animtool.sim.run import IntegrationRun
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.systems.framework.simulation import (
@@ -157,7 +157,7 @@ class ParticleSimulation:
             self._watch.watch(state.particles, state.state)
             self._check_step_length(system, start, until)
             notices += self._too_long
-            run = Run(
+            run = IntegrationRun(
                 self._integrator,
                 Equations(system),
                 options,
@@ -168,7 +168,7 @@ class ParticleSimulation:
                 state.memory,
                 state.trial,
             )
-            status = advance(run, until)
+            status = advance_run(run, until)
             self._steps_taken += run.steps
             if status is not Status.OK:
                 self._stop(run, status, [(start, start_state), (run.time, run.state)])
@@ -213,7 +213,10 @@ class ParticleSimulation:
         self._watch.too_long = bool(self._too_long)
 
     def _stop(
-        self, run: Run, status: Status, samples: list[tuple[float, FloatArray]]
+        self,
+        run: IntegrationRun,
+        status: Status,
+        samples: list[tuple[float, FloatArray]],
     ) -> None:
         # Forces that are not finite at the start are a fault, not a divergence.
         check_start(run.equations, *samples[0])

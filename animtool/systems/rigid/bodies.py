@@ -18,13 +18,13 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
-from animtool.systems.rigid.cores import Core, core_mesh, core_of
+from animtool.systems.rigid.cores import ConvexCore, core_mesh, core_of
 from animtool.systems.rigid.kind import (
     MAX_BODIES,
     BodyKind,
+    build_kind,
     check_motion_keys,
-    copies,
-    kind_of,
+    copy_placements,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -32,7 +32,7 @@ NO_PAIRS = np.zeros((0, 2), np.int64)
 
 
 @dataclass(frozen=True, slots=True)
-class Outlines:
+class CollisionShapes:
     """C collision shapes of all bodies, for other systems."""
 
     colliders: Sequence[Collider]
@@ -76,18 +76,18 @@ class RigidBodies:
         refusals = Refusals()
         for number, (model, part) in enumerate(zip(models, parts, strict=True)):
             where, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
-            with refusals.collect(), _entry(where, origin):
+            with refusals.collect(), _entry_faults(where, origin):
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
-            with refusals.collect(), _entry(where, origin):
+            with refusals.collect(), _entry_faults(where, origin):
                 check_motion_keys(model)
-            with refusals.collect(), _entry(where, origin):
-                kind = kind_of(model, part)
-                points, rotations = copies(model, part)
+            with refusals.collect(), _entry_faults(where, origin):
+                kind = build_kind(model, part)
+                points, rotations = copy_placements(model, part)
             used_names.add(model.name)
             if refusals.faults:
                 continue
-            notices = [_locate(notice, where, origin) for notice in kind.notices]
+            notices = [_locate_fault(notice, where, origin) for notice in kind.notices]
             kinds.append(replace(kind, notices=notices))
             carrier: Poses = part["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
@@ -231,20 +231,22 @@ class RigidBodies:
         return np.array(rows, np.int64).reshape(-1, 2)
 
     @cached_property
-    def outlines(self) -> Outlines:
+    def outlines(self) -> CollisionShapes:
         """All bodies as colliders; hulls of meshes."""
         rows = [
-            (Collider(outline(shape), name=self.names[i]), i, at, rotation)
+            (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
             for i, k in enumerate(self.of.tolist())
             for shape, at, rotation in self.kinds[k].shapes
         ]
         colliders, of, at, rotations = zip(*rows, strict=True)
-        return Outlines(colliders, np.array(of), np.array(at), np.array(rotations))
+        return CollisionShapes(
+            colliders, np.array(of), np.array(at), np.array(rotations)
+        )
 
     @cached_property
-    def shapes(self) -> tuple[list[Core], IntArray]:
+    def shapes(self) -> tuple[list[ConvexCore], IntArray]:
         """Convex cores of dynamic bodies, and the body of each ``(S,)``."""
-        cores: list[Core] = []
+        cores: list[ConvexCore] = []
         owners: list[int] = []
         cores_by_kind = [
             [k.core_at_centre(core) for core in k.cores] for k in self.kinds
@@ -285,9 +287,9 @@ class RigidBodies:
             owners,
             np.array(rows, np.float64).reshape(-1, 3),
             np.concatenate([empty, *(core.points for core in cores)]),
-            _starts([len(core.points) for core in cores]),
-            _starts([len(core.faces) for core in cores]),
-            _starts([len(face) for face in faces]),
+            _first_indices([len(core.points) for core in cores]),
+            _first_indices([len(core.faces) for core in cores]),
+            _first_indices([len(face) for face in faces]),
             np.concatenate([np.zeros(0, np.int64), *faces]).astype(np.int64),
         )
 
@@ -308,7 +310,7 @@ def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 
-def outline(shape: Shape) -> Shape:
+def collider_shape(shape: Shape) -> Shape:
     """Return a shape as a collider: the hull of a mesh."""
     if not isinstance(shape, Mesh):
         return shape
@@ -328,21 +330,21 @@ def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
     )
 
 
-def _starts(counts: Sequence[int]) -> IntArray:
+def _first_indices(counts: Sequence[int]) -> IntArray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 @contextmanager
-def _entry(where: str, origin: str | None) -> Iterator[None]:
+def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
     """Prefix faults raised inside with an entry's location."""
     try:
         yield
     except OptionError as error:
-        faults = [_locate(fault, where, origin) for fault in error.faults]
+        faults = [_locate_fault(fault, where, origin) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _locate(fault: Fault, where: str, origin: str | None) -> Fault:
+def _locate_fault(fault: Fault, where: str, origin: str | None) -> Fault:
     """Return a fault located at an entry, or at the prim the entry names."""
     if origin is not None:
         return replace(fault, where=where, message=f"{origin}: " + fault.message)

@@ -25,16 +25,18 @@ FACET_COUNT = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Core:
+class ConvexCore:
     """A convex core: points, faces, and a rounding radius."""
 
     points: FloatArray  # (P, 3) [m]
     faces: Sequence[IntArray]  # corners, counter-clockwise from outside
     radius: float = 0.0  # [m]
 
-    def transformed(self, at: FloatArray, rotation: FloatArray) -> Core:
+    def transformed(self, at: FloatArray, rotation: FloatArray) -> ConvexCore:
         """Return the core moved by a translation ``(3,)`` [m] and a quaternion."""
-        return Core(at + so3.rotate(rotation, self.points), self.faces, self.radius)
+        return ConvexCore(
+            at + so3.rotate(rotation, self.points), self.faces, self.radius
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,7 @@ def combine_solids(
     return SolidProperties(float(masses.sum()), centre, inertia)
 
 
-def core_of(shape: Shape) -> Core:
+def core_of(shape: Shape) -> ConvexCore:
     """Return the core of a shape; the hull of a mesh.
 
     Raises:
@@ -80,20 +82,22 @@ def core_of(shape: Shape) -> Core:
     """
     match shape:
         case Sphere():
-            return Core(np.array([shape.centre], np.float64), [], shape.radius)
+            return ConvexCore(np.array([shape.centre], np.float64), [], shape.radius)
         case Capsule():
             ends = shape.anchors() if shape.length else shape.anchors()[:1]
-            return Core(ends, [], shape.radius)
+            return ConvexCore(ends, [], shape.radius)
         case Box():
             half_step_text = shape.sizes()
             signs = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T * 2.0 - 1.0
-            return Core(signs * half_step_text, [np.array(face) for face in _BOX_FACES])
+            return ConvexCore(
+                signs * half_step_text, [np.array(face) for face in _BOX_FACES]
+            )
         case Mesh():
-            return _hull(np.asarray(shape.points, np.float64))
+            return _convex_hull(np.asarray(shape.points, np.float64))
     raise ValueError("a plane is infinite: use it as a collider, not as a body")
 
 
-def _hull(points: FloatArray) -> Core:
+def _convex_hull(points: FloatArray) -> ConvexCore:
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -122,10 +126,10 @@ def _hull(points: FloatArray) -> Core:
             offsets @ tangent, offsets @ offsets[0] * np.linalg.norm(normal)
         )
         faces.append(corner_numbers[face_corners[np.argsort(angles)]])
-    return Core(points[corners], faces)
+    return ConvexCore(points[corners], faces)
 
 
-def solid_of(shape: Shape, core: Core) -> SolidProperties:
+def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
     """Return the mass properties of a shape of density 1; of a mesh's hull."""
     match shape:
         case Sphere(radius=r):
@@ -134,7 +138,7 @@ def solid_of(shape: Shape, core: Core) -> SolidProperties:
                 volume, core.points[0], 0.4 * volume * r * r * np.eye(3)
             )
         case Capsule():
-            return _capsule(shape)
+            return _capsule_properties(shape)
         case Box():
             volume = float(np.prod(shape.size))
             squares = np.square(np.asarray(shape.size, np.float64))
@@ -149,7 +153,7 @@ def solid_of(shape: Shape, core: Core) -> SolidProperties:
     return enclosed_solid(np.array(triangles))
 
 
-def _capsule(shape: Capsule) -> SolidProperties:
+def _capsule_properties(shape: Capsule) -> SolidProperties:
     r, length = shape.radius, shape.length
     cylinder, caps = np.pi * r * r * length, 4 / 3 * np.pi * r**3
     # Two hemispheres, with centres 3/8 of the radius beyond the ends of the segment.
@@ -189,7 +193,7 @@ def is_convex(mesh: Mesh, hull: SolidProperties) -> bool:
     return abs(volume - hull.volume) <= CONVEX_TOLERANCE * hull.volume
 
 
-def core_mesh(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
+def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     """Return points, corner counts and corners of a mesh that shows a core."""
     if core.faces:
         counts = np.array([len(face) for face in core.faces])

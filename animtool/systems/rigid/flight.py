@@ -92,7 +92,7 @@ def fly(
             acceleration, jacobians = rate(time, *next_state), slopes(time, *next_state)
             next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
             step = min(max(next_step, min_step), end - time)
-    inertias = _inertias(start_rate, start_jacobians[1], velocities - v, dt, v)
+    inertias = _inertia_factors(start_rate, start_jacobians[1], velocities - v, dt, v)
     return Flight(points, velocities, inertias, coarse)
 
 
@@ -134,7 +134,7 @@ def _multiply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
-def _inertias(
+def _inertia_factors(
     start_rate: FloatArray,
     jacobians: FloatArray,
     velocity_change: FloatArray,

@@ -130,11 +130,11 @@ def check_joints(
                         hint = "use swing: 40, or twist: [-30, 30]"
                     refuse("SIM061", message, f"{where}.{option}", hint)
         with refusals.collect():
-            _axis(model, name, where)
+            _axis_rotation(model, name, where)
         with refusals.collect():
-            _limits(model, name, where)
+            _joint_limits(model, name, where)
         with refusals.collect():
-            _drive(model, where)
+            _joint_drive(model, where)
     refusals.check()
 
 
@@ -163,12 +163,12 @@ def joints_of(
         second = bodies.find(model.body, f"{where}.body")
         poses: Poses = part["poses"]
         frame = poses.at(bodies.begin)
-        frame[3:] = so3.multiply(frame[3:], _axis(model, name, where))
+        frame[3:] = so3.multiply(frame[3:], _axis_rotation(model, name, where))
         on_b = relative_to_principal(bodies, second, frame)
         first, anchor, parent = -1, Poses(), -1
         if model.to is None:
             anchor = poses
-            on_a = np.concatenate([np.zeros(3), _axis(model, name, where)])
+            on_a = np.concatenate([np.zeros(3), _axis_rotation(model, name, where)])
         else:
             parent = bodies.find(model.to, f"{where}.to")
             if len(poses.sample_times) > 1:
@@ -185,7 +185,12 @@ def joints_of(
                 on_a = relative_frame(anchor.at(bodies.begin), frame)
         rows.append((JOINT_KINDS[model.type], first, dynamic_indices[second]))
         numbers.append(
-            [*on_a, *on_b, *_limits(model, name, where), *_drive(model, where)]
+            [
+                *on_a,
+                *on_b,
+                *_joint_limits(model, name, where),
+                *_joint_drive(model, where),
+            ]
         )
         anchors.append(anchor)
         above.append(parent)
@@ -298,7 +303,7 @@ def _break_limits(model: RigidJointModel) -> tuple[float, float]:
     return force, torque
 
 
-def _axis(model: RigidJointModel, name: str, where: str) -> FloatArray:
+def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
     """Return the shortest rotation of x to the axis ``(4,)``."""
     axis = np.array(model.axis, np.float64)
     length = float(np.linalg.norm(axis))
@@ -324,7 +329,7 @@ def relative_to_principal(bodies: RigidBodies, i: int, frame: FloatArray) -> Flo
     )
 
 
-def _limits(model: RigidJointModel, name: str, where: str) -> list[float]:
+def _joint_limits(model: RigidJointModel, name: str, where: str) -> list[float]:
     low, high, swing = 1.0, 0.0, [-1.0, -1.0]
     key = "twist" if model.type == "ball" else "limits"
     limits = getattr(model, key)
@@ -347,11 +352,11 @@ def _limits(model: RigidJointModel, name: str, where: str) -> list[float]:
     return [low, high, *swing]
 
 
-def _drive(model: RigidJointModel, where: str) -> list[float]:
+def _joint_drive(model: RigidJointModel, where: str) -> list[float]:
     drive = model.drive
     if drive is None:
         return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0, 0.0]
-    speed = _speed(model, drive, where)
+    speed = _motor_speed(model, drive, where)
     ball = model.type == "ball"
     if ("target" if ball else "rotation") in drive.model_fields_set:
         invalid_key, valid_key = (
@@ -366,7 +371,7 @@ def _drive(model: RigidJointModel, where: str) -> list[float]:
         )
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # Drives act in the joint's axes.
-    axis = _axis(model, model.name, where)
+    axis = _axis_rotation(model, model.name, where)
     rotation = so3.multiply(
         so3.multiply(so3.conjugate(axis), so3.normalize(rotation)), axis
     )
@@ -376,7 +381,7 @@ def _drive(model: RigidJointModel, where: str) -> list[float]:
     return [target, *rotation, drive.stiffness, damping, max_force, speed]
 
 
-def _speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> float:
+def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> float:
     """Return a motor's speed [rad/s] or [m/s]."""
     if drive.speed is None:
         return 0.0

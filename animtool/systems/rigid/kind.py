@@ -25,7 +25,7 @@ from animtool.maths import so3
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape
 from animtool.systems.rigid.cores import (
-    Core,
+    ConvexCore,
     SolidProperties,
     combine_solids,
     core_mesh,
@@ -35,9 +35,9 @@ from animtool.systems.rigid.cores import (
 )
 from animtool.systems.rigid.pieces import (
     INSTALL_COMMAND,
+    convex_pieces,
     excess_volume,
     is_available,
-    pieces_of,
     solid_of_mesh,
 )
 from animtool.systems.rigid.spec import BodyModel
@@ -59,7 +59,7 @@ class BodyKind:
 
     model: BodyModel
     shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin, quaternion
-    cores: Sequence[Core]
+    cores: Sequence[ConvexCore]
     mass: float  # [kg]
     centre: FloatArray  # of mass (3,) [m]
     moments: FloatArray  # about its principal axes (3,) [kg m²]
@@ -75,23 +75,23 @@ class BodyKind:
             for core in self.cores
         )
 
-    def core_at_centre(self, core: Core) -> Core:
+    def core_at_centre(self, core: ConvexCore) -> ConvexCore:
         """Return a core in the frame of the principal axes."""
         to_principal = so3.conjugate(self.axes)
         return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
 
-def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
+def build_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
     """Return the body kind of a model; its faults are raised (SIM061)."""
     refusals = Refusals()
     with refusals.collect():
         refuse_all("SIM061", _weight_problems(model))
     with refusals.collect():
-        shapes = _shapes(model, parts)
+        shapes = _body_shapes(model, parts)
     refusals.check()
     hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
     cores, solids, notices, collision_shapes = [], [], [], []
-    display_shapes: list[tuple[Mesh | None, Core, FloatArray, FloatArray]] = []
+    display_shapes: list[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]] = []
     for k, (shape, origin, rotation) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
@@ -102,10 +102,10 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         except ValueError as error:
             refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
         solid = solid_of(shape, core)
-        pieces: Sequence[tuple[Shape, Core]] = [(shape, core)]
+        pieces: Sequence[tuple[Shape, ConvexCore]] = [(shape, core)]
         if isinstance(shape, Mesh) and not is_convex(shape, solid):
             is_dynamic = not model.kinematic or model.release is not None
-            split_pieces = [] if hulls[k] or not is_dynamic else _pieces(shape)
+            split_pieces = [] if hulls[k] or not is_dynamic else _convex_pieces(shape)
             fault = _concave_notice(model.name, shape, split_pieces)
             notices.append(replace(fault, where=key))
             if split_pieces:
@@ -119,9 +119,9 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         )
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
-    moments, axes = principal(inertia)
+    moments, axes = principal_moments(inertia)
     shows = parts.get("shows")
-    meshes = tuple(shows()) if shows is not None else (_mesh(display_shapes),)
+    meshes = tuple(shows()) if shows is not None else (_display_mesh(display_shapes),)
     return BodyKind(
         model, collision_shapes, cores, mass, centre, moments, axes, meshes[:1], notices
     )
@@ -141,7 +141,7 @@ def _weight_problems(model: BodyModel) -> Iterator[Problem]:
         yield message, "inertia", "only a rod has one of 0"
 
 
-def _shapes(
+def _body_shapes(
     model: BodyModel, parts: Mapping[str, Any]
 ) -> list[tuple[Shape, FloatArray, FloatArray]]:
     """Return the shapes of a body, each with its origin and quaternion."""
@@ -172,13 +172,13 @@ def _shapes(
     return shapes
 
 
-def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
+def _convex_pieces(mesh: Mesh) -> list[tuple[Shape, ConvexCore]]:
     """Return convex pieces of a mesh; empty if its hull is used."""
-    return list(pieces_of(mesh)) if is_available() else []
+    return list(convex_pieces(mesh)) if is_available() else []
 
 
 def _concave_notice(
-    name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]
+    name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, ConvexCore]]
 ) -> Fault:
     """Return a notice about the collision shape of a concave mesh."""
     if pieces:
@@ -228,7 +228,7 @@ def _mass_properties(
     return mass, centre, inertia
 
 
-def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
+def principal_moments(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return principal moments ``(3,)`` and axes, a quaternion ``(4,)``.
 
     Inertias that are diagonal up to rounding keep the axes of the frame.
@@ -248,8 +248,8 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.maximum(moments[order], 0.0), so3.from_matrix(axes)
 
 
-def _mesh(
-    display_shapes: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
+def _display_mesh(
+    display_shapes: Sequence[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]],
 ) -> MeshFrame:
     """Return the display mesh of shapes; decomposed meshes keep their original form."""
     points, counts, corners, base = [], [], [], 0
@@ -300,7 +300,9 @@ def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
             yield f"{message}{end:g} s", f"pushes[{k}].end", None
 
 
-def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+def copy_placements(
+    model: BodyModel, parts: Mapping[str, Any]
+) -> tuple[FloatArray, FloatArray]:
     """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies in their frame."""
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:

@@ -15,13 +15,13 @@ from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces
 
 # Largest rotation or phase of a swing in a substep [rad].
-MAX_ANGLE = 0.5
+MAX_SUBSTEP_ANGLE = 0.5
 MAX_SUBSTEPS = 256
 # Constrained bodies with a larger inertia factor from drag take shorter substeps, so
 # that they bounce right and keep their inertia ratio.
 MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS = 2.0, 64
 # Constrained bodies with larger factors at the most substeps would drift from contacts.
-MAX_FACTOR = 64.0
+MAX_INERTIA_FACTOR = 64.0
 # Smaller relative changes of mass are ignored.
 MIN_FACTOR_CHANGE = 1e-3
 # Bodies with a larger factor collide at the velocity of their free flight.
@@ -175,7 +175,7 @@ class BodyLoads:
             ToleranceError: They are too many (SIM102).
         """
         swings, spins = self._rates(t, dt, motion)
-        oscillation_steps = float(swings.max(initial=0.0)) * dt / MAX_ANGLE
+        oscillation_steps = float(swings.max(initial=0.0)) * dt / MAX_SUBSTEP_ANGLE
         if not oscillation_steps <= MAX_SUBSTEPS:
             number = int(np.argmax(swings))
             message = f"the forces on {self._body(number)} make it oscillate at "
@@ -186,7 +186,7 @@ class BodyLoads:
                 step = floor_to_two_digits(dt * MAX_SUBSTEPS / oscillation_steps)
                 hint = f"use step: {plain_number(step)}, or {hint}"
             self._stop(t, message, hint)
-        rotation_steps = float(spins.max(initial=0.0)) * dt / MAX_ANGLE
+        rotation_steps = float(spins.max(initial=0.0)) * dt / MAX_SUBSTEP_ANGLE
         return max(
             1,
             math.ceil(oscillation_steps),
@@ -213,11 +213,11 @@ class BodyLoads:
         assert flight is not None
         inertias = np.where(constrained, flight.inertias, 1.0)
         max_factor = float(inertias.max()) * parts
-        if max_factor > MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
+        if max_factor > MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
             message += f"contact, is too strong for a step of {plain_number(dt)} s"
             step = floor_to_two_digits(
-                dt * MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS / max_factor
+                dt * MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS / max_factor
             )
             self._stop(
                 t,
@@ -252,7 +252,7 @@ def _oscillation_rates(
     bound = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
     bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2
     frequencies = np.zeros(len(by_position))
-    is_relevant = bound * dt > MAX_ANGLE
+    is_relevant = bound * dt > MAX_SUBSTEP_ANGLE
     if is_relevant.any():
         matrices = np.zeros((int(is_relevant.sum()), 6, 6))
         matrices[:, :3, 3:] = np.eye(3)

@@ -39,7 +39,7 @@ _LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Locked:
+class LockedJoint:
     """A joint that cannot move.
 
     Attributes:
@@ -55,7 +55,7 @@ class Locked:
 
 def locked_joints(
     rows: IntArray, frames: FloatArray, centres: FloatArray
-) -> list[Locked]:
+) -> list[LockedJoint]:
     """Return joints of closed loops that cannot move from their start.
 
     Args:
@@ -64,7 +64,7 @@ def locked_joints(
         centres: Centres of N bodies ``(N, 3)`` [m].
     """
     locked = []
-    for loop in _loops(rows, len(centres)):
+    for loop in _closed_loops(rows, len(centres)):
         loop_bodies = np.setdiff1d(rows[loop, 1:], [-1])
         loop_rows, count = rows[loop], len(loop_bodies)
         body_indices = np.searchsorted(loop_bodies, loop_rows[:, 1:])
@@ -74,7 +74,7 @@ def locked_joints(
             np.ptp(np.concatenate([body_centres, frames[loop, :3]]), axis=0).max()
         )
         equations = [
-            _equations(row, frames[k], body_centres, size or 1.0)
+            _constraint_rows(row, frames[k], body_centres, size or 1.0)
             for row, k in zip(loop_rows, loop, strict=True)
         ]
         free = _null_space([constraints for constraints, _ in equations], count)
@@ -97,7 +97,7 @@ def locked_joints(
                         > LOCKED_MOTION
                     ):
                         blocking.append(other_joint)
-            locked.append(Locked(k, tuple(blocking), remaining))
+            locked.append(LockedJoint(k, tuple(blocking), remaining))
     return locked
 
 
@@ -108,7 +108,7 @@ def locked_notices(
     start = bodies.start
     frames = np.array(
         [
-            _frame(start[row[2]], parameters[7:14])
+            _world_frame(start[row[2]], parameters[7:14])
             for row, parameters in zip(rows.tolist(), numbers, strict=True)
         ]
     ).reshape(-1, 7)
@@ -130,13 +130,13 @@ def locked_notices(
     return notices
 
 
-def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
+def _world_frame(body: FloatArray, local: FloatArray) -> FloatArray:
     """Return a local frame of a body in the world ``(7,)``."""
     origin = body[:3] + so3.rotate(body[3:7], local[:3])
     return np.concatenate([origin, so3.multiply(body[3:7], local[3:])])
 
 
-def _loops(rows: IntArray, count: int) -> list[list[int]]:
+def _closed_loops(rows: IntArray, count: int) -> list[list[int]]:
     """Return joints of each closed loop, without dangling branches."""
     ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
     remaining_joints = set(range(len(ends)))
@@ -168,7 +168,7 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
     ]
 
 
-def _equations(
+def _constraint_rows(
     row: IntArray, frame: FloatArray, centres: FloatArray, size: float
 ) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
     """Return a joint's constraint rows, and its free directions.
@@ -202,7 +202,9 @@ def _equations(
     return constraints, motions
 
 
-def _matrix(lines: Sequence[tuple[int, int, FloatArray]], count: int) -> FloatArray:
+def _constraint_matrix(
+    lines: Sequence[tuple[int, int, FloatArray]], count: int
+) -> FloatArray:
     matrix = np.zeros((len(lines), 6 * count))
     for k, (second, first, factors) in enumerate(lines):
         matrix[k, 6 * second : 6 * second + 6] = factors[0]
@@ -218,7 +220,7 @@ def _null_space(
     lines = [line for joint_lines in joint_constraints for line in joint_lines]
     if not lines:
         return np.eye(6 * count)
-    _, singular_values, right_vectors = np.linalg.svd(_matrix(lines, count))
+    _, singular_values, right_vectors = np.linalg.svd(_constraint_matrix(lines, count))
     rank = int((singular_values > RANK_TOLERANCE * singular_values[0]).sum())
     return np.asarray(right_vectors[rank:].T)
 
@@ -229,5 +231,7 @@ def _remaining_motion(
     """Return the largest relative motion that a joint retains."""
     count = len(free) // 6
     return float(
-        np.linalg.norm(_matrix(motions, count) @ free, axis=1).max(initial=0.0)
+        np.linalg.norm(_constraint_matrix(motions, count) @ free, axis=1).max(
+            initial=0.0
+        )
     )

@@ -31,7 +31,7 @@ from animtool.sim.colliders import (
 )
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
-from animtool.systems.rigid.bodies import RigidBodies, outline
+from animtool.systems.rigid.bodies import RigidBodies, collider_shape
 from animtool.systems.rigid.joints import (
     JOINT_KINDS,
     PARAMETER_COUNT,
@@ -57,10 +57,10 @@ def physics_record(
         collider for collider in colliders if len(collider.poses.sample_times) == 1
     ]
     return Physics(
-        [_body(bodies, i) for i in range(len(bodies.names))],
-        list(_joints(bodies, joints)),
+        [_physics_body(bodies, i) for i in range(len(bodies.names))],
+        list(_physics_joints(bodies, joints)),
         [
-            _shape(
+            _physics_shape(
                 collider.shape,
                 collider.poses.rows[0],
                 collider.friction,
@@ -73,12 +73,12 @@ def physics_record(
     )
 
 
-def _body(bodies: RigidBodies, i: int) -> PhysicsBody:
+def _physics_body(bodies: RigidBodies, i: int) -> PhysicsBody:
     kind = bodies.kinds[bodies.of[i]]
     model = kind.model
     shapes = [
-        _shape(
-            outline(shape),
+        _physics_shape(
+            collider_shape(shape),
             np.concatenate([at, rotation]),
             model.friction,
             model.restitution,
@@ -100,7 +100,7 @@ def _body(bodies: RigidBodies, i: int) -> PhysicsBody:
     )
 
 
-def _shape(
+def _physics_shape(
     shape: Shape, pose: FloatArray, friction: float, restitution: float
 ) -> PhysicsShape:
     """Return a shape about its centre, with y as its axis."""
@@ -130,7 +130,7 @@ def _shape(
     )
 
 
-def _joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
+def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
     names = {number: kind for kind, number in JOINT_KINDS.items()}
     dynamic = bodies.dynamic
     excluded = {
@@ -205,7 +205,7 @@ def body_entries(
         if not body.kinematic:
             keys["velocity"] = body.velocity.tolist()
             keys["spin"] = np.degrees(body.spin).tolist()
-        models.append(_model(keys, body.origin, entry))
+        models.append(_body_model(keys, body.origin, entry))
         rows = body.pose[None] if body.path is None else body.path
         times = body.times if body.path is not None else np.zeros(1)
         poses = Poses(times, rows[:, :3], rows[:, 3:])
@@ -217,7 +217,7 @@ def body_entries(
     return models, parts
 
 
-def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
+def _body_model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
     """Return a body entry from keys; invalid numbers are refused (SIM051)."""
     try:
         return BodyModel.model_validate(keys)

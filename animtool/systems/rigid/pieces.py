@@ -10,12 +10,17 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
-from animtool.systems.rigid.cores import Core, SolidProperties, core_of, enclosed_solid
+from animtool.systems.rigid.cores import (
+    ConvexCore,
+    SolidProperties,
+    core_of,
+    enclosed_solid,
+)
 
 # Largest deviation of pieces from the mesh, over its size: coacd's default.
-THRESHOLD = 0.05
+CONCAVITY_THRESHOLD = 0.05
 # Sampled surface points to measure it.
-RESOLUTION = 400
+MANIFOLD_RESOLUTION = 400
 INSTALL_COMMAND = "pip install 'animtool[convex]'"
 
 
@@ -24,7 +29,7 @@ def is_available() -> bool:
     return find_spec("coacd") is not None
 
 
-def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
+def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
     """Return convex pieces of a mesh, deterministic; empty for open meshes.
 
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
@@ -37,7 +42,9 @@ def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
 
 
 @lru_cache(maxsize=64)
-def _decompose(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
+def _decompose(
+    point_bytes: bytes, corner_bytes: bytes
+) -> list[tuple[Mesh, ConvexCore]]:
     """Return convex pieces of points and triangles (cached)."""
     import coacd
 
@@ -46,9 +53,9 @@ def _decompose(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core
     coacd.set_log_level("off")
     parts = coacd.run_coacd(
         coacd.Mesh(points, triangles),
-        threshold=THRESHOLD,
+        threshold=CONCAVITY_THRESHOLD,
         preprocess_mode="off",
-        resolution=RESOLUTION,
+        resolution=MANIFOLD_RESOLUTION,
         seed=0,
     )
     pieces = []
@@ -71,13 +78,13 @@ def solid_of_mesh(mesh: Mesh) -> SolidProperties:
     return enclosed_solid(points[triangles[:, ::-1]])
 
 
-def excess_volume(mesh: Mesh, cores: Sequence[Core]) -> float:
+def excess_volume(mesh: Mesh, cores: Sequence[ConvexCore]) -> float:
     """Return the pieces' volume beyond the mesh's, as a fraction of the mesh's."""
     volume = solid_of_mesh(mesh).volume
-    return sum(_volume(core) for core in cores) / volume - 1
+    return sum(_core_volume(core) for core in cores) / volume - 1
 
 
-def _volume(core: Core) -> float:
+def _core_volume(core: ConvexCore) -> float:
     triangles: list[FloatArray] = [
         core.points[[face[0], face[k], face[k + 1]]]
         for face in core.faces

@@ -22,7 +22,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Poses
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.framework.fields import ColliderEntries
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.joints import (
@@ -31,12 +31,12 @@ from animtool.systems.rigid.joints import (
     Joints,
     relative_to_principal,
 )
-from animtool.systems.rigid.kind import BodyKind, kind_of
+from animtool.systems.rigid.kind import BodyKind, build_kind
 from animtool.systems.rigid.masses import with_rig_masses
 from animtool.systems.rigid.spec import BodyModel
 from animtool.systems.rigid.tone import passive_springs, with_finger_capsules
 
-_TYPES = {
+_JOINT_TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
 }  # fmt: skip
@@ -97,7 +97,7 @@ class Ragdoll:
 
 def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
     """Return the bodies of a rig in the pose of one frame (SIM062)."""
-    capsules = Capsules.of(rig)
+    capsules = JointCapsules.of(rig)
     if not len(capsules):
         message = f"no joint of {rig.name!r} has colliders: nothing can fall"
         hint = "give its rig file `colliders`: capsules on joints"
@@ -114,14 +114,14 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
     bodies = RigidBodies(
         kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
     )
-    frames, axes = _frames(rig, world.positions[0], rotations, joints)
+    frames, axes = _rest_frames(rig, world.positions[0], rotations, joints)
     return Ragdoll(rig, joints, _parent_bodies(rig, joints), bodies, frames, axes)
 
 
 def _body_kinds(
     rig: Rig,
     world: WorldTransforms,
-    capsules: Capsules,
+    capsules: JointCapsules,
     joints: IntArray,
     options: RagdollOptions,
 ) -> list[BodyKind]:
@@ -150,7 +150,9 @@ def _body_kinds(
                 "friction": options.friction,
             }
         )
-        kinds.append(kind_of(model, {"shapes": [{"shape": shape} for shape in shapes]}))
+        kinds.append(
+            build_kind(model, {"shapes": [{"shape": shape} for shape in shapes]})
+        )
     if rig.masses:
         kinds = with_rig_masses(rig, world, joints, kinds)
     if options.mass is None:
@@ -170,13 +172,15 @@ def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
     for i, j in enumerate(joints.tolist()):
         ancestors = [body_indices[k] for k in rig.upwards(j)[1:] if k in body_indices]
         # Branches below a joint without a body are attached to the first of them.
-        parents[i] = ancestors[0] if ancestors else roots.setdefault(movable(rig, j), i)
+        parents[i] = (
+            ancestors[0] if ancestors else roots.setdefault(movable_root(rig, j), i)
+        )
         if parents[i] == i:
             parents[i] = -1
     return parents
 
 
-def _frames(
+def _rest_frames(
     rig: Rig, positions: FloatArray, rotations: FloatArray, joints: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return rest frames of joints ``(N, 7)``, and their axes there ``(N, 4)``.
@@ -186,7 +190,7 @@ def _frames(
     frames, axes = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
     for i, j in enumerate(joints.tolist()):
         joint = rig.joints[j]
-        axes[i] = _axes(joint)
+        axes[i] = _joint_axes(joint)
         origin, rotation = np.zeros(3), so3.IDENTITY
         if joint.parent >= 0:
             origin, rotation = positions[joint.parent], rotations[joint.parent]
@@ -198,14 +202,14 @@ def _frames(
     return frames, axes
 
 
-def movable(rig: Rig, joint: int) -> int:
+def movable_root(rig: Rig, joint: int) -> int:
     """Return the joint that moves a root body: a free joint, or a root."""
     upwards = rig.upwards(joint)
     free = (k for k in upwards if rig.joints[k].type is JointType.FREE)
     return next(free, upwards[-1])
 
 
-def _axes(joint: Joint) -> FloatArray:
+def _joint_axes(joint: Joint) -> FloatArray:
     """Return the rotation of x to a joint's axis, and of y, z to its swing axes."""
     if isinstance(joint.limits, BallLimit):
         return so3.from_matrix(joint.limits.axes.T)
@@ -231,7 +235,7 @@ def joints_of_rig(
         pose = bodies.poses[i].at(0.0)
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
         parent = int(ragdoll.above[i])
-        rows.append((_TYPES[joint.type], parent, i))
+        rows.append((_JOINT_TYPES[joint.type], parent, i))
         drive = [
             options.stiffness + tone[i, 0],
             options.damping + tone[i, 1],
@@ -241,7 +245,7 @@ def joints_of_rig(
         target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
         on_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
         on_b = relative_to_principal(bodies, i, frame)
-        numbers.append([*on_a, *on_b, *_limits(joint), *target, *drive])
+        numbers.append([*on_a, *on_b, *_drive_limits(joint), *target, *drive])
     table = np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT)
 
     def driven_numbers(t: float) -> FloatArray:
@@ -255,7 +259,7 @@ def joints_of_rig(
         table,
         [Poses()] * len(with_parent),
         pairs=body_pairs,
-        others=_overlapping(ragdoll),
+        others=_overlapping_pairs(ragdoll),
         breaks=np.full((len(rows), 2), np.inf),
         driven=driven_numbers if options.stiffness else None,
     )
@@ -274,7 +278,7 @@ def _passive_springs(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
     return np.asarray(tone * factors * np.array(rotates)[:, None])
 
 
-def _limits(joint: Joint) -> list[float]:
+def _drive_limits(joint: Joint) -> list[float]:
     match joint.limits:
         case RangeLimit(low=low, high=high):
             return [low, high, -1.0, -1.0]
@@ -287,7 +291,7 @@ def _limits(joint: Joint) -> list[float]:
     return [1.0, 0.0, -1.0, -1.0]
 
 
-def _overlapping(ragdoll: Ragdoll) -> IntArray:
+def _overlapping_pairs(ragdoll: Ragdoll) -> IntArray:
     """Return pairs of bodies that overlap at the start ``(P, 2)``."""
     cores_by_body = []
     for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):

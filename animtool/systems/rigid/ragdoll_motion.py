@@ -16,7 +16,7 @@ from animtool.rig.skeleton import JointType, Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.particles.forces import find_force
 from animtool.systems.rigid.joints import Joints
-from animtool.systems.rigid.ragdoll import Ragdoll, movable
+from animtool.systems.rigid.ragdoll import Ragdoll, movable_root
 from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.spec import RigidModel
 
@@ -108,7 +108,7 @@ def ragdoll_transforms(
     } - body_indices.keys()
     new_translations, new_rotations = translations.copy(), rotations.copy()
     root_bodies = np.flatnonzero(bodies.above < 0).tolist()
-    root_joints = {movable(rig, int(bodies.joints[i])): i for i in root_bodies}
+    root_joints = {movable_root(rig, int(bodies.joints[i])): i for i in root_bodies}
     count, joints = len(origins), len(rig.joints)
     positions, world = np.zeros((count, joints, 3)), np.zeros((count, joints, 4))
     for j, joint in enumerate(rig.joints):
@@ -120,7 +120,7 @@ def ragdoll_transforms(
         parent = joint.parent
         if j in body_indices or j in root_joints:
             i = root_joints[j] if j in root_joints else body_indices[j]
-            on_body = _on_body(
+            on_body = _frame_on_body(
                 rig, int(bodies.joints[i]), j, translations[0], rotations[0]
             )
             joint_rotations = so3.multiply(body_rotations[:, i], on_body[3:])
@@ -141,7 +141,7 @@ def ragdoll_transforms(
     return new_translations, new_rotations
 
 
-def _on_body(
+def _frame_on_body(
     rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
 ) -> FloatArray:
     """Return a joint frame ``(7,)`` relative to the body that carries it.

@@ -44,8 +44,8 @@ from animtool.systems.rigid.surroundings import BodyForces
 
 # Above these values a simulation has diverged. Scene files allow values up to 1e18, and
 # squares must be finite.
-LARGEST_POSITION = 1e24  # positions [m] and velocities [m/s]
-LARGEST_MOMENTUM = 1e100  # angular momenta [kg m²/s]
+MAX_POSITION = 1e24  # positions [m] and velocities [m/s]
+MAX_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
@@ -193,7 +193,7 @@ class RigidSimulation(SharedBodies):
             state = after
         return state, substeps
 
-    def _phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
+    def _current_phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
         is_broken = np.isfinite(state.broken[:, 0])
         return self._phases.at(self._phases.number(t, dt), is_broken)
 
@@ -202,7 +202,7 @@ class RigidSimulation(SharedBodies):
         is_constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.vary:
             return is_constrained
-        phase = self._phase(state, t - dt, dt)
+        phase = self._current_phase(state, t - dt, dt)
         owners = np.append(self.bodies.shapes[1], -1)
         pressing_shapes = phase.shapes_of(
             state.pairs[state.contacts[:, 3:].any(axis=1)]
@@ -220,7 +220,7 @@ class RigidSimulation(SharedBodies):
         if loads.velocities is not None:
             motion = motion.copy()
             motion[:, 7:10] = loads.velocities
-        phase = self._phase(state, t, dt)
+        phase = self._current_phase(state, t, dt)
         same_phase = phase.number == self._phases.number(t - dt, dt)
         free = phase.free
         result = _kernels.step_rigid(
@@ -280,15 +280,14 @@ class RigidSimulation(SharedBodies):
 
     def _check(self, motion: FloatArray, t: float) -> None:
         """Raise an error if a state is not finite or far too large (SIM102)."""
-        finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= LARGEST_POSITION
-        finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= LARGEST_MOMENTUM
+        finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= MAX_POSITION
+        finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= MAX_MOMENTUM
         if finite.all():
             return
         first_bad = int(np.flatnonzero(~finite)[0])
         name = self.bodies.names[self.bodies.dynamic[first_bad]]
         speed = (
-            float(np.linalg.norm(motion[first_bad, 7:10] / LARGEST_POSITION))
-            * LARGEST_POSITION
+            float(np.linalg.norm(motion[first_bad, 7:10] / MAX_POSITION)) * MAX_POSITION
         )
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
         step = plain_number(floor_to_two_digits(self._spec.step / 2))

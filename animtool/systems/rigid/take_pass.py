@@ -22,11 +22,11 @@ from animtool.rig.joints import (
     coordinate_slices,
     coordinates_from_local,
 )
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
@@ -72,7 +72,7 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         message += f"{codes[first_index]:g}"
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
-    world = forward(rig, translations, rotations, scales)
+    world = forward_kinematics(rig, translations, rotations, scales)
     pose = WorldTransforms(
         world.positions[first_index : first_index + 1],
         world.linear[first_index : first_index + 1],
@@ -153,7 +153,9 @@ def _run(
     initial_state = simulation.initial()
     motion = initial_state.motion.copy()
     motion[:, 7:13] = start
-    state: Reached[RigidState] = Reached(0, replace(initial_state, motion=motion))
+    state: ReachedState[RigidState] = ReachedState(
+        0, replace(initial_state, motion=motion)
+    )
     return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
 
 

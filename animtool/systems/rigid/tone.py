@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 
 # Passive stiffness per radian, as a fraction of the gravity torque of a level limb, and
 # the damping ratio of that spring.
@@ -26,8 +26,8 @@ _NAMES = re.compile(r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGN
 
 
 def with_finger_capsules(
-    rig: Rig, world: WorldTransforms, capsules: Capsules
-) -> Capsules:
+    rig: Rig, world: WorldTransforms, capsules: JointCapsules
+) -> JointCapsules:
     """Return the capsules of a rig with those of its fingers added to the hands.
 
     A hand is a joint that has capsules, has no descendants with capsules, and from
@@ -68,7 +68,7 @@ def with_finger_capsules(
                 radii.append(FINGER_RADIUS * lengths.mean() * size)
     if not joints:
         return capsules
-    return Capsules(
+    return JointCapsules(
         np.concatenate([capsules.joints, joints]),
         np.concatenate([capsules.ends, np.array(ends)]),
         np.concatenate([capsules.radii, np.array(radii)]),

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, listed, warning
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
-from animtool.documents.document import spelled
+from animtool.documents.document import location_text
 from animtool.maths.faces import directed_edges, edge_counts
 from animtool.systems.springs import (
     Body,
@@ -71,7 +71,7 @@ class BodyEntry:
     def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
         """Add a fault at a key of the entry, extended by the location in the fault."""
         subkeys = (fault.where,) if fault.where else ()
-        self.faults.append(replace(fault, where=spelled((*keys, *subkeys))))
+        self.faults.append(replace(fault, where=location_text((*keys, *subkeys))))
         self.sound &= doubt
 
     def note(

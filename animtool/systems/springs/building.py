@@ -12,7 +12,7 @@ from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.maths import so3
 from animtool.systems.framework.simulation import SimContext
-from animtool.systems.framework.tied import OnBody, TiedBodies
+from animtool.systems.framework.tied import BodyCarrier, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
@@ -147,7 +147,7 @@ class _SystemBuilder:
         columns = {n: k for k, n in enumerate(system.pinned.tolist())}
         for entry, rows in zip(self._entries, self._rows, strict=True):
             for pin in entry.pins:
-                if not isinstance(pin.carrier, OnBody):
+                if not isinstance(pin.carrier, BodyCarrier):
                     continue
                 bodies, pinned = carriers[pin.carrier.system], rows[pin.particles]
                 points = system.body.positions[pinned]
@@ -167,7 +167,7 @@ class _SystemBuilder:
         return BodyTies(list(carriers.values()), ties, system.gravity, system.spacing)
 
     def _warn_distant(
-        self, name: str, carrier: OnBody, bodies: TiedBodies, points: FloatArray
+        self, name: str, carrier: BodyCarrier, bodies: TiedBodies, points: FloatArray
     ) -> None:
         """Warn about pins that start farther from their body than its size."""
         gap, size = bodies.gap(carrier, points)

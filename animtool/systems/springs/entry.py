@@ -16,7 +16,7 @@ from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
 from animtool.systems.framework.spec import Member, PinnedPoints
-from animtool.systems.framework.tied import OnBody
+from animtool.systems.framework.tied import BodyCarrier
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_options, check_supports_self_contact
@@ -64,7 +64,7 @@ class SpringEntry:
         return [
             (carrier.system, carrier.body, carrier.where)
             for carrier in carriers
-            if isinstance(carrier, OnBody)
+            if isinstance(carrier, BodyCarrier)
         ]
 
     @property

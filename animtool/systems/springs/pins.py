@@ -16,7 +16,7 @@ from animtool.documents.document import Location
 from animtool.documents.fields import record_of
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.framework.tied import OnBody
+from animtool.systems.framework.tied import BodyCarrier
 from animtool.systems.springs import Air, Pins, PointTargets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
 from animtool.systems.springs.drawing import polar_rotations
@@ -235,7 +235,7 @@ def _carrier(
         if getattr(model, key) is not None:
             _check_exclusive_keys(entry, location, model, key)
             carrier = parts[key]
-            if isinstance(carrier, OnBody):
+            if isinstance(carrier, BodyCarrier):
                 where = ".".join((f"pins[{location[1]}]", key, "body"))
                 carrier = replace(carrier, where=where)
     return carrier

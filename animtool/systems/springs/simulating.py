@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.sim.checks import check_times
 from animtool.sim.trajectory import Checkpoint, Status
-from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.framework.simulation import Progress, SimContext, StoppedError
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.motion import MAX_SUBSTEPS, SpringMotion, TimeGrid
@@ -148,7 +148,7 @@ def _motion(
     """Return the motion at times, until the simulation stops."""
     simulation = SpringSimulation(plan, start_grid, float(times[-1]), progress)
     simulation.forgets = False
-    start = Reached(start_grid.index, start_grid.state)
+    start = ReachedState(start_grid.index, start_grid.state)
     run = SimulationRun(
         "springs", simulation, start_grid.origin, start_grid.cell, start
     )

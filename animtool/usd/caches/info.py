@@ -20,11 +20,11 @@ from animtool.core.units import unit_name
 from animtool.usd.caches.reader import (
     PointReader,
     all_prims,
-    codes_of,
+    array_lengths,
     has_character,
-    lengths,
     point_prims,
     prototype_paths,
+    time_codes_of,
 )
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -36,7 +36,7 @@ from animtool.usd.rigs.prims import (
 )
 
 # What points form, and the attribute with an entry per face or curve.
-_ELEMENTS = {
+_ELEMENT_COUNTS = {
     "Mesh": ("faces", "faceVertexCounts"),
     "BasisCurves": ("curves", "curveVertexCounts"),
     "NurbsCurves": ("curves", "curveVertexCounts"),
@@ -114,7 +114,7 @@ def describe_points(path: Path) -> PointsDescription | None:
         prims = [_point_prim(prim) for prim in prims_with_points]
         if not prims:
             return None
-        chunks = [chunk for prim in all_prims(stage) for chunk in _chunks(prim)]
+        chunks = [chunk for prim in all_prims(stage) for chunk in _chunk_sets(prim)]
         codes = [code for chunk in prims for code in (chunk.first, chunk.last)]
         sample_codes = [code for code in codes if code is not None]
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
@@ -138,7 +138,7 @@ def describe_points(path: Path) -> PointsDescription | None:
         )
 
 
-def displaced_points(path: Path) -> list[PointPrim]:
+def animated_point_prims(path: Path) -> list[PointPrim]:
     """Return the prims of a stage whose points have samples."""
     with usd_errors(path):
         stage = open_stage(path)
@@ -150,14 +150,16 @@ def _point_prim(prim: Any) -> PointPrim:
     reader = PointReader(prim)
     times, copies, has = reader.times, reader.copies, reader.has
     codes = reader.codes
-    rows_at = codes_of(times)
-    counts = lengths(reader.attr, rows_at)
+    rows_at = time_codes_of(times)
+    counts = array_lengths(reader.attr, rows_at)
     kind = str(prim.GetTypeName())
-    pieces, name = ("meshes", "") if copies else _ELEMENTS.get(kind, ("", ""))
+    pieces, name = ("meshes", "") if copies else _ELEMENT_COUNTS.get(kind, ("", ""))
     shape = prim.GetAttribute(name) if name else None
     # Arrays of many samples are compressed; the lengths at both ends are enough.
     point_counts = (
-        lengths(shape, codes_of([*times[:1], *times[1:][-1:]])) if shape else []
+        array_lengths(shape, time_codes_of([*times[:1], *times[1:][-1:]]))
+        if shape
+        else []
     )
     if copies:
         point_counts = [len(prototype_paths(prim))]
@@ -165,9 +167,9 @@ def _point_prim(prim: Any) -> PointPrim:
     return PointPrim(
         str(prim.GetPath()),
         kind,
-        _span(counts),
+        _count_span(counts),
         pieces,
-        _span(point_counts),
+        _count_span(point_counts),
         len(codes),
         codes[0] if codes else None,
         codes[-1] if codes else None,
@@ -180,11 +182,13 @@ def _point_prim(prim: Any) -> PointPrim:
         has("normals"),
         has("orientations") or has("orientationsf"),
         sorted(str(primvar.GetPrimvarName()) for primvar in primvars),
-        _extent(prim, [code for code, n in zip(rows_at, counts, strict=True) if n]),
+        _extent_union(
+            prim, [code for code, n in zip(rows_at, counts, strict=True) if n]
+        ),
     )
 
 
-def _span(counts: Sequence[int | None]) -> tuple[int, int]:
+def _count_span(counts: Sequence[int | None]) -> tuple[int, int]:
     counts_ = [count for count in counts if count is not None]
     return min(counts_, default=0), max(counts_, default=0)
 
@@ -198,7 +202,9 @@ def _same_ids(prim: Any, times: Sequence[float]) -> bool:
     return np.array_equal(first, last)
 
 
-def _extent(prim: Any, codes: Sequence[Any]) -> tuple[list[float], list[float]] | None:
+def _extent_union(
+    prim: Any, codes: Sequence[Any]
+) -> tuple[list[float], list[float]] | None:
     """Return the union of all authored extents; None if any of them is invalid."""
     attribute = prim.GetAttribute("extent")
     extents = [array_value(attribute, code) for code in codes] if attribute else []
@@ -225,7 +231,7 @@ def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
     ]
 
 
-def _chunks(prim: Any) -> Iterator[ChunkSet]:
+def _chunk_sets(prim: Any) -> Iterator[ChunkSet]:
     """Yield the value clips of a prim."""
     if not prim.HasAuthoredMetadata("clips"):
         return

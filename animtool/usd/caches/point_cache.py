@@ -18,7 +18,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.rig.surfaces import Strands, Surface
-from animtool.skin.deform import Deformed
+from animtool.skin.deform import DeformedFrames
 from animtool.usd.caches.writer import (
     Block,
     CachedMesh,
@@ -27,22 +27,22 @@ from animtool.usd.caches.writer import (
     empty_attribute,
 )
 from animtool.usd.layers.chunks import (
-    Chunks,
+    ChunkedWriter,
     OneLayer,
     author_span,
-    point_files,
+    point_clip_files,
     write_frames,
 )
-from animtool.usd.layers.finite import Labels, rounded
+from animtool.usd.layers.finite import ValueLabels, rounded
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     StageMetadata,
-    attribute,
+    attribute_spec,
     author_metadata,
     author_model,
     export_layer,
     new_layer,
-    prim,
+    prim_spec,
 )
 from animtool.usd.rigs.meshes import author_meshes, mesh_names
 from animtool.usd.rigs.skeleton import author_strands, strand_paths
@@ -82,7 +82,7 @@ def mesh_paths(
 def round_points(
     mesh: int,
     codes: FloatArray,
-    deformed: Deformed,
+    deformed: DeformedFrames,
     meters_per_unit: float,
     space: PointSpace,
 ) -> Block:
@@ -105,11 +105,11 @@ def round_points(
         velocities = None if velocities is None else velocities @ linear.T
         normals = None if normals is None else _transformed_normals(normals, linear)
     rounded_points, error, frame, vertex = rounded(
-        points, meters_per_unit, Labels("points", "point"), codes
+        points, meters_per_unit, ValueLabels("points", "point"), codes
     )
 
     def to_float32(name: str, values: FloatArray, unit: float) -> Float32Array:
-        return rounded(values, unit, Labels(name, "point"), codes)[0]
+        return rounded(values, unit, ValueLabels(name, "point"), codes)[0]
 
     extent = to_float32("extent", extents, meters_per_unit)
     values = {"points": rounded_points, "extent": _padded_extents(extent, space.margin)}
@@ -165,7 +165,7 @@ def _author_prims(layer: Any, job: CacheJob) -> None:
         job.target.author(layer, normals=job.normals)
         return
     author_model(layer, job.paths.model)
-    prim(layer, job.paths.root, "Xform")
+    prim_spec(layer, job.paths.root, "Xform")
     unit = job.meters_per_unit
     author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
     author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
@@ -187,7 +187,7 @@ class ChunkedCache:
 
     layer: Any
     reports: list[CachedMesh]
-    _chunks: Chunks
+    _chunks: ChunkedWriter
 
     def finish(self, save: Callable[[Any, Path], int]) -> list[Path]:
         """Write the manifest, then the layer; return all files, the layer last."""
@@ -208,10 +208,12 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
     reports = [mesh.report for mesh in chunked_meshes]
 
     def chunk(path: Path, number: int) -> AbstractContextManager[list[PointWriter]]:
-        return _chunk(job, path, reports, with_rest=number == 0 and job.target is None)
+        return _chunk_writers(
+            job, path, reports, with_rest=number == 0 and job.target is None
+        )
 
-    files = point_files(job.output)
-    with Chunks(files, size, len(chunked_meshes), chunk) as chunks:
+    files = point_clip_files(job.output)
+    with ChunkedWriter(files, size, len(chunked_meshes), chunk) as chunks:
         write_frames(blocks, chunks, chunked_meshes)
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
     with Sdf.ChangeBlock():
@@ -223,7 +225,7 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
     def declare(manifest: Any) -> None:
         for report in reports:
-            spec = prim(manifest, report.path, over=True)
+            spec = prim_spec(manifest, report.path, over=True)
             for name in report.sampled:
                 empty_attribute(spec, name)
 
@@ -236,13 +238,13 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
 
 @contextmanager
-def _chunk(
+def _chunk_writers(
     job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, with_rest: bool
 ) -> Iterator[list[PointWriter]]:
     """Return the writers of one chunk file, optionally with default points."""
     layer = new_layer(path)
     for mesh in job.meshes:
-        prim(layer, mesh, over=True)
+        prim_spec(layer, mesh, over=True)
     writers = [PointWriter(layer, report) for report in reports]
     yield writers
     with Sdf.ChangeBlock():
@@ -284,6 +286,6 @@ class _ChunkedMesh:
                 empty_attribute(spec, name).finish(self._static[name])
             elif with_defaults:
                 kind = Sdf.ValueTypeNames.Vector3fArray
-                attribute(spec, name, kind, Sdf.ValueBlock())
+                attribute_spec(spec, name, kind, Sdf.ValueBlock())
         if self._static is not None:
             self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0

@@ -27,9 +27,9 @@ from animtool.usd.rigs.prims import (
     decompose,
     find_prim,
     find_skeletons,
-    integers,
+    integer_array,
     nearest_prim,
-    numbers,
+    number_rows,
     open_stage,
     placing_times,
     up_axis,
@@ -64,7 +64,7 @@ class PointReader:
 
     def at(self, time: Any) -> FloatArray:
         """Return the points at a time ``(N, 3)``, in local space and stage units."""
-        return numbers(self.attr, 3, time)
+        return number_rows(self.attr, 3, time)
 
     def count(self) -> int:
         """Return the number of points at the earliest time."""
@@ -78,11 +78,11 @@ class PointReader:
     def faces(self, time: Any) -> tuple[IntArray, IntArray]:
         """Return vertex counts per face ``(M,)`` and the face vertex indices."""
         mesh = UsdGeom.Mesh(self.prim)
-        counts = integers(mesh.GetFaceVertexCountsAttr(), time)
-        return counts, integers(mesh.GetFaceVertexIndicesAttr(), time)
+        counts = integer_array(mesh.GetFaceVertexCountsAttr(), time)
+        return counts, integer_array(mesh.GetFaceVertexIndicesAttr(), time)
 
 
-def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
+def transform_points(points: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return points ``(N, 3)`` transformed by a row-vector matrix ``(4, 4)``.
 
     Callers must check that the result is finite.
@@ -92,12 +92,12 @@ def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
     return result
 
 
-def codes_of(times: Sequence[float]) -> list[Any]:
+def time_codes_of(times: Sequence[float]) -> list[Any]:
     """Return samples as time codes; the default time code without samples."""
     return [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
 
 
-def lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
+def array_lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
     """Return the array length at each time; None without a value."""
     values = (attribute.Get(code) for code in codes)
     return [None if value is None else len(array_of(value)) for value in values]
@@ -203,7 +203,7 @@ class PointSource:
         points_local, matrix = reader.at(time), reader.world_from_prim(time)
         if not (np.isfinite(points_local).all() and np.isfinite(matrix).all()):
             location.fail("USD265", "points are not finite")
-        points = transformed(points_local, matrix) * self.unit
+        points = transform_points(points_local, matrix) * self.unit
         count = len(points)
 
         def array_rows(*names: str, width: int = 0) -> Any:
@@ -211,7 +211,9 @@ class PointSource:
             attr = next((prim.GetAttribute(n) for n in names if reader.has(n)), None)
             if attr is None:
                 return None
-            rows = numbers(attr, width, time) if width else integers(attr, time)
+            rows = (
+                number_rows(attr, width, time) if width else integer_array(attr, time)
+            )
             if not len(rows) == len(array_value(attr, time)) in {0, count}:
                 location.at(attr).fail("USD269", f"{len(rows)} for {count} points")
             return rows if len(rows) else None
@@ -285,7 +287,7 @@ class MeshSource:
         points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
         _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
         world = self._reader.world_from_prim(time)
-        world_points = transformed(points, world) * self._unit
+        world_points = transform_points(points, world) * self._unit
         if not np.isfinite(world_points).all():
             message = f"the transform of {self._reader.prim.GetPath()} is not finite"
             raise OptionError(

@@ -27,7 +27,7 @@ from animtool.usd.caches.reader import (
     all_prims,
     mesh_fault,
     prototype_paths,
-    transformed,
+    transform_points,
 )
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -35,15 +35,15 @@ from animtool.usd.rigs.mesh_read import bound_meshes
 from animtool.usd.rigs.meshes import COLORS
 from animtool.usd.rigs.prims import (
     find_skeletons,
-    numbers,
+    number_rows,
     open_stage,
     prim_below,
+    self_and_ancestors,
     up_axis,
-    upwards,
 )
 from animtool.usd.rigs.skinned import is_bones, skinned_prims
 
-_GPRIMS = (
+_IMPLICIT_SHAPES = (
     UsdGeom.Cube,
     UsdGeom.Sphere,
     UsdGeom.Cylinder,
@@ -53,7 +53,7 @@ _GPRIMS = (
 
 
 @dataclass(frozen=True, slots=True)
-class ShownFaces:
+class ShownMesh:
     """A mesh in local space [m], with the stage's axes."""
 
     points: FloatArray  # ``(N, 3)``
@@ -78,15 +78,15 @@ class ShownPrim:
         self._stage, self._reader = stage, PointReader(prim)
 
     @cached_property
-    def deforms(self) -> bool:
+    def is_deforming(self) -> bool:
         """Whether its local points or their number change."""
         attr = self._reader.attr
         return bool(attr and attr.ValueMightBeTimeVarying())
 
     @cached_property
-    def travels(self) -> bool:
+    def is_moving(self) -> bool:
         """Whether its world transform changes over time."""
-        for prim in upwards(self.prim):
+        for prim in self_and_ancestors(self.prim):
             xformable = UsdGeom.Xformable(prim)
             if xformable and xformable.TransformMightBeTimeVarying():
                 return True
@@ -110,12 +110,12 @@ class ShownPrim:
     def points(self, code: float) -> FloatArray:
         """Return its points in the world, Y up ``(N, 3)`` [m]."""
         time = Usd.TimeCode(code)
-        world_points = transformed(
+        world_points = transform_points(
             self._reader.at(time), self._reader.world_from_prim(time)
         )
         return self._stage.to_y_up(world_points * self._stage.meters)
 
-    def faces(self) -> ShownFaces | None:
+    def faces(self) -> ShownMesh | None:
         """Return its local mesh at the earliest time; None if invalid."""
         time = Usd.TimeCode.EarliestTime()
         if self.prim.IsA(UsdGeom.Mesh):
@@ -125,12 +125,12 @@ class ShownPrim:
                 return None
             double_sided = bool(UsdGeom.Mesh(self.prim).GetDoubleSidedAttr().Get())
         else:
-            points, counts, indices = _solid(self.prim)
+            points, counts, indices = _implicit_mesh(self.prim)
             double_sided = False
         colors = self.colors(self._stage.stage.GetStartTimeCode())
         vertex_colors = colors if len(colors) == len(points) > 1 else None
         points_meters = points * self._stage.meters
-        return ShownFaces(
+        return ShownMesh(
             points_meters, counts, indices, self.color, double_sided, vertex_colors
         )
 
@@ -144,7 +144,7 @@ class ShownPrim:
         attr = self.prim.GetAttribute("widths")
         if not attr or not attr.HasAuthoredValue():
             return np.zeros(0)
-        return numbers(attr, 1, Usd.TimeCode(code)) * self._stage.meters
+        return number_rows(attr, 1, Usd.TimeCode(code)) * self._stage.meters
 
     def ids(self, code: float) -> IntArray | None:
         """Return point ids ``(N,)``; None if absent."""
@@ -154,7 +154,7 @@ class ShownPrim:
 
     def colors(self, code: float) -> FloatArray:
         """Return linear colors, per point or one ``(N or 1, 3)``; none if absent."""
-        return _colors(self.prim, code)
+        return _display_colors(self.prim, code)
 
     @cached_property
     def color(self) -> tuple[float, float, float] | None:
@@ -183,7 +183,7 @@ class ShownPrim:
             sample.prototype_indices,
         )
 
-    def prototypes(self) -> list[list[tuple[ShownFaces, FloatArray]]]:
+    def prototypes(self) -> list[list[tuple[ShownMesh, FloatArray]]]:
         """Return its prototype meshes, each with its transform ``(4, 4)`` [m]."""
         stage = self._stage.stage
         prototypes = []
@@ -205,10 +205,10 @@ class ShownPrim:
 
     def visible(self, codes: FloatArray) -> BoolArray:
         """Return whether it is visible at each time code ``(F,)``."""
-        return _visible(self.prim, codes)
+        return _is_visible(self.prim, codes)
 
 
-def _colors(prim: Any, code: float) -> FloatArray:
+def _display_colors(prim: Any, code: float) -> FloatArray:
     """Return the inherited linear display color of a prim; none if absent."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     value = primvar.ComputeFlattened(Usd.TimeCode(code)) if primvar else None
@@ -302,13 +302,13 @@ class StageContents:
 
     def visible(self, path: str, codes: FloatArray) -> BoolArray:
         """Return whether a prim is visible at each time code ``(F,)``."""
-        return _visible(self.stage.GetPrimAtPath(path), codes)
+        return _is_visible(self.stage.GetPrimAtPath(path), codes)
 
     def visible_meshes(self, path: str, codes: FloatArray) -> dict[str, BoolArray]:
         """Return visibility by mesh name for the meshes of a Skeleton."""
         skeleton = UsdSkel.Skeleton(self.stage.GetPrimAtPath(path))
         return {
-            name: _visible(query.GetPrim(), codes)
+            name: _is_visible(query.GetPrim(), codes)
             for name, query in bound_meshes(skeleton)
         }
 
@@ -347,7 +347,7 @@ class StageContents:
         colors_by_name = {}
         code = self.stage.GetStartTimeCode()
         for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
-            colors = _colors(query.GetPrim(), code)
+            colors = _display_colors(query.GetPrim(), code)
             is_default = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(
                 1
             )
@@ -391,12 +391,12 @@ def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
         return StageContents(path, stage, root_path)
 
 
-def _visible(prim: Any, codes: FloatArray) -> BoolArray:
+def _is_visible(prim: Any, codes: FloatArray) -> BoolArray:
     """Return whether a prim is visible at each time code ``(F,)``."""
     image, invisible_token = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
     if not any(
         UsdGeom.Imageable(ancestor).GetVisibilityAttr().ValueMightBeTimeVarying()
-        for ancestor in upwards(prim)
+        for ancestor in self_and_ancestors(prim)
         if UsdGeom.Imageable(ancestor)
     ):
         return np.full(len(codes), image.ComputeVisibility() != invisible_token)
@@ -405,7 +405,7 @@ def _visible(prim: Any, codes: FloatArray) -> BoolArray:
 
 
 def _prim_kind(prim: Any) -> str:
-    if prim.IsA(UsdGeom.Mesh) or any(prim.IsA(schema) for schema in _GPRIMS):
+    if prim.IsA(UsdGeom.Mesh) or any(prim.IsA(schema) for schema in _IMPLICIT_SHAPES):
         return "mesh"
     if prim.IsA(UsdGeom.Curves):
         return "curves"
@@ -425,10 +425,10 @@ def _relative_transform(prim: Any, root: Any, meters: float) -> FloatArray:
 
 
 # Rotations from z to the axis of an implicit shape.
-_AXES = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
+_AXIS_ORDERS = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
 
-def _solid(prim: Any) -> solids.Solid:
+def _implicit_mesh(prim: Any) -> solids.Solid:
     """Return the mesh of an implicit shape in stage units."""
 
     def value(name: str) -> float:
@@ -445,5 +445,5 @@ def _solid(prim: Any) -> solids.Solid:
         points, counts, indices = solids.cylinder(radius, height, 0.0)
     else:
         points, counts, indices = solids.cylinder(radius, height)
-    axis = _AXES[str(prim.GetAttribute("axis").Get() or "Z")]
+    axis = _AXIS_ORDERS[str(prim.GetAttribute("axis").Get() or "Z")]
     return points[:, axis], counts, indices

@@ -17,10 +17,10 @@ from animtool.rig.parts import Attachment
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.caches.writer import PointSpace
 from animtool.usd.layers.faults import PrimLocation
-from animtool.usd.layers.sdf import attribute, author_order, prim
+from animtool.usd.layers.sdf import attribute_spec, author_order, prim_spec
 from animtool.usd.rigs.mesh_read import bound_meshes, bound_strands
-from animtool.usd.rigs.skinned import MAX_NAMED
-from animtool.usd.rigs.target import RigTarget, compose_check
+from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS
+from animtool.usd.rigs.target import RigTarget, compose_over_rig
 
 # A transform between mesh and skeleton closer to identity than this is rounding.
 IDENTITY_TOLERANCE = 1e-9
@@ -34,7 +34,9 @@ class TargetMesh:
     path: str  # prim path in a layer over the rig
     space: PointSpace  # space of its points, in the rig's unit
     normals: bool  # whether it has normals that a cache can replace
-    blocked: tuple[str, ...]  # attributes that are invalid for deformed points
+    blocked_attributes: tuple[
+        str, ...
+    ]  # attributes that are invalid for deformed points
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,24 +66,24 @@ class CacheTarget:
     def author(self, layer: Any, *, normals: bool) -> None:
         """Write overs on the SkelRoot, the meshes and the strands."""
         # As in UsdSkel.BakeSkinning: prims outside a SkelRoot are not skinned.
-        root = prim(layer, self.rig.paths.root, "Xform", over=True)
+        root = prim_spec(layer, self.rig.paths.root, "Xform", over=True)
         if self.rig.moves:
             author_order(root, *self.rig.operations)
         for mesh in self.prims:
-            spec = prim(layer, mesh.path, over=True)
-            blocked = mesh.blocked
+            spec = prim_spec(layer, mesh.path, over=True)
+            blocked = mesh.blocked_attributes
             if mesh.normals and not normals:
                 blocked += ("normals",)
             for name in blocked:
                 kind = Sdf.ValueTypeNames.Normal3fArray
-                attribute(spec, name, kind, Sdf.ValueBlock())
+                attribute_spec(spec, name, kind, Sdf.ValueBlock())
 
     def check(self, layer: Any, *, points: bool = True) -> None:
         """Compose the layer with its rig, and verify that its points are the strongest.
 
         ``points`` says whether the layer itself has the points.
         """
-        stage = compose_check(self.rig, layer)
+        stage = compose_over_rig(self.rig, layer)
         root = stage.GetPrimAtPath(self.rig.paths.root)
         hidden_meshes = []
         if root.IsA(UsdSkel.Root):
@@ -122,7 +124,7 @@ def open_cache_target(
         faults += _mesh_mismatches(mesh, name, count, rig) + _animated_ancestors(
             mesh, skeleton, rig
         )
-        meshes.append(_mesh(mesh, name, skeleton, rig))
+        meshes.append(_target_mesh(mesh, name, skeleton, rig))
     attachments = {
         entry.name: (entry, source)
         for entry, source in bound_strands(skeleton, rig.skeleton, str(rig.path))
@@ -135,13 +137,13 @@ def open_cache_target(
         faults += _curve_mismatch(
             basis_curves, entry, shape, rig
         ) + _animated_ancestors(basis_curves, skeleton, rig)
-        strands.append(_strands(basis_curves, name, skeleton, rig))
+        strands.append(_target_strands(basis_curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
     unknown = [name for name in counts if name not in bound]
     unknown += [name for name in curves if name not in attachments]
     subject = "meshes or strands of the take are not in the rig layer"
-    notices = _notice("USD141", unknown, subject, "they are skipped", rig.path)
+    notices = _count_notice("USD141", unknown, subject, "they are skipped", rig.path)
     deformed_paths = {bound[mesh.name].GetPath() for mesh in meshes}
     deformed_paths |= {attachments[entry.name][1].GetPath() for entry in strands}
     notices += _static_mesh_notice(root, deformed_paths, rig.path)
@@ -187,7 +189,7 @@ def _animated_ancestors(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]
     return faults
 
 
-def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
+def _target_mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
     is_skinned = binding.GetJointIndicesPrimvar().HasAuthoredValue()
     normals = mesh.GetNormalsAttr().HasAuthoredValue()
@@ -195,24 +197,26 @@ def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
     return TargetMesh(
         name,
         rig.on_layer(mesh.GetPath()),
-        PointSpace(_placement(mesh, skeleton) if is_skinned else None),
+        PointSpace(_space_matrix(mesh, skeleton) if is_skinned else None),
         normals_follow,
         _unusable_normals(mesh, normals_follow=normals_follow),
     )
 
 
-def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
+def _target_strands(
+    curves: Any, name: str, skeleton: Any, rig: RigTarget
+) -> TargetMesh:
     widths = curves.GetWidthsAttr().Get(Usd.TimeCode.EarliestTime()) or (0.0,)
     return TargetMesh(
         name,
         rig.on_layer(curves.GetPath()),
-        PointSpace(_placement(curves, skeleton), max(widths) / 2),
+        PointSpace(_space_matrix(curves, skeleton), max(widths) / 2),
         False,
         _unusable_normals(curves, normals_follow=False),
     )
 
 
-def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
+def _space_matrix(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
     mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
@@ -233,13 +237,13 @@ def _unusable_normals(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _notice(
+def _count_notice(
     code: str, names: Sequence[str], text: str, hint: str, path: Path
 ) -> list[Fault]:
     """Return a warning with counts and names; empty without names."""
     if not names:
         return []
-    message = f"{len(names)} {text}: {listed(names, MAX_NAMED)}"
+    message = f"{len(names)} {text}: {listed(names, MAX_LISTED_PRIMS)}"
     return [Fault(code, message, str(path), (), hint, Severity.WARNING)]
 
 
@@ -257,15 +261,17 @@ def _static_mesh_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault
         if query.GetPrim().GetPath() not in deformed
     ]
     hint = "the SkelRoot becomes an Xform, but the cache does not cover their points"
-    return _notice(
+    return _count_notice(
         "USD142", static_meshes, "prims stop following their skeleton", hint, path
     )
 
 
 def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:
-    blocked_names = [mesh.name for mesh in meshes if mesh.blocked]
+    blocked_names = [mesh.name for mesh in meshes if mesh.blocked_attributes]
     if not blocked_names:
         return []
-    message = f"normals of {listed(blocked_names, MAX_NAMED)} are not one per vertex"
+    message = (
+        f"normals of {listed(blocked_names, MAX_LISTED_PRIMS)} are not one per vertex"
+    )
     hint = "they are blocked, as they would not match deformed points"
     return [Fault("USD143", message, str(path), (), hint, Severity.NOTE)]

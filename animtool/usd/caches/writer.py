@@ -17,8 +17,13 @@ from pxr import Sdf, Vt
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.usd.layers.finite import Labels
-from animtool.usd.layers.sdf import SampleWriter, attribute, quaternion, vector
+from animtool.usd.layers.finite import ValueLabels
+from animtool.usd.layers.sdf import (
+    SampleWriter,
+    attribute_spec,
+    gf_quaternion,
+    gf_vector,
+)
 
 if TYPE_CHECKING:
     from animtool.motion.frames import (
@@ -42,8 +47,8 @@ class AttributeKind:
     uniform: bool = False
 
 
-_INTEGERS = AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
-_TOKEN = AttributeKind(_TYPES.Token, str, uniform=True)
+_INTEGER_ATTRIBUTE = AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
+_TOKEN_ATTRIBUTE = AttributeKind(_TYPES.Token, str, uniform=True)
 ATTRIBUTES = {
     "points": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
     "velocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
@@ -54,22 +59,22 @@ ATTRIBUTES = {
     "orientationsf": AttributeKind(_TYPES.QuatfArray, Vt.QuatfArray.FromNumpy),
     "angularVelocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
     "scales": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
-    "protoIndices": _INTEGERS,
+    "protoIndices": _INTEGER_ATTRIBUTE,
     "widths": AttributeKind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
-    "curveVertexCounts": _INTEGERS,
-    "faceVertexCounts": _INTEGERS,
-    "faceVertexIndices": _INTEGERS,
-    "subdivisionScheme": _TOKEN,
+    "curveVertexCounts": _INTEGER_ATTRIBUTE,
+    "faceVertexCounts": _INTEGER_ATTRIBUTE,
+    "faceVertexIndices": _INTEGER_ATTRIBUTE,
+    "subdivisionScheme": _TOKEN_ATTRIBUTE,
     "doubleSided": AttributeKind(_TYPES.Bool, bool, uniform=True),
-    "purpose": _TOKEN,
-    "type": _TOKEN,
-    "wrap": _TOKEN,
-    "xformOp:translate": AttributeKind(_TYPES.Double3, vector),
-    "xformOp:orient": AttributeKind(_TYPES.Quatd, quaternion),
+    "purpose": _TOKEN_ATTRIBUTE,
+    "type": _TOKEN_ATTRIBUTE,
+    "wrap": _TOKEN_ATTRIBUTE,
+    "xformOp:translate": AttributeKind(_TYPES.Double3, gf_vector),
+    "xformOp:orient": AttributeKind(_TYPES.Quatd, gf_quaternion),
 }
 
 
-def kind_of(name: str, values: npt.NDArray[Any]) -> AttributeKind:
+def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
     """Return how an attribute is written; primvars by the shape of their values.
 
     ``name`` is one that `split_attribute` parses.
@@ -89,7 +94,7 @@ def author_values(spec: Any, values: Mapping[str, Any]) -> None:
     """Author constant values of `ATTRIBUTES`, in order."""
     for name, value in values.items():
         kind = ATTRIBUTES[name]
-        attribute(
+        attribute_spec(
             spec,
             name,
             kind.type_name,
@@ -106,7 +111,7 @@ POLYLINE = {"type": "linear", "wrap": "nonperiodic"}
 def author_width(spec: Any, width: float) -> None:
     """Author one constant width for all curves, in stage units."""
     widths = Vt.FloatArray([width])
-    attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
+    attribute_spec(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
 
 
 def split_attribute(path: str, name: str) -> tuple[str, str]:
@@ -149,7 +154,7 @@ class Block:
         """Size of the values in memory."""
         return sum(rows.nbytes for rows in self.values.values())
 
-    def some(self, frames: slice) -> Block:
+    def select_frames(self, frames: slice) -> Block:
         """Return a subset of the frames, with the error of all frames."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
@@ -190,12 +195,12 @@ class CachedMesh:
             self.error_vertex = block.error_vertex
 
 
-def labels_of(report: CachedMesh, name: str) -> Labels:
+def attribute_labels(report: CachedMesh, name: str) -> ValueLabels:
     """Return labels for messages about an attribute's values."""
     names = () if name == "extent" else report.names
     of = "body" if names else "point"
     location = ".".join(split_attribute(report.path, name))
-    return Labels(location, "" if "." in name else of, names)
+    return ValueLabels(location, "" if "." in name else of, names)
 
 
 class PointWriter:
@@ -224,17 +229,17 @@ class PointWriter:
         with Sdf.ChangeBlock():
             for name, rows in block.values.items():
                 if name not in self._channels:
-                    self._channels[name] = self._channel(name, rows)
+                    self._channels[name] = self._attribute_writer(name, rows)
                 self._channels[name].add(block.codes, rows)
         if self._on_added is not None:
             self._on_added(block.bytes)
 
-    def _channel(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
+    def _attribute_writer(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
         if not self._every:
-            return empty_attribute(self._spec, name)
-        labels = labels_of(self._report, name)
+            return empty_attribute(self._prim_spec, name)
+        labels = attribute_labels(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
-        make = kind_of(name, rows[0]).make
+        make = attribute_kind(name, rows[0]).make
         return SampleWriter(
             attr,
             make,
@@ -245,7 +250,7 @@ class PointWriter:
         )
 
     @property
-    def _spec(self) -> Any:
+    def _prim_spec(self) -> Any:
         return self._layer.GetPrimAtPath(self._report.path)
 
     def release(self, *, rest: bool) -> None:
@@ -273,7 +278,7 @@ class PointWriter:
                 velocities.release()
                 channels["velocities"] = velocities
             else:
-                remove_attribute(self._spec, "velocities")
+                remove_attribute(self._prim_spec, "velocities")
         for name, channel in channels.items():
             if rest and name != "velocities":
                 channel.rest()
@@ -291,7 +296,7 @@ def empty_attribute(spec: Any, name: str) -> SampleWriter:
     """Replace an attribute of the rest mesh by one without a value."""
     remove_attribute(spec, name)
     kind = ATTRIBUTES[name]
-    attr = attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
+    attr = attribute_spec(spec, name, kind.type_name, interpolation=kind.interpolation)
     return SampleWriter(attr, kind.make)
 
 
@@ -346,7 +351,9 @@ class FrameForm(Generic[FrameT]):
         """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
         attribute_kinds = {name: ATTRIBUTES[name] for name in self.sampled}
-        attribute_kinds |= {name: kind_of(name, rows) for name, rows in arrays.items()}
+        attribute_kinds |= {
+            name: attribute_kind(name, rows) for name, rows in arrays.items()
+        }
         return {**attribute_kinds, "extent": ATTRIBUTES["extent"]}
 
     def divide(self, spec: Any, frame: FrameT) -> None:

@@ -11,23 +11,28 @@ from pxr import UsdSkel
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import AnyArray, SampledArray, StageSubject, at_samples
+from animtool.usd.checks.subject import (
+    AnyArray,
+    SampledArray,
+    StageSubject,
+    samples_text,
+)
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
-    duplicate_names,
-    missing_parts,
-    tokens,
+    duplicate_name_faults,
+    missing_transform_faults,
+    token_array,
     transform_attributes,
-    unknown_joints,
+    unknown_joint_faults,
 )
 from animtool.usd.rigs.skinned import is_shown_mesh
 
-_SCHEMAS = {
+_TARGET_SCHEMAS = {
     "skel:animationSource": UsdSkel.Animation,
     "skel:skeleton": UsdSkel.Skeleton,
     "skel:blendShapeTargets": UsdSkel.BlendShape,
 }
-_NAMES = {
+_TARGET_TYPE_NAMES = {
     "skel:animationSource": "SkelAnimation",
     "skel:skeleton": "Skeleton",
     "skel:blendShapeTargets": "BlendShape",
@@ -40,7 +45,7 @@ def check_bindings(subject: StageSubject) -> Iterator[Fault]:
     In a layer over another file's rig, missing targets may be in that file.
     """
     for prim in subject.prims:
-        for name, schema in _SCHEMAS.items():
+        for name, schema in _TARGET_SCHEMAS.items():
             relationship = prim.GetRelationship(name)
             if not relationship:
                 continue
@@ -54,12 +59,12 @@ def check_bindings(subject: StageSubject) -> Iterator[Fault]:
                     and not target_prim.IsDefined()
                 ):
                     continue
-                yield from _target(
-                    relationship, target, target_prim, schema, _NAMES[name]
+                yield from _check_target(
+                    relationship, target, target_prim, schema, _TARGET_TYPE_NAMES[name]
                 )
 
 
-def _target(
+def _check_target(
     relationship: Any, target: Any, prim: Any, schema: Any, type_name: str
 ) -> Iterator[Fault]:
     if not prim:
@@ -72,25 +77,25 @@ def _target(
 
 
 # |cos| of half the angle above which two quaternions count as the same rotation.
-SAME_ROTATION = 0.7
+MIN_SAME_COSINE = 0.7
 
 
 def check_animations(subject: StageSubject) -> Iterator[Fault]:
     """Check array lengths, values and rotations of every SkelAnimation sample."""
     for animation in subject.of_type(UsdSkel.Animation):
-        joints = tokens(animation.GetJointsAttr())
-        yield from duplicate_names(animation.GetJointsAttr())
+        joints = token_array(animation.GetJointsAttr())
+        yield from duplicate_name_faults(animation.GetJointsAttr())
         if joints:
-            yield from _transforms(subject, animation, joints)
-        shapes = tokens(animation.GetBlendShapesAttr())
-        yield from duplicate_names(animation.GetBlendShapesAttr())
-        yield from _weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
+            yield from _check_transforms(subject, animation, joints)
+        shapes = token_array(animation.GetBlendShapesAttr())
+        yield from duplicate_name_faults(animation.GetBlendShapesAttr())
+        yield from _check_weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
 
 
-def _transforms(
+def _check_transforms(
     subject: StageSubject, animation: Any, joints: list[str]
 ) -> Iterator[Fault]:
-    faults = list(missing_parts(animation, joints))
+    faults = list(missing_transform_faults(animation, joints))
     yield from faults
     if any(fault.code == "USD150" for fault in faults):
         return
@@ -99,29 +104,29 @@ def _transforms(
             continue
         width = 4 if name == "rotations" else 3
         array = subject.sampled(attr)
-        yield from _counts("USD200", attr, array, len(joints), "joints")
+        yield from _check_counts("USD200", attr, array, len(joints), "joints")
         rows_, values = array.rows(len(joints), width)
         not_finite = np.asarray(~np.isfinite(values).all(axis=-1))
         if len(rows_) == len(array.counts) and not not_finite.any():
             subject.finite.add(attr.GetPath())
         if not_finite.any():
-            yield _not_finite(attr, array, rows_, not_finite, joints)
+            yield _non_finite_fault(attr, array, rows_, not_finite, joints)
         elif name == "rotations" and len(values):
-            yield from _rotations(attr, array, rows_, values, joints)
+            yield from _check_rotations(attr, array, rows_, values, joints)
 
 
-def _counts(
+def _check_counts(
     code: str, attr: Any, array: SampledArray, expected: int, noun: str
 ) -> Iterator[Fault]:
     is_wrong_count = array.counts != expected
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
         have = "no value" if count < 0 else counted(count, "value")
-        message = f"{have} for {expected} {noun} {at_samples(array, is_wrong_count)}"
+        message = f"{have} for {expected} {noun} {samples_text(array, is_wrong_count)}"
         yield finding(code, attr.GetPath(), message)
 
 
-def _not_finite(
+def _non_finite_fault(
     attr: Any,
     array: SampledArray,
     sample_indices: Any,
@@ -130,21 +135,23 @@ def _not_finite(
 ) -> Fault:
     rows = not_finite.any(axis=1)
     first_row = int(np.flatnonzero(not_finite[np.flatnonzero(rows)[0]])[0])
-    samples = at_samples(array, sample_indices[rows])
+    samples = samples_text(array, sample_indices[rows])
     message = f"{excerpt(names[first_row])} is not finite {samples}"
     return finding("USD202", attr.GetPath(), message)
 
 
-def _weights(subject: StageSubject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
+def _check_weights(
+    subject: StageSubject, attr: Any, shapes: list[str]
+) -> Iterator[Fault]:
     array = subject.sampled(attr)
-    yield from _counts("USD206", attr, array, len(shapes), "blendShapes")
+    yield from _check_counts("USD206", attr, array, len(shapes), "blendShapes")
     sample_indices, values = array.rows(len(shapes), 1)
     not_finite = ~np.isfinite(values[..., 0])
     if not_finite.any():
-        yield _not_finite(attr, array, sample_indices, not_finite, shapes)
+        yield _non_finite_fault(attr, array, sample_indices, not_finite, shapes)
 
 
-def _rotations(
+def _check_rotations(
     attr: Any,
     array: SampledArray,
     sample_indices: Any,
@@ -157,16 +164,16 @@ def _rotations(
         row, joint = (int(i[0]) for i in np.nonzero(is_not_unit))
         message = (
             f"{excerpt(joints[joint])} has length {squares[row, joint] ** 0.5:.6g} "
-            f"{at_samples(array, sample_indices[is_not_unit.any(axis=1)])}"
+            f"{samples_text(array, sample_indices[is_not_unit.any(axis=1)])}"
         )
         yield finding("USD203", attr.GetPath(), message)
         return
     cosines = np.einsum("fjc,fjc->fj", values[1:], values[:-1])
-    is_flipped = cosines < -SAME_ROTATION
+    is_flipped = cosines < -MIN_SAME_COSINE
     if is_flipped.any():
         names = [joints[j] for j in np.flatnonzero(is_flipped.any(axis=0))]
         frames = sample_indices[1:][is_flipped.any(axis=1)]
-        message = f"signs of {listed(names)} change {at_samples(array, frames)}"
+        message = f"signs of {listed(names)} change {samples_text(array, frames)}"
         yield finding("USD204", attr.GetPath(), message)
 
 
@@ -176,7 +183,7 @@ def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
     bindings: dict[Any, Any] = {}
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
-        names = tokens(binding.GetBlendShapesAttr())
+        names = token_array(binding.GetBlendShapesAttr())
         skeleton = prim.IsA(UsdSkel.Skeleton)
         if not (names or skeleton):
             continue
@@ -194,12 +201,12 @@ def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
         bindings[source.GetPath()] = source
         shapes.setdefault(source.GetPath(), set()).update(names)
         if skeleton:
-            joints = tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
+            joints = token_array(UsdSkel.Skeleton(prim).GetJointsAttr())
             attr = UsdSkel.Animation(source).GetJointsAttr()
-            yield from unknown_joints(attr, joints, prim.GetPath())
+            yield from unknown_joint_faults(attr, joints, prim.GetPath())
     for path, source in bindings.items():
         attr = UsdSkel.Animation(source).GetBlendShapesAttr()
-        unknown = [name for name in tokens(attr) if name not in shapes[path]]
+        unknown = [name for name in token_array(attr) if name not in shapes[path]]
         if unknown and not subject.alone and any(map(is_shown_mesh, subject.prims)):
             message = f"{len(unknown)} shapes that no mesh has: {listed(unknown)}"
             yield finding("USD210", attr.GetPath(), message)

@@ -2,7 +2,7 @@
 
 The extent of a SkelRoot with one skeleton is the bounds of its joints plus a constant
 padding, so all samples are compared at once and USD computes only the outliers. For
-other prims USD computes up to `MAX_COMPUTED` samples.
+other prims USD computes up to `MAX_COMPUTED_SAMPLES` samples.
 """
 
 from __future__ import annotations
@@ -21,19 +21,24 @@ from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
-from animtool.usd.checks.subject import AnyArray, SampledArray, StageSubject, at_samples
+from animtool.usd.checks.subject import (
+    AnyArray,
+    SampledArray,
+    StageSubject,
+    samples_text,
+)
 from animtool.usd.layers.faults import (
     joint_parents,
     matrix_array,
-    tokens,
+    token_array,
     transform_attributes,
 )
 from animtool.usd.rigs.prims import decompose
 
 # Tolerance relative to the diagonal; text files with four digits are within it.
-TOLERANCE = 1e-3
+EXTENT_TOLERANCE = 1e-3
 # Maximum samples whose extents USD computes.
-MAX_COMPUTED = 50
+MAX_COMPUTED_SAMPLES = 50
 BLOCK_FRAMES = 2048
 # Attributes that determine the extent of instances, with their prototypes.
 _INSTANCE_ATTRIBUTES = (
@@ -133,7 +138,7 @@ def _instance_sources(subject: StageSubject, instancer: Any) -> list[Any] | None
 def _joints_below(root: Any) -> bool:
     """Return whether a Skeleton below a SkelRoot has joints."""
     return any(
-        tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
+        token_array(UsdSkel.Skeleton(prim).GetJointsAttr())
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
         if prim.IsA(UsdSkel.Skeleton)
     )
@@ -146,7 +151,7 @@ def _compare_extents(
     is_wrong_count = array.counts != 2
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
-        message = f"{count} corners instead of 2, {at_samples(array, is_wrong_count)}"
+        message = f"{count} corners instead of 2, {samples_text(array, is_wrong_count)}"
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
@@ -165,7 +170,9 @@ def _compare_extents(
     if joint_bounds is not None:
         excess, _ = bounds_difference(extents, joint_bounds, exact=exact)
         outliers = np.flatnonzero(~(excess <= 0))
-        candidates = np.sort(outliers[np.argsort(-excess[outliers])[:MAX_COMPUTED]])
+        candidates = np.sort(
+            outliers[np.argsort(-excess[outliers])[:MAX_COMPUTED_SAMPLES]]
+        )
     skinned_root = _SkinnedRoot(boundable)
     faulty = []
     for i in candidates.tolist():
@@ -193,7 +200,7 @@ def _compare_extents(
     sampled_at = SampledArray(times, [], np.zeros(len(times), np.int64))
     or_more = " or more" if outliers is None and len(candidates) < len(times) else ""
     prefix = "off by" if exact else "what moves exceeds it by"
-    message = f"{prefix} {largest:.3g}{or_more} {at_samples(sampled_at, frames)}"
+    message = f"{prefix} {largest:.3g}{or_more} {samples_text(sampled_at, frames)}"
     if len(frames) > 1:
         message += f", most at {frame_label(times[-position])}"
     if skinned_root.bounds is not None:
@@ -257,7 +264,7 @@ def bounds_difference(
     distances = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))
     sizes = np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
     magnitudes = np.abs(bounds).max(axis=(1, 2))
-    return distances - TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
+    return distances - EXTENT_TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
 
 
 def _computed_extent(boundable: Any, code: Any) -> Any:
@@ -271,7 +278,7 @@ def _computed_extent(boundable: Any, code: Any) -> Any:
 def _spaced_indices(count: int) -> IntArray:
     """Return up to `MAX_ASKED` evenly spaced indices below a count."""
     return np.unique(
-        np.linspace(0, count - 1, min(count, MAX_COMPUTED)).astype(np.int64)
+        np.linspace(0, count - 1, min(count, MAX_COMPUTED_SAMPLES)).astype(np.int64)
     )
 
 
@@ -284,7 +291,11 @@ def _joint_bounds(
     at other times, or values that other checks refuse.
     """
     root = boundable.GetPrim()
-    if len(source) != 3 or not root.IsA(UsdSkel.Root) or len(times) <= MAX_COMPUTED:
+    if (
+        len(source) != 3
+        or not root.IsA(UsdSkel.Root)
+        or len(times) <= MAX_COMPUTED_SAMPLES
+    ):
         return None
     skeletons = [p for p in Usd.PrimRange(root) if p.IsA(UsdSkel.Skeleton)]
     if len(skeletons) != 1 or skeletons[0].GetParent() != root:
@@ -292,11 +303,11 @@ def _joint_bounds(
     if UsdGeom.Xformable(skeletons[0]).GetXformOpOrderAttr().Get():
         return None
     skeleton = UsdSkel.Skeleton(skeletons[0])
-    locals_ = _locals(subject, skeleton, source, times)
+    locals_ = _local_transforms(subject, skeleton, source, times)
     if locals_ is None:
         return None
-    joints = tokens(skeleton.GetJointsAttr())
-    bounds = _bounds(joint_parents(joints), *locals_)
+    joints = token_array(skeleton.GetJointsAttr())
+    bounds = _origin_bounds(joint_parents(joints), *locals_)
     code = Usd.TimeCode(times[0])
     first_extent = _computed_extent(boundable, code)
     if first_extent is None:
@@ -306,14 +317,16 @@ def _joint_bounds(
     return padded
 
 
-def _locals(
+def _local_transforms(
     subject: StageSubject, skeleton: Any, source: list[Any], times: FloatArray
 ) -> tuple[AnyArray, AnyArray, AnyArray] | None:
     """Return local translations, rotations and scales ``(F or 1, J, …)``."""
-    joints = tokens(skeleton.GetJointsAttr())
+    joints = token_array(skeleton.GetJointsAttr())
     parents = joint_parents(joints)
     rest = matrix_array(skeleton.GetRestTransformsAttr())
-    animated_joints = tokens(UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr())
+    animated_joints = token_array(
+        UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr()
+    )
     columns = np.array(
         [joints.index(n) if n in joints else -1 for n in animated_joints], np.int64
     )
@@ -346,7 +359,7 @@ def _locals(
     return components[0], components[1], components[2]
 
 
-def _bounds(
+def _origin_bounds(
     parents: IntArray,
     translations: AnyArray,
     rotations: AnyArray,
@@ -360,7 +373,7 @@ def _bounds(
         block = slice(begin, min(begin + BLOCK_FRAMES, count))
         frames = block.stop - begin
         t, r, s = (
-            _block(values, block, frames)
+            _frame_block(values, block, frames)
             for values in (translations, rotations, joint_scales)
         )
         positions = np.zeros((frames, len(parents), 3))
@@ -372,6 +385,6 @@ def _bounds(
     return bounds
 
 
-def _block(values: AnyArray, block: slice, frames: int) -> FloatArray:
+def _frame_block(values: AnyArray, block: slice, frames: int) -> FloatArray:
     rows = values[block] if len(values) > 1 else np.repeat(values, frames, axis=0)
     return np.ascontiguousarray(rows, np.float64)

@@ -99,10 +99,10 @@ COVERED_CODES = frozenset(
 # Maximum findings per prim, and per layer metadata.
 MAX_FINDINGS = 5
 # Metadata that other rules check in the root layer, and rates in all layers.
-RATES = frozenset({"framesPerSecond", "timeCodesPerSecond"})
+RATE_FIELDS = frozenset({"framesPerSecond", "timeCodesPerSecond"})
 ROOT_FIELDS = frozenset({"startTimeCode", "endTimeCode", "metersPerUnit"})
 # Fields that are not metadata, or have no numbers.
-NON_NUMERIC = frozenset(
+NON_NUMERIC_FIELDS = frozenset(
     {
         "custom",
         "default",
@@ -158,9 +158,9 @@ def _layer_problems(
         spec = layer.GetObjectAtPath(path)
         if spec is None:
             continue
-        skipped = NON_NUMERIC
+        skipped = NON_NUMERIC_FIELDS
         if path == Sdf.Path.absoluteRootPath:
-            skipped = skipped | RATES | (ROOT_FIELDS if is_root else set())
+            skipped = skipped | RATE_FIELDS | (ROOT_FIELDS if is_root else set())
             for i, offset in enumerate(layer.subLayerOffsets):
                 if problem := _data_problem(offset, f"subLayerOffsets[{i}]"):
                     yield path, problem
@@ -192,7 +192,7 @@ def _data_problem(value: Any, name: str) -> str:
     numbers = floats_of(value)
     if numbers is None or _is_finite(numbers):
         return ""
-    return f"its metadata {name} is {_first_bad_number(numbers)}"
+    return f"its metadata {name} is {_non_finite_number(numbers)}"
 
 
 def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
@@ -201,7 +201,7 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
         problems.append(
-            f"its default is {_first_bad_number(default)}{_element(default)}"
+            f"its default is {_non_finite_number(default)}{_element_index(default)}"
         )
     path = spec.path
     times = [] if _is_covered(subject, path) else layer.ListTimeSamplesForPath(path)
@@ -214,10 +214,9 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
             continue
         bad_count += 1
         if not first_problem:
-            element = _element(numbers)
-            first_problem = (
-                f"it is {_first_bad_number(numbers)} at time code {time:.10g}{element}"
-            )
+            element = _element_index(numbers)
+            number = _non_finite_number(numbers)
+            first_problem = f"it is {number} at time code {time:.10g}{element}"
     if bad_count > 1:
         first_problem += f", and in {counted(bad_count - 1, 'more sample')}"
     return "; ".join(filter(None, (*problems, first_problem)))
@@ -253,12 +252,12 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
     if fallback_values is None:
         # An attribute of a schema that the prim does not apply, as some exporters
         # write.
-        return any(name.fullmatch(path.name) for name in _infinite_names())
+        return any(name.fullmatch(path.name) for name in _attributes_with_infinity())
     return not _is_finite(fallback_values)
 
 
 @cache
-def _infinite_names() -> tuple[re.Pattern[str], ...]:
+def _attributes_with_infinity() -> tuple[re.Pattern[str], ...]:
     """Return attributes whose schema fallback is infinite."""
     registry, names = Usd.SchemaRegistry(), set()
     for schema in Tf.Type.Find(Usd.APISchemaBase).GetAllDerivedTypes():
@@ -274,15 +273,15 @@ def _infinite_names() -> tuple[re.Pattern[str], ...]:
     return tuple(map(re.compile, sorted(names)))
 
 
-def _first_bad(numbers: npt.NDArray[Any]) -> Any:
+def _first_non_finite(numbers: npt.NDArray[Any]) -> Any:
     return np.argwhere(~np.isfinite(numbers))[0]
 
 
-def _first_bad_number(numbers: npt.NDArray[Any]) -> str:
-    return f"{float(numbers[tuple(_first_bad(numbers))]):g}"
+def _non_finite_number(numbers: npt.NDArray[Any]) -> str:
+    return f"{float(numbers[tuple(_first_non_finite(numbers))]):g}"
 
 
-def _element(numbers: npt.NDArray[Any]) -> str:
+def _element_index(numbers: npt.NDArray[Any]) -> str:
     """Return the array index of the first non-finite number as text."""
-    index = _first_bad(numbers)
+    index = _first_non_finite(numbers)
     return f", element {index[0]}" if len(index) else ""

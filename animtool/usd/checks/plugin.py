@@ -18,7 +18,7 @@ from animtool.usd.checks.run import ANIMTOOL_KEYWORD, check_stage
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
 NAME = "animtool:Checks"
 
-_TYPES = {
+_ERROR_TYPES = {
     Severity.ERROR: UsdValidation.ValidationErrorType.Error,
     Severity.WARNING: UsdValidation.ValidationErrorType.Warn,
     Severity.NOTE: UsdValidation.ValidationErrorType.Info,
@@ -40,17 +40,17 @@ def register() -> Any:
 
 def validate(stage: Any, _times: Any) -> list[Any]:
     """Return the findings of our checks on a stage as UsdValidation errors."""
-    return [_error(stage, fault) for fault in check_stage(stage)]
+    return [_validation_error(stage, fault) for fault in check_stage(stage)]
 
 
-def _error(stage: Any, fault: Fault) -> Any:
+def _validation_error(stage: Any, fault: Fault) -> Any:
     path = Sdf.Path(fault.where or "/")
     if not stage.GetObjectAtPath(path):
         path = path.GetPrimPath()
     site = UsdValidation.ValidationErrorSite(stage, path)
     text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     return UsdValidation.ValidationError(
-        fault.code, _TYPES[fault.severity], [site], text
+        fault.code, _ERROR_TYPES[fault.severity], [site], text
     )
 
 

@@ -15,9 +15,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
-from animtool.usd.caches.reader import UNIT_TOLERANCE, PointReader, codes_of
+from animtool.usd.caches.reader import UNIT_TOLERANCE, PointReader, time_codes_of
 from animtool.usd.checks.extents import bounds_difference
-from animtool.usd.checks.subject import SampledArray, StageSubject, at_samples
+from animtool.usd.checks.subject import SampledArray, StageSubject, samples_text
 
 
 def check_points(subject: StageSubject) -> Iterator[Fault]:
@@ -26,17 +26,17 @@ def check_points(subject: StageSubject) -> Iterator[Fault]:
         attr = PointReader(geometry.GetPrim()).attr
         if not attr.HasAuthoredValue():
             continue
-        points, bounds = _survey(subject, attr)
-        yield from _finite(subject, attr, points, bounds)
-        yield from _topology(subject, geometry, attr, points)
-        yield from _velocities(subject, geometry, points)
-        yield from _extent(subject, geometry, points, bounds)
+        points, bounds = _point_samples(subject, attr)
+        yield from _check_finite(subject, attr, points, bounds)
+        yield from _check_topology(subject, geometry, attr, points)
+        yield from _check_velocities(subject, geometry, points)
+        yield from _check_extent(subject, geometry, points, bounds)
 
 
-def _survey(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]:
+def _point_samples(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]:
     """Return the samples of points without their arrays, and their bounds."""
     times = subject.times(attr)
-    codes = codes_of(times)
+    codes = time_codes_of(times)
     query = Usd.AttributeQuery(attr)
     counts = np.full(len(codes), -1, np.int64)
     bounds = np.full((len(codes), 2, 3), np.nan)
@@ -51,19 +51,19 @@ def _survey(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]
     return SampledArray(np.array(times or [np.nan]), [], counts), bounds
 
 
-def _finite(
+def _check_finite(
     subject: StageSubject, attr: Any, array: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
     # min and max propagate both NaN and infinity.
     is_bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (array.counts > 0)
     if is_bad.any():
-        message = f"points are not finite {at_samples(array, is_bad)}"
+        message = f"points are not finite {samples_text(array, is_bad)}"
         yield finding("USD265", attr.GetPath(), message)
     elif (array.counts >= 0).all():
         subject.finite.add(attr.GetPath())
 
 
-def _topology(
+def _check_topology(
     subject: StageSubject, geometry: Any, attr: Any, points: SampledArray
 ) -> Iterator[Fault]:
     prim = geometry.GetPrim()
@@ -78,7 +78,7 @@ def _topology(
             count = points.counts[np.flatnonzero(too_few)[0]]
             message = (
                 f"{count} points for faces that refer to {min_points} "
-                f"{at_samples(points, too_few)}"
+                f"{samples_text(points, too_few)}"
             )
             yield finding("USD264", attr.GetPath(), message)
             return
@@ -91,32 +91,32 @@ def _topology(
         count = points.counts[np.flatnonzero(is_changed)[0]]
         message = (
             f"{count} points, but the first sample has {points.counts[0]} "
-            f"{at_samples(points, is_changed)}"
+            f"{samples_text(points, is_changed)}"
         )
         yield finding("USD264", attr.GetPath(), message)
 
 
-def _velocities(
+def _check_velocities(
     subject: StageSubject, geometry: Any, points: SampledArray
 ) -> Iterator[Fault]:
     attr = geometry.GetVelocitiesAttr()
     if not attr.HasAuthoredValue():
         return
-    survey, bounds = _survey(subject, attr)
-    yield from _finite(subject, attr, survey, bounds)
+    survey, bounds = _point_samples(subject, attr)
+    yield from _check_finite(subject, attr, survey, bounds)
     index = {time: i for i, time in enumerate(points.times.tolist())}
     for i, time in enumerate(survey.times.tolist()):
         expected_count = points.counts[index.get(time, 0)]
         if survey.counts[i] not in {0, expected_count}:
             message = (
                 f"{survey.counts[i]} velocities for {expected_count} points "
-                f"{at_samples(survey, np.array([i]))}"
+                f"{samples_text(survey, np.array([i]))}"
             )
             yield finding("USD266", attr.GetPath(), message)
             return
 
 
-def _extent(
+def _check_extent(
     subject: StageSubject, geometry: Any, points: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
     """Compare the bounds of a mesh's animated points with its extent."""
@@ -129,7 +129,7 @@ def _extent(
         return
     array = subject.sampled(attr)
     if (array.counts != 2).any():
-        message = f"not two corners {at_samples(array, array.counts != 2)}"
+        message = f"not two corners {samples_text(array, array.counts != 2)}"
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
@@ -140,7 +140,7 @@ def _extent(
     excess, distance = bounds_difference(extents, bounds, exact=array.animated)
     if (excess > 0).any():
         worst = int(np.nanargmax(np.where(excess > 0, distance, 0.0)))
-        message = f"off by {distance[worst]:.3g} {at_samples(points, excess > 0)}"
+        message = f"off by {distance[worst]:.3g} {samples_text(points, excess > 0)}"
         if np.count_nonzero(excess > 0) > 1:
             message += f", most at {frame_label(points.times[worst])}"
         yield finding("USD251", attr.GetPath(), message)
@@ -153,23 +153,25 @@ _INSTANCE_ARRAYS = (
 )
 
 
-def check_copies(subject: StageSubject) -> Iterator[Fault]:
+def check_instancers(subject: StageSubject) -> Iterator[Fault]:
     """Check every PointInstancer: prototypes, lengths, numbers, unit orientations."""
     for instancer in subject.of_type(UsdGeom.PointInstancer):
         prim = instancer.GetPrim()
         indices = subject.sampled(instancer.GetProtoIndicesAttr())
-        yield from _prototypes(subject, instancer, indices)
+        yield from _check_prototypes(subject, instancer, indices)
         for name in _INSTANCE_ARRAYS:
             attr = prim.GetAttribute(name)
             if not attr or not attr.HasAuthoredValue():
                 continue
             array = subject.sampled(attr)
-            yield from _lengths(attr, array, indices)
+            yield from _check_lengths(attr, array, indices)
             if name != "ids":
-                yield from _numbers(attr, array, unit=name.startswith("orientations"))
+                yield from _check_numbers(
+                    attr, array, unit=name.startswith("orientations")
+                )
 
 
-def _prototypes(
+def _check_prototypes(
     subject: StageSubject, instancer: Any, indices: SampledArray
 ) -> Iterator[Fault]:
     relationship = instancer.GetPrototypesRel()
@@ -197,12 +199,14 @@ def _prototypes(
         index = worst[0] if worst[0] < 0 else worst[1]
         message = (
             f"{index} is outside the {len(targets)} prototypes "
-            f"{at_samples(indices, is_bad)}"
+            f"{samples_text(indices, is_bad)}"
         )
         yield finding("USD287", instancer.GetProtoIndicesAttr().GetPath(), message)
 
 
-def _lengths(attr: Any, array: SampledArray, indices: SampledArray) -> Iterator[Fault]:
+def _check_lengths(
+    attr: Any, array: SampledArray, indices: SampledArray
+) -> Iterator[Fault]:
     """Compare array lengths with protoIndices at each sample."""
     if not len(indices.counts):
         return
@@ -214,13 +218,12 @@ def _lengths(attr: Any, array: SampledArray, indices: SampledArray) -> Iterator[
     is_bad = (array.counts != expected) & ~(optional & (array.counts <= 0))
     if is_bad.any():
         i = int(np.argmax(is_bad))
-        message = (
-            f"{array.counts[i]} for {expected[i]} instances {at_samples(array, is_bad)}"
-        )
+        samples = samples_text(array, is_bad)
+        message = f"{array.counts[i]} for {expected[i]} instances {samples}"
         yield finding("USD269", attr.GetPath(), message)
 
 
-def _numbers(attr: Any, samples: SampledArray, *, unit: bool) -> Iterator[Fault]:
+def _check_numbers(attr: Any, samples: SampledArray, *, unit: bool) -> Iterator[Fault]:
     not_finite, is_not_unit = np.zeros((2, len(samples.counts)), bool)
     for i, array in enumerate(samples.arrays):
         values = np.array(array, np.float64) if samples.counts[i] > 0 else np.zeros(0)
@@ -229,8 +232,10 @@ def _numbers(attr: Any, samples: SampledArray, *, unit: bool) -> Iterator[Fault]
             sizes = np.linalg.norm(values.reshape(-1, 4), axis=1)
             is_not_unit[i] = bool((np.abs(sizes - 1) > UNIT_TOLERANCE).any())
     if not_finite.any():
-        message = f"{attr.GetName()} are not finite {at_samples(samples, not_finite)}"
+        message = f"{attr.GetName()} are not finite {samples_text(samples, not_finite)}"
         yield finding("USD265", attr.GetPath(), message)
     if is_not_unit.any():
-        message = f"a quaternion is not of length 1 {at_samples(samples, is_not_unit)}"
+        message = (
+            f"a quaternion is not of length 1 {samples_text(samples, is_not_unit)}"
+        )
         yield finding("USD288", attr.GetPath(), message)

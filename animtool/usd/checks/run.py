@@ -25,7 +25,7 @@ from animtool.usd.checks.finite import (
     check_types,
     check_uniform,
 )
-from animtool.usd.checks.points import check_copies, check_points
+from animtool.usd.checks.points import check_instancers, check_points
 from animtool.usd.checks.skeleton import check_physics, check_skeletons
 from animtool.usd.checks.skin import check_shapes, check_skins, check_targets
 from animtool.usd.checks.stage_metadata import (
@@ -50,14 +50,14 @@ _COVERED_CHECKS = {
     "usdValidation:CompositionErrorTest",
     "usdUtilsValidators:MissingReferenceValidator",
 }
-_CODES = {
+_CODES_BY_VALIDATOR = {
     "usdSkelValidators:SkelBindingApiAppliedValidator": "USD236",
     "usdSkelValidators:SkelBindingApiValidator": "USD237",
     "usdGeomValidators:StageMetadataChecker": "USD258",
     "usdValidation:StageMetadataChecker": "USD259",
     "usdPhysicsValidators:PhysicsJointChecker": "USD270",
 }
-_FAMILIES = {
+_CODES_BY_FAMILY = {
     "usdValidation": "USD280",
     "usdGeomValidators": "USD281",
     "usdShadeValidators": "USD282",
@@ -86,9 +86,9 @@ def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
 
 def _fault(error: Any) -> Fault:
     validator = error.GetValidator().GetMetadata().name
-    code = _CODES.get(validator)
+    code = _CODES_BY_VALIDATOR.get(validator)
     if code is None:
-        code = _FAMILIES.get(validator.partition(":")[0], "USD286")
+        code = _CODES_BY_FAMILY.get(validator.partition(":")[0], "USD286")
     kinds = UsdValidation.ValidationErrorType
     note = Severity.NOTE if error.GetType() == kinds.Info else None
     message = f"{validator}: {' '.join(error.GetMessage().split()).rstrip('.')}"
@@ -110,8 +110,8 @@ def _error_location(error: Any) -> str:
 Check: TypeAlias = Callable[[StageSubject], Iterator[Fault]]
 
 # Checks that read no samples; the others need valid rates.
-UNTIMED: tuple[Check, ...] = (check_rate_values, check_composition, check_units)
-TIMED: tuple[Check, ...] = (
+STATIC_CHECKS: tuple[Check, ...] = (check_rate_values, check_composition, check_units)
+SAMPLE_CHECKS: tuple[Check, ...] = (
     check_assets,
     check_rates,
     check_range,
@@ -123,7 +123,7 @@ TIMED: tuple[Check, ...] = (
     check_targets,
     check_shapes,
     check_points,
-    check_copies,
+    check_instancers,
     check_extents,
     check_physics,
     check_splines,
@@ -152,7 +152,7 @@ def inspect_layer(path: Path | str) -> Inspection:
     try:
         with without_usd_warnings(), usd_errors(path):
             subject = StageSubject(open_composed(find_layer(path), path))
-            findings = [*_faults(subject), *_run(check_with_usd, subject)]
+            findings = [*_faults(subject), *_run_check(check_with_usd, subject)]
             # Without a rate, a unit or an up axis, motion has no speed or size.
             has_units = not any(
                 fault.code in {"USD253", "USD260"} for fault in findings
@@ -160,7 +160,7 @@ def inspect_layer(path: Path | str) -> Inspection:
             takes = _takes(subject, path) if has_units else []
     except FormatError as error:
         return Inspection(list(error.faults))
-    faults = [replace(fault, path=str(path)) for fault in _distinct(findings)]
+    faults = [replace(fault, path=str(path)) for fault in _distinct_faults(findings)]
     return Inspection(faults, takes, subject.alone)
 
 
@@ -171,16 +171,18 @@ def check_layer(path: Path | str) -> list[Fault]:
 
 def check_stage(stage: Any) -> list[Fault]:
     """Return the findings of our own checks on a stage."""
-    return _distinct(_faults(StageSubject(stage)))
+    return _distinct_faults(_faults(StageSubject(stage)))
 
 
 def _faults(subject: StageSubject) -> list[Fault]:
-    faults = [fault for check in UNTIMED for fault in _run(check, subject)]
+    faults = [fault for check in STATIC_CHECKS for fault in _run_check(check, subject)]
     # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
-        faults += [fault for check in TIMED for fault in _run(check, subject)]
+        faults += [
+            fault for check in SAMPLE_CHECKS for fault in _run_check(check, subject)
+        ]
     covered_locations = {fault.where for fault in faults if fault.code in COVERED_CODES}
-    everywhere = _run(check_finite, subject)
+    everywhere = _run_check(check_finite, subject)
     return faults + [
         fault for fault in everywhere if fault.where not in covered_locations
     ]
@@ -196,7 +198,7 @@ def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
         raise
 
 
-def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
+def _run_check(check: Check, subject: StageSubject) -> Iterator[Fault]:
     """Yield the findings of a check, including errors that USD raises.
 
     If a value has a wrong type, a check ends there.
@@ -213,7 +215,7 @@ def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
         yield from type_faults
 
 
-def _distinct(faults: list[Fault]) -> list[Fault]:
+def _distinct_faults(faults: list[Fault]) -> list[Fault]:
     """Return faults without repeats of an earlier fault at the same location.
 
     Per code and location the first message is kept: a validator of USD may repeat a

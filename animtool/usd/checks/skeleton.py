@@ -15,25 +15,25 @@ from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
-    bind_transforms,
-    joint_order,
+    bind_faults,
+    joint_order_faults,
     joint_parents,
     matrix_array,
-    tokens,
+    token_array,
 )
-from animtool.usd.rigs.rest_pose import collapsed_bones, rest_transforms
+from animtool.usd.rigs.rest_pose import collapsed_bones, rest_faults
 
 
 def check_physics(subject: StageSubject) -> Iterator[Fault]:
     """Check bodies, frames, axes and limits of every physics joint."""
     for joint in subject.of_type(UsdPhysics.Joint):
-        yield from _bodies(subject, joint)
-        yield from _frames(joint)
-        yield from _axis(joint.GetPrim())
-        yield from _limits(joint.GetPrim())
+        yield from _check_bodies(subject, joint)
+        yield from _check_frames(joint)
+        yield from _check_axis(joint.GetPrim())
+        yield from _check_limits(joint.GetPrim())
 
 
-def _bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
+def _check_bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
     targets = []
     for relationship in (joint.GetBody0Rel(), joint.GetBody1Rel()):
         bodies = relationship.GetTargets()
@@ -49,7 +49,7 @@ def _bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
         yield finding("USD270", joint.GetPath(), "neither body0 nor body1 is named")
 
 
-def _frames(joint: Any) -> Iterator[Fault]:
+def _check_frames(joint: Any) -> Iterator[Fault]:
     for attr in (joint.GetLocalRot0Attr(), joint.GetLocalRot1Attr()):
         value = attr.Get()
         if value is None:
@@ -63,36 +63,38 @@ def _frames(joint: Any) -> Iterator[Fault]:
             yield finding("USD272", attr.GetPath(), "the position is not finite")
 
 
-def _axis(prim: Any) -> Iterator[Fault]:
+def _check_axis(prim: Any) -> Iterator[Fault]:
     attr = prim.GetAttribute("physics:axis")
     axis = attr.Get() if attr else None
     if axis is not None and str(axis) not in {"X", "Y", "Z"}:
         yield finding("USD273", attr.GetPath(), f"it is {str(axis)!r}")
 
 
-def _limits(prim: Any) -> Iterator[Fault]:
+def _check_limits(prim: Any) -> Iterator[Fault]:
     """Check limit pairs; in the limit API, low above high locks the axis."""
-    yield from _pair(prim, "physics:lowerLimit", "physics:upperLimit")
+    yield from _check_pair(prim, "physics:lowerLimit", "physics:upperLimit")
     for schema in prim.GetAppliedSchemas():
         schema_name, _, name = str(schema).partition(":")
         if schema_name == "PhysicsLimitAPI":
             low_name, high_name = (
                 f"limit:{name}:physics:{end}" for end in ("low", "high")
             )
-            yield from _pair(prim, low_name, high_name, reversible=True)
-    yield from _pair(prim, "physics:minDistance", "physics:maxDistance", free=-1.0)
+            yield from _check_pair(prim, low_name, high_name, reversible=True)
+    yield from _check_pair(
+        prim, "physics:minDistance", "physics:maxDistance", free=-1.0
+    )
     for body in "01":
-        yield from _numbers(prim, f"physics:coneAngle{body}Limit")
+        yield from _check_numbers(prim, f"physics:coneAngle{body}Limit")
 
 
-def _numbers(prim: Any, name: str) -> Iterator[Fault]:
+def _check_numbers(prim: Any, name: str) -> Iterator[Fault]:
     attr = prim.GetAttribute(name)
     value = attr.Get() if attr else None
     if value is not None and math.isnan(value):
         yield finding("USD271", attr.GetPath(), "it is not a number")
 
 
-def _pair(
+def _check_pair(
     prim: Any,
     lower: str,
     upper: str,
@@ -100,8 +102,8 @@ def _pair(
     reversible: bool = False,
     free: float | None = None,
 ) -> Iterator[Fault]:
-    yield from _numbers(prim, lower)
-    yield from _numbers(prim, upper)
+    yield from _check_numbers(prim, lower)
+    yield from _check_numbers(prim, upper)
     attributes = [prim.GetAttribute(name) for name in (lower, upper)]
     lower_value, upper_value = (attr.Get() if attr else None for attr in attributes)
     if (
@@ -131,18 +133,20 @@ def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
                 inherited_skeleton.GetPrim().GetPath() if inherited_skeleton else None
             )
     for skeleton in subject.of_type(UsdSkel.Skeleton):
-        joints = tokens(skeleton.GetJointsAttr())
+        joints = token_array(skeleton.GetJointsAttr())
         if not joints:
             continue
-        yield from _order(skeleton, joints)
-        yield from rest_transforms(skeleton, joints)
-        yield from _bind(skeleton, joints, skins=skeleton.GetPath() in bound_skeletons)
-        yield from _root(skeleton)
+        yield from _check_order(skeleton, joints)
+        yield from rest_faults(skeleton, joints)
+        yield from _check_bind(
+            skeleton, joints, skins=skeleton.GetPath() in bound_skeletons
+        )
+        yield from _skel_root(skeleton)
 
 
-def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
+def _check_order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
     path = skeleton.GetJointsAttr().GetPath()
-    faults = list(joint_order(path, joints))
+    faults = list(joint_order_faults(path, joints))
     yield from faults
     if any(fault.code == "USD220" for fault in faults):
         return
@@ -155,8 +159,8 @@ def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
         yield finding("USD222", path, message)
 
 
-def _bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
-    faults = list(bind_transforms(skeleton, joints, skins=skins))
+def _check_bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
+    faults = list(bind_faults(skeleton, joints, skins=skins))
     yield from faults
     bind = matrix_array(skeleton.GetBindTransformsAttr())
     rest = matrix_array(skeleton.GetRestTransformsAttr())
@@ -200,7 +204,7 @@ def _nearly_equal(a: FloatArray, b: FloatArray) -> bool:
     return bool(np.abs(a - b).max() <= TRANSFORM_TOLERANCE * max(np.abs(a).max(), 1.0))
 
 
-def _root(skeleton: Any) -> Iterator[Fault]:
+def _skel_root(skeleton: Any) -> Iterator[Fault]:
     prim = skeleton.GetPrim()
     if prim.IsDefined() and not UsdSkel.Root.Find(prim):
         yield finding(

@@ -13,8 +13,8 @@ from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.faults import duplicates, singular, tokens
-from animtool.usd.rigs.prims import upwards
+from animtool.usd.layers.faults import duplicate_tokens, singular, token_array
+from animtool.usd.rigs.prims import self_and_ancestors
 
 # Tolerance of weight sums; text files with three digits and eight influences are within
 # it.
@@ -33,11 +33,11 @@ def check_skins(subject: StageSubject) -> Iterator[Fault]:
         weights = binding.GetJointWeightsPrimvar()
         have = [bool(p) and p.HasAuthoredValue() for p in (indices, weights)]
         if any(have) and has_points(prim):
-            yield from _influences(prim, binding, indices, weights, have)
-        yield from _geom_bind(binding.GetGeomBindTransformAttr())
+            yield from _check_influences(prim, binding, indices, weights, have)
+        yield from _check_geom_bind(binding.GetGeomBindTransformAttr())
 
 
-def _influences(
+def _check_influences(
     prim: Any, binding: Any, indices: Any, weights: Any, has_values: list[bool]
 ) -> Iterator[Fault]:
     index_values, weight_values = (
@@ -50,17 +50,21 @@ def _influences(
         )
         yield finding("USD234", prim.GetPath(), message)
         return
-    yield from _joints(prim, binding, index_values)
-    mismatch = _layout(prim, indices, weights, len(index_values), len(weight_values))
+    yield from _check_joints(prim, binding, index_values)
+    mismatch = _count_mismatch(
+        prim, indices, weights, len(index_values), len(weight_values)
+    )
     if mismatch:
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
         yield finding("USD231", path, mismatch)
-    yield from _values(prim, weight_values, 0 if mismatch else weights.GetElementSize())
+    yield from _check_weight_values(
+        prim, weight_values, 0 if mismatch else weights.GetElementSize()
+    )
 
 
-def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
+def _check_joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
     skeleton_query = binding.GetInheritedSkeleton()
-    skeleton = tokens(skeleton_query.GetJointsAttr()) if skeleton_query else []
+    skeleton = token_array(skeleton_query.GetJointsAttr()) if skeleton_query else []
     joint_names = _bound_joints(prim)
     unknown = [name for name in joint_names if name not in set(skeleton)]
     if skeleton and unknown:
@@ -80,11 +84,14 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
 
 def _bound_joints(prim: Any) -> list[str]:
     """Return skel:joints of a prim or its nearest ancestor that authors them."""
-    attrs = (UsdSkel.BindingAPI(ancestor).GetJointsAttr() for ancestor in upwards(prim))
-    return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
+    attrs = (
+        UsdSkel.BindingAPI(ancestor).GetJointsAttr()
+        for ancestor in self_and_ancestors(prim)
+    )
+    return next((token_array(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
-def _layout(
+def _count_mismatch(
     prim: Any, indices: Any, weights: Any, count: int, weight_count: int
 ) -> str:
     """Return the mismatch of counts as text; empty if they agree."""
@@ -121,7 +128,7 @@ def point_count(prim: Any) -> int | None:
     return PointReader(prim).count()
 
 
-def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
+def _check_weight_values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
     path = f"{prim.GetPath()}.primvars:skel:jointWeights"
     is_bad = ~np.isfinite(weights) | (weights < 0)
     if is_bad.any():
@@ -144,7 +151,7 @@ def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
             yield finding("USD232", path, message)
 
 
-def _geom_bind(attr: Any) -> Iterator[Fault]:
+def _check_geom_bind(attr: Any) -> Iterator[Fault]:
     value = attr.Get(Usd.TimeCode.EarliestTime()) if attr else None
     if value is None:
         return
@@ -164,9 +171,9 @@ def check_targets(subject: StageSubject) -> Iterator[Fault]:
             continue
         binding = UsdSkel.BindingAPI(prim)
         attr, targets = binding.GetBlendShapesAttr(), binding.GetBlendShapeTargetsRel()
-        names = tokens(attr)
+        names = token_array(attr)
         paths = targets.GetTargets() if targets else []
-        repeated_names = duplicates(names)
+        repeated_names = duplicate_tokens(names)
         if len(names) != len(paths) and (names or paths):
             message = f"{len(names)} blendShapes for {len(paths)} targets"
             yield finding("USD245", f"{prim.GetPath()}.skel:blendShapes", message)
@@ -179,12 +186,12 @@ def check_targets(subject: StageSubject) -> Iterator[Fault]:
 
 def check_shapes(subject: StageSubject) -> Iterator[Fault]:
     """Check offsets, indices and inbetweens of every BlendShape."""
-    points = _points(subject)
+    points = _point_counts(subject)
     for shape in subject.of_type(UsdSkel.BlendShape):
-        yield from _shape(shape, points.get(shape.GetPath()))
+        yield from _check_shape(shape, points.get(shape.GetPath()))
 
 
-def _points(subject: StageSubject) -> dict[Any, int]:
+def _point_counts(subject: StageSubject) -> dict[Any, int]:
     """Return the point count of the prims that each shape deforms."""
     counts: dict[Any, int] = {}
     for prim in subject.prims:
@@ -195,19 +202,19 @@ def _points(subject: StageSubject) -> dict[Any, int]:
     return counts
 
 
-def _rows(attr: Any) -> FloatArray:
+def _offset_rows(attr: Any) -> FloatArray:
     value = attr.Get() if attr else None
     return np.array(value or (), np.float64).reshape(-1, 3)
 
 
-def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
-    offsets = _rows(shape.GetOffsetsAttr())
+def _check_shape(shape: Any, points: int | None) -> Iterator[Fault]:
+    offsets = _offset_rows(shape.GetOffsetsAttr())
     indices = np.array(shape.GetPointIndicesAttr().Get() or (), np.int64)
     expected_count = len(indices) or points
     path = shape.GetOffsetsAttr().GetPath()
     inbetweens = list(shape.GetInbetweens())
-    normal_offsets = [_rows(shape.GetNormalOffsetsAttr())]
-    normal_offsets += [_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
+    normal_offsets = [_offset_rows(shape.GetNormalOffsetsAttr())]
+    normal_offsets += [_offset_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
     normal_count = max(map(len, normal_offsets))
     if not len(offsets) and normal_count:
         # A shape may change normals only.
@@ -219,21 +226,23 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
         yield finding(
             "USD240", path, f"{len(offsets)} offsets for {expected_count} {counted_as}"
         )
-    yield from _indices(shape, indices, points)
-    yield from _finite(shape.GetOffsetsAttr(), offsets)
+    yield from _check_indices(shape, indices, points)
+    yield from _check_finite(shape.GetOffsetsAttr(), offsets)
     all_offsets = [
         offsets,
         *normal_offsets,
-        *(_rows(step.GetAttr()) for step in inbetweens),
+        *(_offset_rows(step.GetAttr()) for step in inbetweens),
     ]
     if len(offsets) and not any(rows.any() for rows in all_offsets):
         yield finding("RIG209", path, f"all {len(offsets)} offsets are 0")
     count = expected_count if expected_count is not None else len(offsets)
-    yield from _normals(shape.GetNormalOffsetsAttr(), count)
-    yield from _inbetweens(inbetweens, count)
+    yield from _check_normals(shape.GetNormalOffsetsAttr(), count)
+    yield from _check_inbetweens(inbetweens, count)
 
 
-def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Fault]:
+def _check_indices(
+    shape: Any, indices: IntArray, points: int | None
+) -> Iterator[Fault]:
     path = shape.GetPointIndicesAttr().GetPath()
     last_index = np.iinfo(np.int64).max if points is None else points - 1
     out_of_range = indices[(indices < 0) | (indices > last_index)]
@@ -250,7 +259,7 @@ def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Faul
         yield finding("USD241", path, message)
 
 
-def _finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
+def _check_finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
     bad_rows = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if len(bad_rows):
         message = (
@@ -259,25 +268,25 @@ def _finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
         yield finding("USD243", attr.GetPath(), message)
 
 
-def _normals(attr: Any, expected: int) -> Iterator[Fault]:
-    rows = _rows(attr)
+def _check_normals(attr: Any, expected: int) -> Iterator[Fault]:
+    rows = _offset_rows(attr)
     if attr and attr.HasAuthoredValue() and len(rows) not in {0, expected}:
         message = f"{len(rows)} normalOffsets for {expected} offsets"
         yield finding("USD242", attr.GetPath(), message)
-    yield from _finite(attr, rows)
+    yield from _check_finite(attr, rows)
 
 
-def _inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
+def _check_inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
     names_by_weight: dict[float, str] = {}
     for step in steps:
         attr, weight = step.GetAttr(), step.GetWeight()
-        rows = _rows(attr)
-        normals_only = not len(rows) and len(_rows(step.GetNormalOffsetsAttr()))
+        rows = _offset_rows(attr)
+        normals_only = not len(rows) and len(_offset_rows(step.GetNormalOffsetsAttr()))
         if len(rows) != expected and not normals_only:
             message = f"{len(rows)} offsets for {expected}"
             yield finding("USD240", attr.GetPath(), message)
-        yield from _finite(attr, rows)
-        yield from _normals(step.GetNormalOffsetsAttr(), expected)
+        yield from _check_finite(attr, rows)
+        yield from _check_normals(step.GetNormalOffsetsAttr(), expected)
         if weight is None or not np.isfinite(weight) or weight in {0.0, 1.0}:
             have = "no weight" if weight is None else f"weight {weight:g}"
             yield finding("USD244", attr.GetPath(), have)

@@ -14,10 +14,10 @@ from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.usd.caches.reader import PointReader, transformed
+from animtool.usd.caches.reader import PointReader, transform_points
 
 # Maximum number of points posed to find the largest of many samples.
-MAX_POINTS = 20_000_000
+MAX_SKINNED_POINTS = 20_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class SkinnedBounds:
     def __init__(self, root: Any) -> None:
         self._root = root
         try:
-            self._bindings_ = _bindings(root)
+            self._bindings_ = _skeleton_bindings(root)
         except Tf.ErrorException:
             self._bindings_ = []
 
@@ -71,7 +71,9 @@ class SkinnedBounds:
                 if posed_points is None:
                     continue
                 matrix, _ = xforms.ComputeRelativeTransform(holder, self._root)
-                root_points = transformed(posed_points, np.array(matrix, np.float64))
+                root_points = transform_points(
+                    posed_points, np.array(matrix, np.float64)
+                )
                 prim_bounds.append((root_points.min(axis=0), root_points.max(axis=0)))
         if not prim_bounds:
             return None
@@ -93,7 +95,7 @@ def overhang(
         times: Their time codes; NaN alone is the default.
     """
     bounds = SkinnedBounds(root)
-    max_samples = max(1, MAX_POINTS // max(bounds.points, 1))
+    max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.points, 1))
     count = len(times)
     sample_indices = np.unique(
         np.linspace(0, count - 1, min(count, max_samples)).astype(int)
@@ -116,7 +118,7 @@ def overhang(
     )
 
 
-def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
+def _skeleton_bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
     """Return the skeletons below a SkelRoot as queries, with their skinned prims."""
     cache, predicate = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
     schema = UsdSkel.Root(root)
@@ -169,7 +171,9 @@ def _posed_points(
         return None, query.GetPrim()
     if query.IsRigidlyDeformed():
         matrix = np.array(query.ComputeSkinnedTransform(transforms, code), np.float64)
-        return transformed(np.array(points, np.float64), matrix), skeleton.GetPrim()
+        return transform_points(
+            np.array(points, np.float64), matrix
+        ), skeleton.GetPrim()
     if not query.ComputeSkinnedPoints(transforms, points, code):
         return None, query.GetPrim()
     return np.array(points, np.float64), skeleton.GetPrim()

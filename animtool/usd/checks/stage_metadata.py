@@ -14,7 +14,7 @@ from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, excerpt
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.faults import units_and_axis
+from animtool.usd.layers.faults import unit_and_axis_faults
 from animtool.usd.rigs.prims import stored_data
 
 
@@ -35,21 +35,21 @@ def check_assets(subject: StageSubject) -> Iterator[Fault]:
     """Check that asset paths are relative and resolve."""
     for layer in subject.stage.GetUsedLayers():
         absolute_paths = [
-            p for p in layer.GetCompositionAssetDependencies() if _absolute(p)
+            p for p in layer.GetCompositionAssetDependencies() if _is_absolute(p)
         ]
         for path in absolute_paths:
-            owner = _owner(layer, path)
+            owner = _referencing_prim(layer, path)
             message = f"{layer.GetDisplayName()} refers to {excerpt(path, 80)}"
             yield finding("USD262", owner, message)
     for attr in subject.attributes:
         kind = attr.GetTypeName()
         if kind in {Sdf.ValueTypeNames.Asset, Sdf.ValueTypeNames.AssetArray}:
-            yield from _values(attr, attr.Get())
+            yield from _asset_values(attr, attr.Get())
 
 
-def _values(attr: Any, value: Any) -> Iterator[Fault]:
+def _asset_values(attr: Any, value: Any) -> Iterator[Fault]:
     for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
-        if _absolute(asset.path):
+        if _is_absolute(asset.path):
             message = f"it refers to {excerpt(asset.path, 80)}"
             yield finding("USD262", attr.GetPath(), message)
         # Pattern paths such as texture.<UDIM>.png are resolved by their readers.
@@ -58,7 +58,7 @@ def _values(attr: Any, value: Any) -> Iterator[Fault]:
             yield finding("USD263", attr.GetPath(), message)
 
 
-def _absolute(path: str) -> bool:
+def _is_absolute(path: str) -> bool:
     path_ = path.removeprefix("file://")
     return (
         path_ != path
@@ -67,7 +67,7 @@ def _absolute(path: str) -> bool:
     )
 
 
-def _owner(layer: Any, asset: str) -> str:
+def _referencing_prim(layer: Any, asset: str) -> str:
     """Return the prim that references an asset; / for a sublayer."""
     paths = ["/"]
 
@@ -87,7 +87,7 @@ def _owner(layer: Any, asset: str) -> str:
 
 
 ROOT = "/"
-RATES = ("framesPerSecond", "timeCodesPerSecond")
+RATE_FIELDS = ("framesPerSecond", "timeCodesPerSecond")
 # Length units with a name in UsdGeom [m].
 COMMON_UNITS = tuple(
     getattr(UsdGeom.LinearUnits, name)
@@ -95,7 +95,7 @@ COMMON_UNITS = tuple(
     if not name.startswith("_")
 )
 # Tolerance of time codes: smaller differences are rounding.
-SAME_TIME = 1e-6
+TIME_TOLERANCE = 1e-6
 
 
 def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
@@ -103,8 +103,8 @@ def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
 
     If one is not, USD may hang on questions about samples.
     """
-    for layer in _layers(subject):
-        for name in RATES:
+    for layer in _composed_layers(subject):
+        for name in RATE_FIELDS:
             if not layer.pseudoRoot.HasInfo(name):
                 continue
             rate = layer.pseudoRoot.GetInfo(name)
@@ -113,7 +113,7 @@ def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
                 yield finding("USD253", ROOT, message)
 
 
-def _layers(subject: StageSubject) -> Iterator[Any]:
+def _composed_layers(subject: StageSubject) -> Iterator[Any]:
     """Yield the composed layers, except value clips."""
     yield from subject.stage.GetUsedLayers(includeClipLayers=False)
 
@@ -121,7 +121,7 @@ def _layers(subject: StageSubject) -> Iterator[Any]:
 def check_rates(subject: StageSubject) -> Iterator[Fault]:
     """Check that frame rates are authored and equal in all layers."""
     root = subject.stage.GetRootLayer().pseudoRoot
-    unauthored_rates = [name for name in RATES if not root.HasInfo(name)]
+    unauthored_rates = [name for name in RATE_FIELDS if not root.HasInfo(name)]
     if unauthored_rates and any(
         subject.times(attr) or attr.ValueMightBeTimeVarying()
         for attr in subject.attributes
@@ -134,7 +134,7 @@ def check_rates(subject: StageSubject) -> Iterator[Fault]:
 def _layer_rates(subject: StageSubject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
-    for layer in _layers(subject):
+    for layer in _composed_layers(subject):
         layer_rate = layer.timeCodesPerSecond
         if layer.anonymous or layer_rate == rate:
             continue
@@ -186,7 +186,7 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
     paths_outside = [
         path
         for path, span in spans.items()
-        if span[0] <= start - 1 + SAME_TIME or span[1] >= end + 1 - SAME_TIME
+        if span[0] <= start - 1 + TIME_TOLERANCE or span[1] >= end + 1 - TIME_TOLERANCE
     ]
     if not paths_outside:
         yield from _between_frames(subject, start, end, (first_sample, last_sample))
@@ -211,7 +211,9 @@ def _between_frames(
     """Yield a fault if the range starts or ends between frames without a sample."""
     ends = {"starts": start, "ends": end}
     off_frame = {
-        verb: code for verb, code in ends.items() if abs(code - round(code)) > SAME_TIME
+        verb: code
+        for verb, code in ends.items()
+        if abs(code - round(code)) > TIME_TOLERANCE
     }
     if not off_frame:
         return
@@ -240,17 +242,17 @@ def check_units(subject: StageSubject) -> Iterator[Fault]:
     """
     stage: Any = subject.stage
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    faults = list(units_and_axis(stage))
+    faults = list(unit_and_axis_faults(stage))
     yield from faults
     is_common = any(
         UsdGeom.LinearUnitsAre(unit, common_unit) for common_unit in COMMON_UNITS
     )
     if not (is_common or any("metersPerUnit" in fault.message for fault in faults)):
         yield finding("USD267", ROOT, f"metersPerUnit is {unit:g}")
-    yield from _other_units(stage)
+    yield from _differing_units(stage)
 
 
-def _other_units(stage: Any) -> Iterator[Fault]:
+def _differing_units(stage: Any) -> Iterator[Fault]:
     root = stage.GetRootLayer()
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         for name in ("metersPerUnit", "upAxis"):

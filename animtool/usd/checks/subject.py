@@ -47,7 +47,7 @@ class SampledArray:
         return not np.isnan(self.times).any()
 
 
-def at_samples(array: SampledArray, selected: BoolArray | IntArray) -> str:
+def samples_text(array: SampledArray, selected: BoolArray | IntArray) -> str:
     """Return text that lists samples, given a mask or indices ``(F,)``."""
     indices = np.flatnonzero(selected) if selected.dtype == np.bool_ else selected
     if not array.animated:

@@ -18,7 +18,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion
+from animtool.motion.reorient import place_motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
@@ -26,7 +26,7 @@ from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import (
     PrimLocation,
     matrix_array,
-    tokens,
+    token_array,
     transform_attributes,
 )
 from animtool.usd.rigs.placement import (
@@ -112,7 +112,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     """
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
     # Other checks look at one of several equal instances; here each one counts.
-    skeleton_of = _bound(find_skeletons(subject.stage))
+    skeleton_of = _bound_skeletons(find_skeletons(subject.stage))
     stage_data = _StageData.of(subject)
     takes = []
     for animation in subject.of_type(UsdSkel.Animation):
@@ -121,9 +121,9 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
             # A shared animation is not the motion of a single character.
             if stored_data(animation.GetPrim()).get("shared"):
                 continue
-            skeleton = _nearest(animation, skeletons)
+            skeleton = _nearest_skeleton(animation, skeletons)
         try:
-            take = _take(subject, path, animation, skeleton, stage_data)
+            take = _animation_take(subject, path, animation, skeleton, stage_data)
         except AnimtoolError:
             continue
         if take is not None:
@@ -131,7 +131,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     return takes
 
 
-def _bound(skeletons: list[Any]) -> dict[Any, Any]:
+def _bound_skeletons(skeletons: list[Any]) -> dict[Any, Any]:
     """Return the Skeleton that each animation is bound to."""
     skeleton_of: dict[Any, Any] = {}
     for skeleton in skeletons:
@@ -142,28 +142,28 @@ def _bound(skeletons: list[Any]) -> dict[Any, Any]:
     return skeleton_of
 
 
-def _nearest(animation: Any, skeletons: list[Any]) -> Any:
+def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
     """Return the Skeleton that shares most joints with an animation."""
-    joints = set(tokens(animation.GetJointsAttr()))
+    joints = set(token_array(animation.GetJointsAttr()))
     nearest = None
     most_joints = len(joints) // 2
     for skeleton in skeletons:
-        common_joints = len(joints.intersection(tokens(skeleton.GetJointsAttr())))
+        common_joints = len(joints.intersection(token_array(skeleton.GetJointsAttr())))
         if common_joints > most_joints:
             nearest, most_joints = skeleton, common_joints
     return nearest
 
 
-def _take(
+def _animation_take(
     subject: StageSubject,
     path: Path,
     animation: Any,
     skeleton: Any,
     stage_data: _StageData,
 ) -> AnimationTake | None:
-    joints = tokens(animation.GetJointsAttr())
-    shapes = tokens(animation.GetBlendShapesAttr())
-    of_rig = _rig(subject, animation, skeleton, joints, path)
+    joints = token_array(animation.GetJointsAttr())
+    shapes = token_array(animation.GetBlendShapesAttr())
+    of_rig = _animation_rig(subject, animation, skeleton, joints, path)
     placing_prims = animated_ancestors(skeleton.GetPrim()) if skeleton else []
     components = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in components]
@@ -176,8 +176,8 @@ def _take(
         # Its characters may be at other places, and outside the frames.
         first_code, last_code = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         codes = np.arange(first_code, last_code + 1)
-    rows = [_values(subject, *entry, codes) for entry in attributes]
-    motion = _motion(of_rig, joints, shapes, rows)
+    rows = [_attribute_rows(subject, *entry, codes) for entry in attributes]
+    motion = _build_motion(of_rig, joints, shapes, rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
@@ -190,20 +190,20 @@ def _take(
     placement = NO_PLACEMENT
     if skeleton is not None:
         placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
-    if not placement.full.is_none:
+    if not placement.full.is_identity:
         roots = np.array(of_rig.rig.roots, np.int64)
-        motion_ = placed_motion(motion_, roots, placement.full).map(Channel.compact)
+        motion_ = place_motion(motion_, roots, placement.full).map(Channel.compact)
     rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
-    take = Take(rig, _clock(subject, codes), motion_)
+    take = Take(rig, _build_clock(subject, codes), motion_)
     return AnimationTake(
         str(animation.GetPath()),
         take,
         codes if len(codes) else None,
-        _range(subject, animation, stage_data),
+        _frame_range(subject, animation, stage_data),
         skeleton is not None,
         _influencing_joints(skeleton, of_rig, stage_data) if skeleton else None,
-        _bind(skeleton, of_rig.rig, placement) if skeleton else None,
+        _bind_positions(skeleton, of_rig.rig, placement) if skeleton else None,
         _shown_rate(subject.stage),
         bool(stored_values.get("reduced") or stored_values.get("thinned")),
     )
@@ -217,11 +217,11 @@ def _shown_rate(stage: Any) -> float | None:
     return rate if rate > 0.0 else None
 
 
-def _rig(
+def _animation_rig(
     subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
 ) -> SkeletonRig:
     """Return the rig of an animation; without Skeleton it rests at the first sample."""
-    if skeleton is not None and tokens(skeleton.GetJointsAttr()):
+    if skeleton is not None and token_array(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
     meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
     up = up_axis(subject.stage)
@@ -239,7 +239,7 @@ def _rig(
     return rig_from_tokens(joints, rest, name, where, meters, up, {})
 
 
-def _values(
+def _attribute_rows(
     subject: StageSubject, attr: Any, count: int, width: int, codes: FloatArray
 ) -> FloatArray | None:
     """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
@@ -269,7 +269,7 @@ def _values(
     )
 
 
-def _motion(
+def _build_motion(
     skeleton_rig: SkeletonRig,
     joints: list[str],
     shapes: list[str],
@@ -302,14 +302,14 @@ def _motion(
     return translations, so3.align_signs(so3.normalize(rotations)), scales, weights
 
 
-def _clock(subject: StageSubject, codes: FloatArray) -> Clock:
+def _build_clock(subject: StageSubject, codes: FloatArray) -> Clock:
     fps = rate_from_float(subject.stage.GetTimeCodesPerSecond())
     start = time_fraction(float(codes[0])) if len(codes) else Fraction(1)
     step = time_fraction(float(np.median(np.diff(codes)))) if len(codes) > 1 else 1
     return Clock(fps, start, Fraction(step) or Fraction(1), max(len(codes), 1))
 
 
-def _range(
+def _frame_range(
     subject: StageSubject, animation: Any, stage_data: _StageData
 ) -> tuple[float, float] | None:
     """Return the range of an animation, else the stage's if it covers all of them.
@@ -342,7 +342,7 @@ def _influencing_joints(
         return None
     index = {token: i for i, token in enumerate(rig.tokens)}
     for binding, indices in skins:
-        binding_joints = tokens(binding.GetJointsAttr()) or rig.tokens
+        binding_joints = token_array(binding.GetJointsAttr()) or rig.tokens
         used_joints |= {
             index[binding_joints[i]]
             for i in _weighted_joints(binding, indices, len(binding_joints))
@@ -367,7 +367,9 @@ def _weighted_joints(binding: Any, indices: Any, count: int) -> Iterator[int]:
     ).tolist()
 
 
-def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray | None:
+def _bind_positions(
+    skeleton: Any, rig: Rig, placement: SkeletonPlacement
+) -> FloatArray | None:
     """Return the joint positions of the bind pose; None if invalid."""
     matrices = matrix_array(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():

@@ -24,25 +24,25 @@ def check_value_clips(subject: StageSubject) -> Iterator[Fault]:
         for name, clip_set in clips.GetClips().items():
             if isinstance(clip_set, dict):
                 where = f"{prim.GetPath()}.clips:{name}"
-                yield from _clip_set(prim, name, clip_set, where)
+                yield from _check_clip_set(prim, name, clip_set, where)
 
 
-def _clip_set(
+def _check_clip_set(
     prim: Any, name: str, clip_set: dict[str, Any], where: str
 ) -> Iterator[Fault]:
     template = "templateAssetPath" in clip_set and "assetPaths" not in clip_set
     if template:
-        yield from _template(prim, name, clip_set, where)
+        yield from _check_template(prim, name, clip_set, where)
     layers = []
     for asset in clip_set.get("assetPaths", ()):
-        layer = _open(prim, asset)
+        layer = _open_layer(prim, asset)
         if layer is None:
             message = f"clip {excerpt(asset.path, 80)} does not exist"
             yield finding("USD276", where, message)
         layers.append(layer)
     if not template:
-        yield from _active(clip_set, len(layers), where)
-    yield from _times(clip_set, where)
+        yield from _check_active(clip_set, len(layers), where)
+    yield from _check_times(clip_set, where)
     target = str(clip_set.get("primPath", ""))
     readable_layers = [layer for layer in layers if layer is not None]
     if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
@@ -54,11 +54,11 @@ def _clip_set(
     ):
         yield finding("USD277", where, f"no clip has primPath {target}")
         return
-    yield from _manifest(prim, clip_set, target, readable_layers, where)
-    yield from _spans(clip_set, target, layers, where)
+    yield from _check_manifest(prim, clip_set, target, readable_layers, where)
+    yield from _check_spans(clip_set, target, layers, where)
 
 
-def _open(prim: Any, asset: Any) -> Any:
+def _open_layer(prim: Any, asset: Any) -> Any:
     """Return the layer of an asset, anchored where the clips are authored."""
     for spec in prim.GetPrimStack():
         if spec.HasInfo("clips"):
@@ -71,12 +71,12 @@ def _open(prim: Any, asset: Any) -> Any:
     return None
 
 
-def _pairs(clip_set: dict[str, Any], key: str) -> FloatArray:
+def _time_pairs(clip_set: dict[str, Any], key: str) -> FloatArray:
     return np.array(clip_set.get(key) or (), np.float64).reshape(-1, 2)
 
 
-def _active(clip_set: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
-    active = _pairs(clip_set, "active")
+def _check_active(clip_set: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
+    active = _time_pairs(clip_set, "active")
     if not len(active):
         yield finding("USD277", where, f"no active for {counted(count, 'clip')}")
         return
@@ -94,13 +94,13 @@ def _active(clip_set: dict[str, Any], count: int, where: str) -> Iterator[Fault]
         yield finding("USD278", where, message)
 
 
-def _times(clip_set: dict[str, Any], where: str) -> Iterator[Fault]:
-    times = _pairs(clip_set, "times")
+def _check_times(clip_set: dict[str, Any], where: str) -> Iterator[Fault]:
+    times = _time_pairs(clip_set, "times")
     if not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
         yield finding("USD277", where, "the stage times of times do not ascend")
 
 
-def _template(
+def _check_template(
     prim: Any, name: str, clip_set: dict[str, Any], where: str
 ) -> Iterator[Fault]:
     """Compare the clips of a template with the existing files."""
@@ -137,7 +137,7 @@ def _sampled_properties(layer: Any, target: str) -> set[str]:
     return names
 
 
-def _manifest(
+def _check_manifest(
     prim: Any, clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
     asset = clip_set.get("manifestAssetPath")
@@ -146,7 +146,7 @@ def _manifest(
             message = "no manifest: every clip is opened to find its attributes"
             yield finding("USD279", where, message)
         return
-    manifest = _open(prim, asset)
+    manifest = _open_layer(prim, asset)
     if manifest is None:
         message = f"the manifest {excerpt(asset.path, 80)} does not exist"
         yield finding("USD276", where, message)
@@ -165,7 +165,7 @@ def _manifest(
         yield finding("USD279", where, message)
 
 
-def _spans(
+def _check_spans(
     clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
     """Check that all clips sample the same properties."""

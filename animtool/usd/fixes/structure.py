@@ -19,15 +19,15 @@ from animtool.usd.fixes.target import (
     NotFixableError,
     rewrite,
 )
-from animtool.usd.layers.faults import tokens
-from animtool.usd.rigs.prims import upwards
+from animtool.usd.layers.faults import token_array
+from animtool.usd.rigs.prims import self_and_ancestors
 from animtool.usd.rigs.rest_pose import relative_bind
 
 # Tolerance of weight sums in float32.
 ROUNDING = 1e-6
 
 
-def normalised(target: FixTarget, fault: Fault) -> Edit:
+def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
     """Normalize the weights of each point to a sum of one."""
     spec = target.attribute(fault)
     attr = target.stage.GetAttributeAtPath(fault.where)
@@ -63,7 +63,7 @@ def normalised(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def default_prim(target: FixTarget, _: Fault) -> Edit:
+def set_default_prim(target: FixTarget, _: Fault) -> Edit:
     """Set the only root prim as defaultPrim."""
     if target.layer.HasDefaultPrim():
         raise NotFixableError("the default prim is missing from the stage")
@@ -79,7 +79,7 @@ def default_prim(target: FixTarget, _: Fault) -> Edit:
     return edit
 
 
-def binding_api(target: FixTarget, fault: Fault) -> Edit:
+def apply_binding_api(target: FixTarget, fault: Fault) -> Edit:
     """Apply SkelBindingAPI to a prim with skel properties."""
     prim = target.prim(fault)
     target.prim_spec(prim)
@@ -92,14 +92,14 @@ def binding_api(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def unit_scales(target: FixTarget, fault: Fault) -> Edit:
+def author_unit_scales(target: FixTarget, fault: Fault) -> Edit:
     """Author unit scales for an animation that lacks only scales."""
     prim = target.prim(fault)
     animation = UsdSkel.Animation(prim)
     other_attributes = (animation.GetTranslationsAttr(), animation.GetRotationsAttr())
     if not all(attr.HasAuthoredValue() for attr in other_attributes):
         raise NotFixableError("translations or rotations are missing, not scales alone")
-    spec, count = target.prim_spec(prim), len(tokens(animation.GetJointsAttr()))
+    spec, count = target.prim_spec(prim), len(token_array(animation.GetJointsAttr()))
 
     def edit() -> Change:
         attribute = spec.attributes.get("scales") or Sdf.AttributeSpec(
@@ -111,11 +111,11 @@ def unit_scales(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
+def author_rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
     """Author restTransforms from the bind transforms relative to the parents."""
     prim = target.prim(fault)
     skeleton = UsdSkel.Skeleton(prim)
-    joints = tokens(skeleton.GetJointsAttr())
+    joints = token_array(skeleton.GetJointsAttr())
     if skeleton.GetRestTransformsAttr().HasAuthoredValue():
         raise NotFixableError(
             "the number of rest transforms differs from the number of joints"
@@ -138,7 +138,7 @@ def rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def default_value(target: FixTarget, fault: Fault) -> Edit:
+def replace_by_default(target: FixTarget, fault: Fault) -> Edit:
     """Replace equal time samples by a default."""
     spec = target.attribute(fault)
     layer, path = spec.layer, spec.path
@@ -157,10 +157,10 @@ def default_value(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-NAME = "extent"
+EXTENT = "extent"
 
 
-def computed(target: FixTarget, fault: Fault) -> Edit:
+def author_computed_extent(target: FixTarget, fault: Fault) -> Edit:
     """Author `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
 
     The extent of a SkelRoot is widened to contain its skinned points.
@@ -171,23 +171,23 @@ def computed(target: FixTarget, fault: Fault) -> Edit:
     prim = target.prim(fault)
     if not prim.IsA(UsdGeom.Boundable):
         raise NotFixableError("the prim has no extent")
-    varies = any(ancestor.HasVariantSets() for ancestor in upwards(prim))
+    varies = any(ancestor.HasVariantSets() for ancestor in self_and_ancestors(prim))
     if varies and _layer_spec(target, prim) is None:
         raise NotFixableError("a variant sets the motion; author it in each variant")
 
     def edit() -> Change:
-        change = _author(target, prim)
-        roots = (p for p in upwards(prim.GetParent()) if p.IsA(UsdSkel.Root))
+        change = _author_extent(target, prim)
+        roots = (p for p in self_and_ancestors(prim.GetParent()) if p.IsA(UsdSkel.Root))
         for root in roots:
             # UsdSkel pads joint bounds by the extents of the meshes below.
-            if root.GetAttribute(NAME).HasAuthoredValue():
-                _author(target, root)
+            if root.GetAttribute(EXTENT).HasAuthoredValue():
+                _author_extent(target, root)
         return change
 
     return edit
 
 
-def _author(target: FixTarget, prim: Any) -> Change:
+def _author_extent(target: FixTarget, prim: Any) -> Change:
     """Author the extent of a prim at every sample of its sources."""
     boundable, layer = UsdGeom.Boundable(prim), target.layer
     attr, subject = boundable.GetExtentAttr(), StageSubject(target.stage)
@@ -196,9 +196,9 @@ def _author(target: FixTarget, prim: Any) -> Change:
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
     old_extents = [attr.Get(code) for code in codes]
     skinned_bounds = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
-    new_extents = [_bounds(boundable, code, skinned_bounds) for code in codes]
+    new_extents = [_extent_with_skin(boundable, code, skinned_bounds) for code in codes]
     if old_extents == new_extents and attr.HasAuthoredValue():
-        return _change(old_extents, new_extents)
+        return _largest_change(old_extents, new_extents)
     spec = _layer_spec(target, prim) or _extents_hint_spec(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
@@ -206,23 +206,25 @@ def _author(target: FixTarget, prim: Any) -> Change:
             layer.SetTimeSample(spec.path, time, value)
         if not times:
             spec.default = new_extents[0]
-    return _change(old_extents, new_extents)
+    return _largest_change(old_extents, new_extents)
 
 
 def _layer_spec(target: FixTarget, prim: Any) -> Any:
     """Return the extent's root layer spec if it is the strongest opinion."""
-    attr = prim.GetAttribute(NAME)
+    attr = prim.GetAttribute(EXTENT)
     stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime()) if attr else ()
     return stack[0] if stack and stack[0].layer == target.layer else None
 
 
 def _extents_hint_spec(target: FixTarget, prim: Any) -> Any:
     spec = Sdf.CreatePrimInLayer(target.layer, prim.GetPath())
-    attribute = spec.attributes.get(NAME)
-    return attribute or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
+    attribute = spec.attributes.get(EXTENT)
+    return attribute or Sdf.AttributeSpec(spec, EXTENT, Sdf.ValueTypeNames.Float3Array)
 
 
-def _bounds(boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None) -> Any:
+def _extent_with_skin(
+    boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None
+) -> Any:
     """Return the extent USD computes, widened by skinned points outside it."""
     try:
         extent = UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
@@ -242,7 +244,7 @@ def _bounds(boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None) -> 
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 
-def _change(old_values: list[Any], new_values: list[Any]) -> Change:
+def _largest_change(old_values: list[Any], new_values: list[Any]) -> Change:
     pairs = [
         np.abs(np.array(old_value, np.float64) - np.array(new_value, np.float64)).max()
         for old_value, new_value in zip(old_values, new_values, strict=True)

@@ -23,7 +23,7 @@ from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
-from animtool.usd.fixes.table import EDITS
+from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -149,9 +149,9 @@ class EditedLayer:
 
     def edit_of(self, fault: Fault) -> Edit:
         """Return the edit that fixes a finding, or raise `NotFixableError`."""
-        if fault.code not in EDITS:
+        if fault.code not in EDITS_BY_CODE:
             raise NotFixableError("there is no automatic fix")
-        fix = cast(Fix, load_object(EDITS[fault.code]))
+        fix = cast(Fix, load_object(EDITS_BY_CODE[fault.code]))
         return fix(self.target, fault)
 
     def content(self) -> Any:
@@ -209,7 +209,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
         layer = edited.content()
     rewritten = _reanchor_assets(layer, source, output)
     has_same_format = source.suffix.lower() == output.suffix.lower()
-    arguments = {"format": _format(source)} if output.suffix == ".usd" else {}
+    arguments = {"format": _layer_format(source)} if output.suffix == ".usd" else {}
     with replacement_path(output) as temporary:
         if content is None and has_same_format and not rewritten:
             try:
@@ -231,7 +231,7 @@ def _reload(path: Path) -> None:
             layer.Reload(force=True)
 
 
-def _format(path: Path) -> str:
+def _layer_format(path: Path) -> str:
     """Return the actual format of a file with the ambiguous suffix."""
     with open_input(path, None) as file:
         return "usda" if file.read(5) == b"#usda" else "usdc"

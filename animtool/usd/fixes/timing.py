@@ -17,10 +17,10 @@ from animtool.usd.fixes.target import rewrite as rewrite_arrays
 from animtool.usd.takes.animation_values import MAX_OFF_FRAME
 
 # Shorter quaternions have no reliable direction.
-MIN_LENGTH = 1e-3
+MIN_QUATERNION_LENGTH = 1e-3
 
 
-def continuous(target: FixTarget, fault: Fault) -> Edit:
+def align_rotation_signs(target: FixTarget, fault: Fault) -> Edit:
     """Negate rotations whose sign flips between samples."""
     spec = target.attribute(fault)
 
@@ -41,7 +41,7 @@ def continuous(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def unit(target: FixTarget, fault: Fault) -> Edit:
+def normalize_rotations(target: FixTarget, fault: Fault) -> Edit:
     """Normalize rotations."""
     spec = target.attribute(fault)
 
@@ -53,7 +53,10 @@ def unit(target: FixTarget, fault: Fault) -> Edit:
             normalized = []
             for array in arrays:
                 lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
-                if not (lengths > MIN_LENGTH).all() or not np.isfinite(lengths).all():
+                if (
+                    not (lengths > MIN_QUATERNION_LENGTH).all()
+                    or not np.isfinite(lengths).all()
+                ):
                     raise NotFixableError("a quaternion has no direction")
                 # Rounding error of a unit quaternion's length.
                 rounding = 4 * float(np.finfo(array.dtype).eps)
@@ -81,7 +84,7 @@ def _stack_arrays(arrays: list[AnyArray]) -> AnyArray:
 ASSUMED_RATE = 24.0
 
 
-def rates(target: FixTarget, _: Fault) -> Edit:
+def author_rates(target: FixTarget, _: Fault) -> Edit:
     """Author both rates; the missing one gets USD's fallback."""
     layer = target.layer
 
@@ -99,17 +102,17 @@ def rates(target: FixTarget, _: Fault) -> Edit:
     return edit
 
 
-def sample_range(target: FixTarget, _: Fault) -> Edit:
+def fit_range(target: FixTarget, _: Fault) -> Edit:
     """Set the layer's frame range to the range of its samples."""
     return lambda: _fit_range(target, widen=False)
 
 
-def wider_range(target: FixTarget, _: Fault) -> Edit:
+def widen_range(target: FixTarget, _: Fault) -> Edit:
     """Widen the layer's range to contain all samples."""
     return lambda: _fit_range(target, widen=True)
 
 
-def full_range(target: FixTarget, _: Fault) -> Edit:
+def round_range(target: FixTarget, _: Fault) -> Edit:
     """Round the ends of the layer's range outwards to frames.
 
     If a rounded end is less than a frame outside all samples, it is set to the samples.
@@ -117,7 +120,7 @@ def full_range(target: FixTarget, _: Fault) -> Edit:
     stage = target.stage
 
     def edit() -> Change:
-        first_sample, last_sample = _span(stage)
+        first_sample, last_sample = _frame_span(stage)
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         start = (
             first_sample if 0 < first_sample - start < 1 else float(math.floor(start))
@@ -130,7 +133,7 @@ def full_range(target: FixTarget, _: Fault) -> Edit:
 
 def _fit_range(target: FixTarget, *, widen: bool) -> Change:
     stage = target.stage
-    first_sample, last_sample = _span(stage)
+    first_sample, last_sample = _frame_span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if widen and start <= last_sample and end >= first_sample:
         first_sample, last_sample = min(first_sample, start), max(last_sample, end)
@@ -156,7 +159,7 @@ def _range_text(layer: Any) -> str:
     return f", which was {start} to {end}"
 
 
-def _span(stage: Any) -> tuple[float, float]:
+def _frame_span(stage: Any) -> tuple[float, float]:
     """Return the first and last frame of the samples, ignoring motion blur samples."""
     subject = StageSubject(stage)
     times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
@@ -170,7 +173,7 @@ def _span(stage: Any) -> tuple[float, float]:
     )
 
 
-def integer_frames(target: FixTarget, fault: Fault) -> Edit:
+def snap_to_frames(target: FixTarget, fault: Fault) -> Edit:
     """Snap samples slightly off a frame to it, and the range with them.
 
     Samples between frames, such as those of motion blur, stay.

@@ -119,7 +119,7 @@ class ClipFiles:
     def chunk(self, number: int) -> Path:
         """Return the path of a chunk, counted from 0.
 
-        >>> system_files(Path("shot.usdc")).chunk(0).name
+        >>> system_clip_files(Path("shot.usdc")).chunk(0).name
         'shot.systems.0001.usdc'
         """
         stem = self.output.stem
@@ -148,20 +148,20 @@ class ClipFiles:
                 path.unlink()
 
 
-def point_files(output: Path) -> ClipFiles:
+def point_clip_files(output: Path) -> ClipFiles:
     """Return the clip files of a character's point caches.
 
-    >>> point_files(Path("shot.usdc")).manifest.name
+    >>> point_clip_files(Path("shot.usdc")).manifest.name
     'shot.manifest.usda'
     """
     manifest = output.with_name(f"{output.stem}.manifest.usda")
     return ClipFiles(output, "points", manifest)
 
 
-def system_files(output: Path) -> ClipFiles:
+def system_clip_files(output: Path) -> ClipFiles:
     """Return the clip files of a simulation.
 
-    >>> system_files(Path("shot.usdc")).manifest.name
+    >>> system_clip_files(Path("shot.usdc")).manifest.name
     'shot.systems.manifest.usda'
     """
     manifest = output.with_name(f"{output.stem}.systems.manifest.usda")
@@ -207,7 +207,7 @@ def write_frames(
 
     Args:
         blocks: Blocks of frames.
-        writer: `OneLayer` or `Chunks`.
+        writer: `OneLayer` or `ChunkedWriter`.
         reports: One report per prim.
     """
     for block in blocks:
@@ -230,7 +230,7 @@ class OneLayer(Generic[FramesT]):
         self.last = max(self.last, block.codes[-1])
 
 
-class Chunks:
+class ChunkedWriter:
     """Writes samples to files of fixed size, closed once all prims have the next one.
 
     Every file also has the first sample of the next, for interpolation between them.
@@ -284,13 +284,15 @@ class Chunks:
             number, at = divmod(self._next_samples[block.prim], self._size)
             count = min(self._size - at, len(codes) - begin)
             if at == 0 and number:
-                self._put(number - 1, block.some(slice(begin, begin + 1)))
+                self._write_block(
+                    number - 1, block.select_frames(slice(begin, begin + 1))
+                )
             if number == len(self.starts):
                 stack = ExitStack()
                 context = self._build(self.files.chunk(number), number)
                 self._open[number] = stack, stack.enter_context(context)
                 self.starts.append(float(codes[begin]))
-            self._put(number, block.some(slice(begin, begin + count)))
+            self._write_block(number, block.select_frames(slice(begin, begin + count)))
             self._next_samples[block.prim] += count
             begin += count
         self.last = max(self.last, float(codes[-1]))
@@ -298,7 +300,7 @@ class Chunks:
             if min(self._next_samples) > (number + 1) * self._size:
                 self._close(number)
 
-    def _put(self, number: int, block: Block) -> None:
+    def _write_block(self, number: int, block: Block) -> None:
         self._open[number][1][block.prim].add(block)
 
     def _close(self, number: int) -> None:

@@ -62,7 +62,7 @@ class _LayerWalk:
             return None
         path = Path(file)
         if path not in self.states:
-            state = self._state(layer, name, path)
+            state = self._file_state(layer, name, path)
             if state is None:
                 return None
             self.states[path] = state
@@ -72,7 +72,7 @@ class _LayerWalk:
             # The stage itself reports layers that it cannot open.
             return None
 
-    def _state(self, layer: Any, name: str, path: Path) -> FileState | None:
+    def _file_state(self, layer: Any, name: str, path: Path) -> FileState | None:
         """Return the identity of a file; None if USD would not find a file there."""
         try:
             return layer_state(path)

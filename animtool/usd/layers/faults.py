@@ -65,15 +65,15 @@ class PrimLocation:
             raise FormatError(errors)
 
 
-def tokens(attr: Any) -> list[str]:
+def token_array(attr: Any) -> list[str]:
     """Return the tokens of an attribute; empty without a value."""
     return [str(token) for token in (attr.Get() if attr else None) or ()]
 
 
-def duplicates(names: Sequence[str]) -> list[str]:
+def duplicate_tokens(names: Sequence[str]) -> list[str]:
     """Return the duplicate names, in order.
 
-    >>> duplicates(["a", "b", "a", "a"])
+    >>> duplicate_tokens(["a", "b", "a", "a"])
     ['a']
     """
     return [name for name, count in Counter(names).items() if count > 1]
@@ -96,7 +96,7 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
     return np.array([parent_name(name) for name in joints], np.int64)
 
 
-def units_and_axis(stage: Any) -> Iterator[Fault]:
+def unit_and_axis_faults(stage: Any) -> Iterator[Fault]:
     """Yield faults of an invalid stage unit or up axis."""
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if not MIN_METADATA <= unit <= MAX_METADATA:
@@ -113,9 +113,9 @@ def matrix_array(attr: Any) -> FloatArray:
     return np.asarray(value if is_valid else (), np.float64).reshape(-1, 4, 4)
 
 
-def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
+def joint_order_faults(where: object, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield faults of joint paths: duplicates, or a child before its parent."""
-    repeated_joints = duplicates(joints)
+    repeated_joints = duplicate_tokens(joints)
     if repeated_joints:
         message = f"{len(repeated_joints)} of {len(joints)} joints are duplicates: "
         message += listed(repeated_joints)
@@ -132,7 +132,7 @@ def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
         yield finding("USD221", where, message)
 
 
-def bind_transforms(
+def bind_faults(
     skeleton: Any, joints: Sequence[str], *, skins: bool
 ) -> Iterator[Fault]:
     """Yield faults of bind transforms; they are required only for skins."""
@@ -144,7 +144,7 @@ def bind_transforms(
             message += f" for {counted(len(joints), 'joint')}"
             yield finding("USD224", attr.GetPath(), message)
         return
-    faults = list(finite_transforms(attr, bind, joints))
+    faults = list(non_finite_faults(attr, bind, joints))
     yield from faults
     if faults:
         return
@@ -166,20 +166,22 @@ def singular(matrices: FloatArray) -> BoolArray:
     return is_singular
 
 
-def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[Fault]:
+def unknown_joint_faults(
+    attr: Any, joints: Sequence[str], skeleton: Any
+) -> Iterator[Fault]:
     """Yield a fault if an animation has joints that its Skeleton lacks."""
     joint_set = set(joints)
-    unknown = [name for name in tokens(attr) if name not in joint_set]
+    unknown = [name for name in token_array(attr) if name not in joint_set]
     if unknown and joint_set:
         message = f"{counted(len(unknown), 'joint')} that {skeleton} does not have: "
         message += listed(unknown)
         yield finding("USD209", attr.GetPath(), message)
 
 
-def duplicate_names(attr: Any) -> Iterator[Fault]:
+def duplicate_name_faults(attr: Any) -> Iterator[Fault]:
     """Yield a fault for duplicate joints or shapes of an animation."""
-    names = tokens(attr)
-    repeated = duplicates(names)
+    names = token_array(attr)
+    repeated = duplicate_tokens(names)
     if repeated:
         message = (
             f"{len(repeated)} of {len(names)} names are duplicates: {listed(repeated)}"
@@ -196,7 +198,7 @@ def transform_attributes(animation: Any) -> dict[str, Any]:
     }
 
 
-def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
+def missing_transform_faults(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield a fault if an animation lacks translations, rotations or scales."""
     attributes = transform_attributes(animation)
     unauthored = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
@@ -212,7 +214,7 @@ def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
         yield finding("USD201", animation.GetPath(), message)
 
 
-def finite_transforms(
+def non_finite_faults(
     attr: Any, matrices: FloatArray, joints: Sequence[str]
 ) -> Iterator[Fault]:
     """Yield a fault if joint transforms are not finite."""

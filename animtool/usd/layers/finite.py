@@ -19,12 +19,12 @@ from animtool.core.errors import Fault, OutputError
 from animtool.core.record import dataclass
 
 # Largest finite number by type letter, the last letter of USD's type names.
-_LIMITS = {
+_TYPE_LIMITS = {
     letter: float(np.finfo(dtype).max)
     for letter, dtype in (("h", np.float16), ("f", np.float32), ("d", np.float64))
 }
-_NAMES = {"h": "float16", "f": "float32", "d": "float64"}
-_SCALARS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
+_TYPE_NAMES = {"h": "float16", "f": "float32", "d": "float64"}
+_SCALAR_LETTERS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
 # Bit masks of float16: all but the sign, and the largest finite number.
 _HALF_MAGNITUDE, _HALF_LIMIT = np.uint16(0x7FFF), 0x7BFF
 # Half the distance between the largest float32 and the next smaller one: rounding
@@ -33,7 +33,7 @@ _MAX_ROUNDING = 2.0**103
 
 
 @dataclass(frozen=True, slots=True)
-class Labels:
+class ValueLabels:
     """Names of an attribute's values, for messages."""
 
     attribute: str  # name or path of the attribute
@@ -55,15 +55,15 @@ class Labels:
 def float_letter(type_name: Any) -> str:
     """Return the type letter (h, f or d) of a value type; empty if not a float."""
     name = str(type_name.scalarType.cppTypeName)
-    if name in _SCALARS:
-        return _SCALARS[name]
-    return name[-1] if name.startswith("Gf") and name[-1] in _LIMITS else ""
+    if name in _SCALAR_LETTERS:
+        return _SCALAR_LETTERS[name]
+    return name[-1] if name.startswith("Gf") and name[-1] in _TYPE_LIMITS else ""
 
 
-def narrowed(
+def narrow_floats(
     values: FloatArray,
     letter: str,
-    labels: Labels,
+    labels: ValueLabels,
     codes: FloatArray | None = None,
 ) -> npt.NDArray[Any]:
     """Return values as float16 (``h``) or float32 (``f``).
@@ -74,13 +74,13 @@ def narrowed(
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
         converted_values = values.astype(dtype)
-    if converted_values.size and not _is_within(converted_values, _LIMITS[letter]):
-        _refuse(values, converted_values, letter, labels, codes)
+    if converted_values.size and not _is_within(converted_values, _TYPE_LIMITS[letter]):
+        _refuse_non_finite(values, converted_values, letter, labels, codes)
     return converted_values
 
 
 def rounded(
-    points: FloatArray, unit: float, labels: Labels, codes: FloatArray
+    points: FloatArray, unit: float, labels: ValueLabels, codes: FloatArray
 ) -> tuple[Float32Array, float, int, int]:
     """Return points rounded like `_kernels.round_points`.
 
@@ -93,36 +93,36 @@ def rounded(
         with np.errstate(all="ignore"):
             in_unit = points / unit
             in_float32 = in_unit.astype(np.float32)
-        _refuse(in_unit, in_float32, "f", labels, codes)
+        _refuse_non_finite(in_unit, in_float32, "f", labels, codes)
     return rounded_points, error, frame, vertex
 
 
 def check_rows(
-    rows: npt.NDArray[Any], letter: str, labels: Labels, codes: FloatArray
+    rows: npt.NDArray[Any], letter: str, labels: ValueLabels, codes: FloatArray
 ) -> None:
     """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
     ``rows`` are ``(F, …)``, ``codes`` the time codes ``(F,)``.
     """
     if not np.isfinite(codes).all():
-        raise _error(labels, "a time code is not finite")
-    if rows.size and not _is_within(rows, _LIMITS[letter]):
-        _refuse(rows, rows, letter, labels, codes)
+        raise _value_error(labels, "a time code is not finite")
+    if rows.size and not _is_within(rows, _TYPE_LIMITS[letter]):
+        _refuse_non_finite(rows, rows, letter, labels, codes)
 
 
 def check_value(
-    value: Any, letter: str, labels: Labels, code: float | None = None
+    value: Any, letter: str, labels: ValueLabels, code: float | None = None
 ) -> None:
     """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
     ``code`` is the time code; None is the default.
     """
     numbers = floats_of(value)
-    if numbers is None or not numbers.size or _is_within(numbers, _LIMITS[letter]):
+    if numbers is None or not numbers.size or _is_within(numbers, _TYPE_LIMITS[letter]):
         return
     codes = None if code is None else np.array([code])
     rows = numbers if code is None else numbers[None]
-    _refuse(rows, rows, letter, labels, codes)
+    _refuse_non_finite(rows, rows, letter, labels, codes)
 
 
 def check_data(value: object, name: str) -> None:
@@ -131,7 +131,7 @@ def check_data(value: object, name: str) -> None:
         for key, item in value.items():
             check_data(item, f"{name}:{key}")
     elif isinstance(value, float):
-        check_value(value, "d", Labels(name))
+        check_value(value, "d", ValueLabels(name))
 
 
 def floats_of(value: Any) -> npt.NDArray[Any] | None:
@@ -161,15 +161,15 @@ def _is_within(values: npt.NDArray[Any], limit: float) -> bool:
     return bool(-limit <= values.min() and values.max() <= limit)
 
 
-def _refuse(
+def _refuse_non_finite(
     values: npt.NDArray[Any],
     converted_values: npt.NDArray[Any],
     letter: str,
-    labels: Labels,
+    labels: ValueLabels,
     codes: FloatArray | None,
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
-    limit = _LIMITS[letter]
+    limit = _TYPE_LIMITS[letter]
     not_finite = np.argwhere(~(np.abs(converted_values) <= limit))
     if not len(not_finite):
         return
@@ -177,12 +177,12 @@ def _refuse(
     value = float(values[index])
     element_index = index if codes is None else index[1:]
     at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
-    range_text = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
-    raise _error(
+    range_text = f"{_TYPE_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
+    raise _value_error(
         labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {range_text}"
     )
 
 
-def _error(labels: Labels, message: str) -> OutputError:
+def _value_error(labels: ValueLabels, message: str) -> OutputError:
     hint = "nothing is written: check the numbers and units of the source"
     return OutputError(Fault("USD170", message, hint=hint, where=labels.attribute))

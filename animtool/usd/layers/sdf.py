@@ -39,7 +39,7 @@ from animtool.core.units import UpAxis
 from animtool.core.values import plain_value
 from animtool.maths import so3
 from animtool.usd.layers.finite import (
-    Labels,
+    ValueLabels,
     all_equal,
     check_data,
     check_rows,
@@ -50,11 +50,13 @@ from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.text_faults import layer_fault
 
 # Hint for files with a valid name that are not USD.
-AS_USD = "name a USD file; animtool convert writes one of a rig, a clip or a capture"
+USD_FILE_HINT = (
+    "name a USD file; animtool convert writes one of a rig, a clip or a capture"
+)
 # USD maps binary layers into memory, but reads text layers completely.
 MAX_LAYER_BYTES = 1_000_000_000_000
 MAX_TEXT_LAYER_BYTES = 4_000_000_000
-CRATE = b"PXR-USDC"
+CRATE_MAGIC = b"PXR-USDC"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,7 @@ class StageMetadata:
 
 
 # Why USD cannot open a file with such a path.
-NO_TEXT = "its path contains bytes that are not UTF-8"
+NOT_UTF8_REASON = "its path contains bytes that are not UTF-8"
 
 
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
@@ -164,7 +166,7 @@ def asset_path(file: Path, folder: Path) -> str:
     return f"./{name}"
 
 
-@expects_format("USD001", "a USD file", AS_USD)
+@expects_format("USD001", "a USD file", USD_FILE_HINT)
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, recorded=True)
@@ -186,7 +188,9 @@ def layer_state(path: Path, *, recorded: bool = False) -> FileState:
     ``recorded`` says whether a user or a document names it as an input.
     """
     with open_input(path, None, recorded=recorded) as file:
-        binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
+        binary = (
+            file.read(len(CRATE_MAGIC)) == CRATE_MAGIC or path.suffix.lower() == ".usdz"
+        )
         limit = MAX_LAYER_BYTES if binary else MAX_TEXT_LAYER_BYTES
         if file.state.size > limit:
             raise size_error(path, file.state.size, limit)
@@ -202,7 +206,7 @@ def forget_layers() -> None:
         gc.collect()
 
 
-def compute_alone() -> None:
+def limit_usd_threads() -> None:
     """Limit USD to the calling thread if other processes use the cores."""
     Work.SetConcurrencyLimit(1)
 
@@ -216,20 +220,20 @@ def usd_errors(path: Path) -> Iterator[None]:
         except Tf.ErrorException as error:
             raise FormatError(layer_fault(usd_reason(error, 2000), path)) from error
         except UnicodeEncodeError as error:
-            raise unreadable_error(path, NO_TEXT) from error
+            raise unreadable_error(path, NOT_UTF8_REASON) from error
         except UnicodeDecodeError as error:
             message = "contains text that is not UTF-8"
             raise FormatError(Fault("USD001", message, str(path))) from error
 
 
-def usd_reason(error: Tf.ErrorException, most: int = 300) -> str:
-    """Return USD's error text without its source locations, cut to ``most`` letters."""
+def usd_reason(error: Tf.ErrorException, max_letters: int = 300) -> str:
+    """Return USD's error text without source locations, cut to ``max_letters``."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
     for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
         before_marker, _, after_marker = text.partition(marker)
         text = before_marker + after_marker.split(marker)[0]
-    return text.strip()[:most] or "is not a USD layer"
+    return text.strip()[:max_letters] or "is not a USD layer"
 
 
 def new_layer(path: Path) -> Any:
@@ -240,7 +244,7 @@ def new_layer(path: Path) -> Any:
     return Sdf.Layer.CreateAnonymous(".usdc" if is_package else path.suffix)
 
 
-def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
+def prim_spec(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
     """Return the spec of a prim, created if needed with ancestors as overs."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
@@ -249,7 +253,7 @@ def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> A
     return spec
 
 
-def attribute(
+def attribute_spec(
     spec: Any,
     name: str,
     type_name: Any,
@@ -263,7 +267,7 @@ def attribute(
     attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
         if letter := float_letter(type_name):
-            check_value(value, letter, Labels(str(attr.path)))
+            check_value(value, letter, ValueLabels(str(attr.path)))
         attr.default = value
     if interpolation:
         attr.SetInfo("interpolation", interpolation)
@@ -284,7 +288,7 @@ def write_samples(
     Raises:
         OutputError: A value is not finite, or too large for its type (USD170).
     """
-    letter, labels = float_letter(attr.typeName), Labels(str(attr.path))
+    letter, labels = float_letter(attr.typeName), ValueLabels(str(attr.path))
     for code, value in zip(codes[rows].tolist(), values, strict=True):
         if letter:
             check_value(value, letter, labels, code)
@@ -293,7 +297,7 @@ def write_samples(
     attr.default = values[0]
 
 
-def relationship(spec: Any, name: str, *targets: str) -> None:
+def author_relationship(spec: Any, name: str, *targets: str) -> None:
     """Create a relationship to prims."""
     relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
     relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
@@ -337,18 +341,18 @@ def export_layer(
     except Tf.ErrorException as error:
         raise output_error(path, usd_reason(error)) from error
     except UnicodeEncodeError as error:
-        raise output_error(path, NO_TEXT) from error
+        raise output_error(path, NOT_UTF8_REASON) from error
     if not is_exported:
         raise output_error(path, "USD could not write it")
 
 
 def author_model(layer: Any, path: str) -> Any:
     """Create the prim of a component; its ancestors become groups."""
-    model = prim(layer, path, "Xform")
+    model = prim_spec(layer, path, "Xform")
     for ancestor in model.path.GetAncestorsRange():
         if not ancestor.IsAbsoluteRootPath():
             kind = "component" if ancestor == model.path else "group"
-            prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+            prim_spec(layer, str(ancestor), "Xform").SetInfo("kind", kind)
     return model
 
 
@@ -356,7 +360,7 @@ def author_order(spec: Any, *names: str) -> None:
     """Author the xformOpOrder of a prim."""
     order = Vt.TokenArray(names)
     types = Sdf.ValueTypeNames
-    attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+    attribute_spec(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
 
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
@@ -366,25 +370,25 @@ def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
     spec.SetInfo("apiSchemas", list_op)
 
 
-def vector(row: FloatArray) -> Any:
+def gf_vector(row: FloatArray) -> Any:
     """Return a vector ``(3,)`` as a Gf vector."""
     return Gf.Vec3d(*row.tolist())
 
 
-def quaternion(row: FloatArray) -> Any:
+def gf_quaternion(row: FloatArray) -> Any:
     """Return a quaternion ``(4,)``, x y z w, as a Gf quaternion.
 
     >>> import numpy as np
-    >>> quaternion(np.array([0.0, 0.0, 0.0, 1.0])).GetReal()
+    >>> gf_quaternion(np.array([0.0, 0.0, 0.0, 1.0])).GetReal()
     1.0
     """
     x, y, z, w = row.tolist()
     return Gf.Quatd(w, x, y, z)
 
 
-def quatf(row: FloatArray) -> Any:
+def gf_quatf(row: FloatArray) -> Any:
     """Return a quaternion ``(4,)``, x y z w, as a float32 Gf quaternion."""
-    return Gf.Quatf(quaternion(row))
+    return Gf.Quatf(gf_quaternion(row))
 
 
 class SampleWriter:
@@ -414,7 +418,7 @@ class SampleWriter:
         self._set = attr.layer.SetTimeSample
         self._make, self._every, self._has_default = make, every, first
         self._letter = float_letter(attr.typeName)
-        self._labels = Labels(str(self._path), noun, names)
+        self._labels = ValueLabels(str(self._path), noun, names)
         self._first: npt.NDArray[Any] | None = None
         self._quaternions = quaternions
         self._last: npt.NDArray[Any] | None = None

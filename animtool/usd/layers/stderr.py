@@ -19,7 +19,7 @@ _KNOWN_TEXTS = (
     b"A timecode or timecode[] value type was detected which requires",
 )
 # Beginnings of USD's diagnostic lines.
-_DIAGNOSTICS = (
+_DIAGNOSTIC_PREFIXES = (
     b"Warning: in ",
     b"Error in ",
     b"Coding Error: in ",
@@ -44,7 +44,7 @@ def without_usd_warnings() -> Iterator[None]:
 
     Other output to stderr is printed afterwards.
     """
-    with _captured_stderr(_DIAGNOSTICS):
+    with _captured_stderr(_DIAGNOSTIC_PREFIXES):
         yield
 
 

@@ -13,11 +13,11 @@ FIRST_LINE = "#usda 1.0"
 # File, line, column, what is wrong, the text there, and the prim or attribute.
 _LOCATED_FAULT = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
 _UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
-_LONGEST = 300
+_MAX_TEXT = 300
 
 # Message and hint, by what USD says; both are given its words and the text there.
-_Words = Callable[[re.Match[str], str], tuple[str, str | None]]
-_FAULTS: dict[str, _Words] = {
+_FaultText = Callable[[re.Match[str], str], tuple[str, str | None]]
+_FAULT_PATTERNS: dict[str, _FaultText] = {
     r"Unable to parse layer version|is not a valid usda layer": lambda _, __: (
         f"the first line is not {FIRST_LINE!r}",
         f"write {FIRST_LINE!r} in the first line",
@@ -80,11 +80,11 @@ def layer_fault(text: str, path: Path) -> Fault:
         if located_fault[6] not in {"", "/"}:
             location["where"] = located_fault[6]
     for text_part in (text, message_text):
-        for pattern, describe in _FAULTS.items():
+        for pattern, describe in _FAULT_PATTERNS.items():
             match = re.search(pattern, text_part)
             if match is not None:
                 message, hint = describe(match, context)
                 if "first line" in message:
                     location = {"lines": (1,), "column": 1}
                 return Fault("USD001", message, str(path), hint=hint, **location)
-    return Fault("USD001", text[:_LONGEST], str(path), **location)
+    return Fault("USD001", text[:_MAX_TEXT], str(path), **location)

@@ -10,7 +10,7 @@ from pxr import Sdf
 from animtool.core.files.output import replacement_path
 from animtool.usd.layers.sdf import find_layer, usd_errors
 
-_METADATA = (
+_METADATA_FIELDS = (
     "defaultPrim",
     "endTimeCode",
     "framesPerSecond",
@@ -44,7 +44,7 @@ def write_view(
         view = Sdf.Layer.CreateAnonymous(".usda")
         layers = [*stronger, shown, *weaker]
         view.subLayerPaths = [str(layer.resolve()) for layer in layers]
-        for name in _METADATA:
+        for name in _METADATA_FIELDS:
             if source_metadata.HasInfo(name):
                 view.pseudoRoot.SetInfo(name, source_metadata.GetInfo(name))
         with replacement_path(path) as temporary:

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.physics.stage import (
-    AXES,
+    AXIS_VECTORS,
     MAX_FORCE,
     MAX_NUMBER,
     PhysicsStage,
@@ -24,9 +24,9 @@ from animtool.usd.physics.stage import (
     relative_pose,
 )
 from animtool.usd.rigs.layer import read_ball
-from animtool.usd.rigs.prims import nearest_prim, upwards
+from animtool.usd.rigs.prims import nearest_prim, self_and_ancestors
 
-JOINTS = {
+JOINT_KINDS = {
     "PhysicsFixedJoint": "fixed",
     "PhysicsRevoluteJoint": "pin",
     "PhysicsPrismaticJoint": "prismatic",
@@ -54,15 +54,15 @@ def read_joint(
     joint = UsdPhysics.Joint(prim)
     if joint.GetJointEnabledAttr().Get() is False:
         return None
-    kind = JOINTS.get(str(prim.GetTypeName()))
+    kind = JOINT_KINDS.get(str(prim.GetTypeName()))
     if kind is None:
         source.note(prim, f"is a {prim.GetTypeName()}, which is not supported")
         return None
     axis = prim.GetAttribute("physics:axis")
     token = str((axis.Get() if axis else None) or "X")
-    if token not in AXES:
+    if token not in AXIS_VECTORS:
         PrimLocation.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
-    axis_rotation = so3.between(AXES["X"], AXES[token])
+    axis_rotation = so3.between(AXIS_VECTORS["X"], AXIS_VECTORS[token])
     bodies, frames = [], []
     for side in (0, 1):
         at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
@@ -76,7 +76,7 @@ def read_joint(
             message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
             source.note(prim, message)
         target = targets[0] if targets else None
-        body, frame = _side(source, prim, side, target, local, body_index)
+        body, frame = _body_side(source, prim, side, target, local, body_index)
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
@@ -88,7 +88,7 @@ def read_joint(
     if not any(is_dynamic[body] for body in bodies if body >= 0):
         source.note(prim, "joins no dynamic body: skipped")
         return None
-    limits, swing = _limits(source, prim, kind)
+    limits, swing = _joint_limits(source, prim, kind)
     return PhysicsJoint(
         str(prim.GetName()),
         kind,
@@ -96,7 +96,7 @@ def read_joint(
         (frames[0], frames[1]),
         limits,
         swing,
-        _drive(source, prim, kind),
+        _joint_drive(source, prim, kind),
         joint.GetCollisionEnabledAttr().Get() is True,
         (
             _break_limit(source, prim, "breakForce", 1),
@@ -113,7 +113,7 @@ def _break_limit(source: PhysicsStage, prim: Any, name: str, power: int) -> floa
     return float(value) * source.kilograms * source.unit**power
 
 
-def _side(
+def _body_side(
     source: PhysicsStage,
     joint: Any,
     side: int,
@@ -134,7 +134,7 @@ def _side(
     pose_ = np.concatenate(
         [pose[:3] + so3.rotate(pose[3:], local[:3]), so3.multiply(pose[3:], local[3:])]
     )
-    for ancestor in upwards(prim):
+    for ancestor in self_and_ancestors(prim):
         body = body_index.get(str(ancestor.GetPath()))
         if body is not None:
             return body, relative_pose(source.pose(source.matrix(ancestor))[0], pose_)
@@ -148,7 +148,7 @@ def _side(
     return -1, source.up(pose_)
 
 
-def _limits(
+def _joint_limits(
     source: PhysicsStage, prim: Any, kind: str
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return lower and upper limit, and the swing of a ball joint."""
@@ -166,7 +166,7 @@ def _limits(
         if ball.swing is not None:
             swing_y, swing_z = np.clip(ball.swing, *SWING_RANGE).tolist()
             swing_limits = swing_y, swing_z
-        return _checked_range(source, prim, ball.twist, 2 * math.pi), swing_limits
+        return _valid_range(source, prim, ball.twist, 2 * math.pi), swing_limits
     lower, upper = (
         source.infinite_number(prim.GetAttribute(f"physics:{end}Limit"))
         for end in ("lower", "upper")
@@ -174,15 +174,15 @@ def _limits(
     if lower is None or upper is None or (math.isinf(lower) and math.isinf(upper)):
         return None, None
     if kind == "pin":
-        return _checked_range(
+        return _valid_range(
             source, prim, (math.radians(lower), math.radians(upper))
         ), None
     slide = (lower * source.unit, upper * source.unit)
     slide_limits = tuple(np.clip(slide, -MAX_NUMBER, MAX_NUMBER).tolist())
-    return _checked_range(source, prim, slide_limits, math.inf), None
+    return _valid_range(source, prim, slide_limits, math.inf), None
 
 
-def _checked_range(
+def _valid_range(
     source: PhysicsStage,
     prim: Any,
     limits: tuple[float, float] | None,
@@ -206,7 +206,7 @@ def _checked_range(
     return lower, upper
 
 
-def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
+def _joint_drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
     axes = {"prismatic": ["linear"], "ball": ["rotX", "rotY", "rotZ"]}
     names = axes.get(kind, ["angular"])
     drives = [UsdPhysics.DriveAPI(prim, axis) for axis in names]

@@ -20,11 +20,11 @@ from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.physics.joints_read import read_joint
 from animtool.usd.physics.stage import (
-    AXES,
+    AXIS_VECTORS,
     MAX_NUMBER,
     PhysicsStage,
-    collides,
     is_body,
+    is_collider,
     relative_pose,
 )
 from animtool.usd.rigs.prims import (
@@ -33,7 +33,7 @@ from animtool.usd.rigs.prims import (
     nearest_prim,
     open_stage,
     placing_times,
-    upwards,
+    self_and_ancestors,
 )
 
 # Collision shapes of UsdPhysics, and the attributes that define them.
@@ -41,9 +41,9 @@ from animtool.usd.rigs.prims import (
 # Scales that differ by less are equal [1].
 EQUAL_SCALES = 1e-5
 # Shapes that are rotationally symmetric.
-SYMMETRIC = {"Sphere", "Capsule"}
+SYMMETRIC_TYPES = {"Sphere", "Capsule"}
 # Shapes with an axis.
-WITH_AXIS = {"Capsule", "Plane"}
+TYPES_WITH_AXIS = {"Capsule", "Plane"}
 
 
 def read_shapes(
@@ -58,10 +58,12 @@ def read_shapes(
     size, kind = scale_range[0] * source.unit, str(prim.GetTypeName())
     if (
         scale_range[0] - scale_range[1] > EQUAL_SCALES * scale_range[0]
-        and kind in SYMMETRIC
+        and kind in SYMMETRIC_TYPES
     ):
         source.note(prim, "has a non-uniform scale: using the largest")
-    values = {name: _value(prim, name) for name in ("radius", "height", "size")}
+    values = {
+        name: _attribute_value(prim, name) for name in ("radius", "height", "size")
+    }
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     sizes: tuple[float, ...] = ()
     hull = False
@@ -98,26 +100,33 @@ def read_shapes(
         source.note(prim, f"has a size of {list(sizes)} m: skipped")
         return
     axis_rotation = (
-        so3.between(AXES["Y"], _axis(source, prim))
-        if kind in WITH_AXIS
+        so3.between(AXIS_VECTORS["Y"], _prim_axis(source, prim))
+        if kind in TYPES_WITH_AXIS
         else so3.IDENTITY
     )
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], axis_rotation)])
     name = str(prim.GetName())
     yield PhysicsShape(
-        kind_name, sizes, pose, points, triangles, *_material(source, prim), name, hull
+        kind_name,
+        sizes,
+        pose,
+        points,
+        triangles,
+        *_friction_and_restitution(source, prim),
+        name,
+        hull,
     )
 
 
-def _axis(source: PhysicsStage, prim: Any) -> FloatArray:
+def _prim_axis(source: PhysicsStage, prim: Any) -> FloatArray:
     """Return the axis of a prim as a unit vector ``(3,)``."""
     attribute = prim.GetAttribute("axis")
     axis = str(attribute.Get())
-    if axis not in AXES:
+    if axis not in AXIS_VECTORS:
         PrimLocation.of(source.path, attribute).fail(
             "SIM051", f"is {axis!r}", "X, Y or Z"
         )
-    return np.asarray(AXES[axis], np.float64)
+    return np.asarray(AXIS_VECTORS[axis], np.float64)
 
 
 def _mesh(
@@ -143,12 +152,12 @@ def _mesh(
     return points, triangulated(counts, corners).astype(np.int64)
 
 
-def _value(prim: Any, name: str) -> float:
+def _attribute_value(prim: Any, name: str) -> float:
     value = prim.GetAttribute(name).Get() if prim.HasAttribute(name) else None
     return float(value) if isinstance(value, (int, float)) else 0.0
 
 
-def _material(source: PhysicsStage, prim: Any) -> tuple[float, float]:
+def _friction_and_restitution(source: PhysicsStage, prim: Any) -> tuple[float, float]:
     """Return friction and restitution."""
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
     if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
@@ -167,7 +176,7 @@ def _material(source: PhysicsStage, prim: Any) -> tuple[float, float]:
 
 
 # Maximum number of prims that are read, to limit memory.
-MAX_PRIMS = 100_000
+MAX_PHYSICS_PRIMS = 100_000
 
 
 def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
@@ -187,10 +196,10 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
             message = f"has no prim {excerpt(root)}"
             PrimLocation(str(path)).fail("SIM051", message, nearest_prim(stage, root))
         start_code = stage.GetStartTimeCode() if frame is None else frame
-        return _read(PhysicsStage(path, stage, start_code), root_prim)
+        return _read_stage(PhysicsStage(path, stage, start_code), root_prim)
 
 
-def _read(source: PhysicsStage, root: Any) -> Physics:
+def _read_stage(source: PhysicsStage, root: Any) -> Physics:
     prims = list(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
     rigid = [prim for prim in prims if is_body(prim)]
     if not rigid:
@@ -198,14 +207,14 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
         PrimLocation(str(source.path)).fail(
             "SIM051", message, "apply PhysicsRigidBodyAPI"
         )
-    if len(prims) > MAX_PRIMS:
-        message = f"there are {len(prims)} prims; the limit is {MAX_PRIMS}"
+    if len(prims) > MAX_PHYSICS_PRIMS:
+        message = f"there are {len(prims)} prims; the limit is {MAX_PHYSICS_PRIMS}"
         PrimLocation(str(source.path)).fail(
             "SIM051", message, "name a prim further down"
         )
     names = numbered_names([str(prim.GetName()) for prim in rigid])
     bodies = [
-        _body(source, prim, name) for prim, name in zip(rigid, names, strict=True)
+        _read_body(source, prim, name) for prim, name in zip(rigid, names, strict=True)
     ]
     with_shapes = [k for k, body in enumerate(bodies) if body.shapes]
     for k in sorted(set(range(len(rigid))) - set(with_shapes)):
@@ -235,7 +244,7 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
     colliders = [
         shape
         for prim in prims
-        if collides(prim) and not any(map(is_body, upwards(prim)))
+        if is_collider(prim) and not any(map(is_body, self_and_ancestors(prim)))
         for shape in read_shapes(source, prim, np.eye(4), static=True)
     ]
     return Physics(
@@ -247,7 +256,7 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
     )
 
 
-def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
+def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     matrix = source.matrix(prim)
     pose, scale = source.pose(matrix)
     rigid = UsdPhysics.RigidBodyAPI(prim)
@@ -255,7 +264,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     shapes = [
         shape
         for part in _body_prims(prim)
-        if collides(part)
+        if is_collider(part)
         for shape in read_shapes(source, part, matrix, static=False)
     ]
     parent_matrix = source.cache.GetParentToWorldTransform(prim)
@@ -275,7 +284,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         name,
         source.up(pose),
         shapes,
-        **_mass(source, prim, scale),
+        **_read_mass(source, prim, scale),
         velocity=velocity * source.unit,
         spin=np.radians(spin),
         kinematic=kinematic,
@@ -315,7 +324,7 @@ def _kinematic_poses(
     return (np.array(sample_codes) - source.start) / rate, np.array(rows)
 
 
-def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
+def _read_mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
     """Return the authored mass properties; the others follow from the shapes."""
     api = UsdPhysics.MassAPI(prim)
     values: dict[str, Any] = {}

@@ -18,8 +18,8 @@ from animtool.maths import so3
 from animtool.usd.layers.faults import MAX_METADATA, MIN_METADATA, PrimLocation
 from animtool.usd.rigs.prims import decompose, up_axis
 
-AXES = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
-EARTH = 9.81  # default gravity of a scene [m/s²]
+AXIS_VECTORS = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
+EARTH_GRAVITY = 9.81  # default gravity of a scene [m/s²]
 # Largest length, mass or rate of a shot, far from overflowing.
 MAX_NUMBER = 1e12
 # Larger numbers mean infinite, which is written as the largest float32.
@@ -139,7 +139,7 @@ class PhysicsStage:
             size = scene.GetGravityMagnitudeAttr().Get()
             # In the schema, a negative magnitude means earth gravity in stage units.
             if size is None or (isinstance(size, float) and size < 0):
-                metres = EARTH
+                metres = EARTH_GRAVITY
             else:
                 magnitude = self.number(scene.GetGravityMagnitudeAttr())
                 metres = (magnitude or 0.0) * self.unit
@@ -151,7 +151,7 @@ class PhysicsStage:
             direction = direction / np.abs(direction).max()
             direction /= np.linalg.norm(direction)
             return metres * so3.rotate(self.up_rotation, direction)
-        return np.array([0.0, -EARTH, 0.0])
+        return np.array([0.0, -EARTH_GRAVITY, 0.0])
 
 
 def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
@@ -167,7 +167,7 @@ def is_body(prim: Any) -> bool:
     return prim.HasAPI(UsdPhysics.RigidBodyAPI) and is_enabled is not False
 
 
-def collides(prim: Any) -> bool:
+def is_collider(prim: Any) -> bool:
     """Return whether a prim is a collider."""
     is_enabled = prim.GetAttribute("physics:collisionEnabled").Get()
     return prim.HasAPI(UsdPhysics.CollisionAPI) and is_enabled is not False

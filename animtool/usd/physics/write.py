@@ -23,26 +23,31 @@ from animtool.rig.limits import BallLimit
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.sdf import (
     apply_schemas,
-    attribute,
+    attribute_spec,
     author_order,
-    prim,
-    quaternion,
-    quatf,
-    relationship,
-    vector,
+    author_relationship,
+    gf_quaternion,
+    gf_quatf,
+    gf_vector,
+    prim_spec,
 )
 from animtool.usd.rigs.layer import author_ball
 from animtool.usd.rigs.meshes import author_mesh
 
 _TYPES = Sdf.ValueTypeNames
-PHYSICS = "Physics"  # scope of everything except bodies
-_JOINTS = {
+PHYSICS_SCOPE = "Physics"  # scope of everything except bodies
+_JOINT_TYPES = {
     "fixed": "PhysicsFixedJoint",
     "pin": "PhysicsRevoluteJoint",
     "prismatic": "PhysicsPrismaticJoint",
 }
 NamedT = TypeVar("NamedT", PhysicsShape, PhysicsJoint)
-_GEOMETRY = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "plane": "Plane"}
+_SHAPE_TYPES = {
+    "sphere": "Sphere",
+    "capsule": "Capsule",
+    "box": "Cube",
+    "plane": "Plane",
+}
 
 
 class PhysicsWriter:
@@ -74,10 +79,10 @@ class PhysicsWriter:
 
     def write(self) -> None:
         """Write scene, bodies, joints and materials."""
-        physics, scope = self._physics, f"{self._root}/{PHYSICS}"
+        physics, scope = self._physics, f"{self._root}/{PHYSICS_SCOPE}"
         self._layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
-        prim(self._layer, scope, "Scope")
-        self._scene(f"{scope}/Scene")
+        prim_spec(self._layer, scope, "Scope")
+        self._write_scene(f"{scope}/Scene")
         for xform_name, body in zip(self._xform_names, physics.bodies, strict=True):
             self._body(f"{self._root}/{xform_name}", body)
         for path, shape in self._scope_entries("Collider", physics.colliders):
@@ -89,84 +94,90 @@ class PhysicsWriter:
         self, kind: str, entries: Sequence[NamedT]
     ) -> Iterator[tuple[str, NamedT]]:
         """Yield prim paths in a separate scope, with their entries."""
-        scope = f"{self._root}/{PHYSICS}/{kind}s"
+        scope = f"{self._root}/{PHYSICS_SCOPE}/{kind}s"
         if entries:
-            prim(self._layer, scope, "Scope")
+            prim_spec(self._layer, scope, "Scope")
         names = [legal_name(entry.name or kind.lower()) for entry in entries]
         for name, entry in zip(numbered_names(names), entries, strict=True):
             yield f"{scope}/{name}", entry
 
-    def _scene(self, path: str) -> None:
-        spec = prim(self._layer, path, "PhysicsScene")
+    def _write_scene(self, path: str) -> None:
+        spec = prim_spec(self._layer, path, "PhysicsScene")
         size = float(np.linalg.norm(self._physics.gravity))
         direction = so3.rotate(self._up_rotation, self._physics.gravity / (size or 1.0))
         value = Gf.Vec3f(*direction.tolist())
-        attribute(spec, "physics:gravityDirection", _TYPES.Vector3f, value)
-        self._number(spec, "physics:gravityMagnitude", size / self._unit)
+        attribute_spec(spec, "physics:gravityDirection", _TYPES.Vector3f, value)
+        self._author_number(spec, "physics:gravityMagnitude", size / self._unit)
 
     @staticmethod
-    def _number(spec: Any, name: str, value: float) -> None:
-        attribute(spec, name, _TYPES.Float, value)
+    def _author_number(spec: Any, name: str, value: float) -> None:
+        attribute_spec(spec, name, _TYPES.Float, value)
 
     def _author_vector(
         self, spec: Any, name: str, metres: FloatArray, kind: Any
     ) -> None:
         value = Gf.Vec3f(*(metres / self._unit).tolist())
-        attribute(spec, name, kind, value)
+        attribute_spec(spec, name, kind, value)
 
     def _body(self, path: str, body: PhysicsBody) -> None:
         spec = self._layer.GetPrimAtPath(path)
         apply_schemas(spec, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
-        attribute(spec, "physics:rigidBodyEnabled", _TYPES.Bool, True)
-        attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, body.kinematic)
+        attribute_spec(spec, "physics:rigidBodyEnabled", _TYPES.Bool, True)
+        attribute_spec(spec, "physics:kinematicEnabled", _TYPES.Bool, body.kinematic)
         if not body.kinematic:
             velocity, spin = "physics:velocity", "physics:angularVelocity"
             self._author_vector(spec, velocity, body.velocity, _TYPES.Vector3f)
             angular_velocity = Gf.Vec3f(*np.degrees(body.spin).tolist())
-            attribute(spec, spin, _TYPES.Vector3f, angular_velocity)
+            attribute_spec(spec, spin, _TYPES.Vector3f, angular_velocity)
         if body.mass is not None:
-            self._number(spec, "physics:mass", body.mass)
+            self._author_number(spec, "physics:mass", body.mass)
         if body.centre is not None:
             self._author_vector(
                 spec, "physics:centerOfMass", body.centre, _TYPES.Point3f
             )
         if body.inertia is not None:
             inertia = Gf.Vec3f(*(body.inertia / self._unit**2).tolist())
-            attribute(spec, "physics:diagonalInertia", _TYPES.Float3, inertia)
-            attribute(spec, "physics:principalAxes", _TYPES.Quatf, quatf(body.axes))
+            attribute_spec(spec, "physics:diagonalInertia", _TYPES.Float3, inertia)
+            attribute_spec(
+                spec, "physics:principalAxes", _TYPES.Quatf, gf_quatf(body.axes)
+            )
         for k, shape in enumerate(body.shapes):
             self._shape(f"{path}/shape_{k + 1}", shape, "convexHull")
 
     def _shape(self, path: str, shape: PhysicsShape, approximation: str) -> None:
         """Write an invisible collision shape: `purpose` is guide."""
         mesh = shape.kind == "mesh"
-        spec = prim(self._layer, path, "Mesh" if mesh else _GEOMETRY[shape.kind])
+        spec = prim_spec(
+            self._layer, path, "Mesh" if mesh else _SHAPE_TYPES[shape.kind]
+        )
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]
         apply_schemas(spec, [*schemas, *(["PhysicsMeshCollisionAPI"] if mesh else [])])
-        attribute(spec, "purpose", _TYPES.Token, "guide", uniform=True)
+        attribute_spec(spec, "purpose", _TYPES.Token, "guide", uniform=True)
         pose, names = shape.pose, ["xformOp:translate", "xformOp:orient"]
-        at = vector(pose[:3] / self._unit)
-        attribute(spec, names[0], _TYPES.Double3, at)
-        attribute(spec, names[1], _TYPES.Quatd, quaternion(pose[3:]))
+        at = gf_vector(pose[:3] / self._unit)
+        attribute_spec(spec, names[0], _TYPES.Double3, at)
+        attribute_spec(spec, names[1], _TYPES.Quatd, gf_quaternion(pose[3:]))
         sizes = [size / self._unit for size in shape.size]
         match shape.kind:
             case "sphere":
-                attribute(spec, "radius", _TYPES.Double, sizes[0])
+                attribute_spec(spec, "radius", _TYPES.Double, sizes[0])
             case "capsule":
-                attribute(spec, "axis", _TYPES.Token, "Y", uniform=True)
-                attribute(spec, "radius", _TYPES.Double, sizes[0])
-                attribute(spec, "height", _TYPES.Double, sizes[1])
+                attribute_spec(spec, "axis", _TYPES.Token, "Y", uniform=True)
+                attribute_spec(spec, "radius", _TYPES.Double, sizes[0])
+                attribute_spec(spec, "height", _TYPES.Double, sizes[1])
             case "box":
-                attribute(spec, "size", _TYPES.Double, 1.0)
+                attribute_spec(spec, "size", _TYPES.Double, 1.0)
                 names.append("xformOp:scale")
-                attribute(spec, names[2], _TYPES.Float3, Gf.Vec3f(*sizes))
+                attribute_spec(spec, names[2], _TYPES.Float3, Gf.Vec3f(*sizes))
             case "plane":
-                attribute(spec, "axis", _TYPES.Token, "Y", uniform=True)
+                attribute_spec(spec, "axis", _TYPES.Token, "Y", uniform=True)
             case "mesh":
                 self._mesh(spec, shape, approximation)
         author_order(spec, *names)
         binding = "material:binding:physics"
-        relationship(spec, binding, self._material(shape.friction, shape.restitution))
+        author_relationship(
+            spec, binding, self._material_path(shape.friction, shape.restitution)
+        )
 
     def _mesh(self, spec: Any, shape: PhysicsShape, approximation: str) -> None:
         points = np.ascontiguousarray(shape.points / self._unit, np.float32)
@@ -181,48 +192,50 @@ class PhysicsWriter:
         }
         author_mesh(spec, values, closed=True)
         name, token = "physics:approximation", _TYPES.Token
-        attribute(spec, name, token, approximation, uniform=True)
+        attribute_spec(spec, name, token, approximation, uniform=True)
 
-    def _material(self, friction: float, restitution: float) -> str:
+    def _material_path(self, friction: float, restitution: float) -> str:
         """Return the path of a material, written on first use."""
         key = friction, restitution
         if key not in self._materials:
-            scope = f"{self._root}/{PHYSICS}/Materials"
-            prim(self._layer, scope, "Scope")
+            scope = f"{self._root}/{PHYSICS_SCOPE}/Materials"
+            prim_spec(self._layer, scope, "Scope")
             path = f"{scope}/material_{len(self._materials) + 1}"
-            spec = prim(self._layer, path, "Material")
+            spec = prim_spec(self._layer, path, "Material")
             apply_schemas(spec, ["PhysicsMaterialAPI"])
             for side in ("static", "dynamic"):
-                self._number(spec, f"physics:{side}Friction", friction)
-            self._number(spec, "physics:restitution", restitution)
+                self._author_number(spec, f"physics:{side}Friction", friction)
+            self._author_number(spec, "physics:restitution", restitution)
             self._materials[key] = path
         return self._materials[key]
 
     def _joint(self, path: str, joint: PhysicsJoint) -> None:
         twists = joint.limits is not None or joint.drive is not None
         ball = "PhysicsJoint" if twists else "PhysicsSphericalJoint"
-        spec = prim(self._layer, path, _JOINTS.get(joint.kind, ball))
+        spec = prim_spec(self._layer, path, _JOINT_TYPES.get(joint.kind, ball))
         for k, (i, frame) in enumerate(zip(joint.bodies, joint.frames, strict=True)):
             body = self._root if i < 0 else f"{self._root}/{self._xform_names[i]}"
-            relationship(spec, f"physics:body{k}", body)
+            author_relationship(spec, f"physics:body{k}", body)
             self._author_vector(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
-            attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
+            attribute_spec(
+                spec, f"physics:localRot{k}", _TYPES.Quatf, gf_quatf(frame[3:])
+            )
         for power, name in enumerate(("breakForce", "breakTorque"), start=1):
             if math.isfinite(joint.break_limits[power - 1]):
                 break_limit = joint.break_limits[power - 1] / self._unit**power
-                self._number(spec, f"physics:{name}", break_limit)
+                self._author_number(spec, f"physics:{name}", break_limit)
         if joint.contacts:
-            attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
+            attribute_spec(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []
         if joint.kind != "fixed" and not (joint.kind == "ball" and twists):
-            attribute(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
+            attribute_spec(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
         if joint.kind == "ball":
             limits = BallLimit(joint.swing, joint.limits, (1.0, 0.0, 0.0))
             schemas += author_ball(spec, limits, locked=twists)
         elif joint.limits is not None:
             scale = math.degrees(1.0) if joint.kind == "pin" else 1 / self._unit
             for side, value in zip(("lower", "upper"), joint.limits, strict=True):
-                self._number(spec, f"physics:{side}Limit", value * scale)
+                self._author_number(spec, f"physics:{side}Limit", value * scale)
         if joint.drive is not None:
             schemas += self._drive(spec, joint.kind, joint.drive)
         if schemas:
@@ -242,13 +255,13 @@ class PhysicsWriter:
                 axes = dict(zip(("rotX", "rotY", "rotZ"), rotation, strict=True))
         for axis, target in axes.items():
             name = f"drive:{axis}:physics"
-            attribute(spec, f"{name}:type", _TYPES.Token, "force", uniform=True)
-            self._number(spec, f"{name}:targetPosition", target * scale)
-            self._number(spec, f"{name}:stiffness", drive.stiffness * gain)
-            self._number(spec, f"{name}:damping", drive.damping * gain)
+            attribute_spec(spec, f"{name}:type", _TYPES.Token, "force", uniform=True)
+            self._author_number(spec, f"{name}:targetPosition", target * scale)
+            self._author_number(spec, f"{name}:stiffness", drive.stiffness * gain)
+            self._author_number(spec, f"{name}:damping", drive.damping * gain)
             if drive.speed:
                 rate = drive.speed * scale
-                self._number(spec, f"{name}:targetVelocity", rate)
+                self._author_number(spec, f"{name}:targetVelocity", rate)
             if drive.max_force is not None:
-                self._number(spec, f"{name}:maxForce", drive.max_force * force)
+                self._author_number(spec, f"{name}:maxForce", drive.max_force * force)
         return [f"PhysicsDriveAPI:{axis}" for axis in axes]

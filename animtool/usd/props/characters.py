@@ -25,11 +25,11 @@ from animtool.usd.caches.writer import CharactersReport
 from animtool.usd.layers.names import RigPaths, distinct_names, joint_names
 from animtool.usd.layers.sdf import (
     apply_schemas,
-    attribute,
+    attribute_spec,
     author_order,
-    prim,
-    quatf,
-    relationship,
+    author_relationship,
+    gf_quatf,
+    prim_spec,
     write_samples,
 )
 from animtool.usd.props.sparse import (
@@ -38,13 +38,13 @@ from animtool.usd.props.sparse import (
     RotationChain,
     kept_samples,
     rotating_joints,
-    slerped,
+    slerp,
 )
 from animtool.usd.rigs.meshes import author_bones, author_meshes
 from animtool.usd.rigs.skeleton import author_rig
 
 _TYPES = Sdf.ValueTypeNames
-PROTOTYPES, STANDING = "Prototypes", "Standing"
+PROTOTYPES, STANDING_SCOPE = "Prototypes", "Standing"
 # Samples equal to both neighbors within this are dropped: position [m], heading [rad].
 SAME_POSITION, SAME_HEADING = 1e-6, 1e-6
 # Bounds of skin, relative to the reach of the joints.
@@ -52,7 +52,7 @@ SKIN_FACTOR = 1.2
 
 
 @dataclass
-class Characters:
+class CharactersWriter:
     """Collects the frames of crowd characters, and writes them at the end.
 
     Attributes:
@@ -73,10 +73,10 @@ class Characters:
     def begin(self, layer: Any, frame: CharactersFrame) -> None:
         """Write the parent prim, and the rigs as invisible prototypes."""
         self._first = frame
-        prim(layer, self.path, "Xform")
+        prim_spec(layer, self.path, "Xform")
         for cast, paths in zip(frame.casts, self._rigs(frame), strict=True):
             _author_cast(layer, cast, paths, self.unit)
-        scope = prim(layer, f"{self.path}/{PROTOTYPES}", "Scope")
+        scope = prim_spec(layer, f"{self.path}/{PROTOTYPES}", "Scope")
         scope.specifier = Sdf.SpecifierClass
         scope.ClearInfo("kind")
 
@@ -113,12 +113,12 @@ class Characters:
             rotations = np.stack([frame_rows[c] for frame_rows in self._rotations])
             track = _CharacterTrack(
                 np.array(self.codes),
-                _continuous(rotations),
+                _align_signs(rotations),
                 frame.scales[rows],
                 cast,
                 **rig_rows,
             )
-            group = _Group(self, layer, paths, frame.upright, track)
+            group = _CharacterGroup(self, layer, paths, frame.upright, track)
             group.bound()
             group.write([f"agent_{i + 1:04d}" for i in frame.ids[rows].tolist()])
 
@@ -135,7 +135,7 @@ def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
         author_bones(layer, rig, paths, unit)
     root = layer.GetPrimAtPath(paths.root)
     apply_schemas(root, ["SkelBindingAPI"])
-    relationship(root, "skel:skeleton", paths.skeleton)
+    author_relationship(root, "skel:skeleton", paths.skeleton)
 
 
 @dataclass(frozen=True)
@@ -213,10 +213,10 @@ class _CharacterTrack:
 
 
 @dataclass(frozen=True)
-class _Group:
+class _CharacterGroup:
     """Characters of one rig in a layer."""
 
-    owner: Characters
+    owner: CharactersWriter
     layer: Any
     paths: RigPaths
     upright: FloatArray
@@ -228,7 +228,7 @@ class _Group:
         size = track.size * float(track.scales.max(initial=0.0))
         report.error = max(report.error, JOINT_TOLERANCE * size)
         report.slide = max(report.slide, FOOT_TOLERANCE * size)
-        shares_standing = self._sharing()
+        shares_standing = self._can_share()
         for i, name in enumerate(names):
             path = f"{self.owner.path}/{name}"
             if shares_standing[i]:
@@ -261,9 +261,9 @@ class _Group:
         )
         root = self.layer.GetPrimAtPath(self.paths.root)
         box = Vt.Vec3fArray.FromNumpy(corners.astype(np.float32))
-        attribute(root, "extent", _TYPES.Float3Array, box)
+        attribute_spec(root, "extent", _TYPES.Float3Array, box)
 
-    def _sharing(self) -> BoolArray:
+    def _can_share(self) -> BoolArray:
         """Return which characters stand still and can share an animation ``(n,)``."""
         track = self.track
         static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
@@ -287,7 +287,7 @@ class _Group:
         ``foot_correction`` moves its hips; None if its animation has the hips' motion.
         """
         track, unit = self.track, self.owner.unit
-        spec = prim(self.layer, path, "Xform")
+        spec = prim_spec(self.layer, path, "Xform")
         spec.SetInfo("kind", "component")
         motion = np.zeros((len(track.codes), 3))
         if foot_correction is not None:
@@ -301,7 +301,7 @@ class _Group:
         )
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         order = ["xformOp:translate"]
-        translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
+        translate = attribute_spec(spec, "xformOp:translate", _TYPES.Float3)
         rows = _changing_frames(positions, SAME_POSITION / unit)
         write_samples(
             self.layer,
@@ -311,32 +311,32 @@ class _Group:
             [Gf.Vec3f(*position) for position in positions[rows].tolist()],
         )
         if (self.upright != so3.IDENTITY).any():
-            attribute(spec, "xformOp:orient", _TYPES.Quatf, quatf(self.upright))
+            attribute_spec(spec, "xformOp:orient", _TYPES.Quatf, gf_quatf(self.upright))
             order.append("xformOp:orient")
-        translate = attribute(spec, "xformOp:rotateY", _TYPES.Float)
+        translate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing_frames(degrees[:, None], np.degrees(SAME_HEADING))
         write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
             size = Gf.Vec3f(*[float(track.scales[i])] * 3)
-            attribute(spec, "xformOp:scale", _TYPES.Float3, size)
+            attribute_spec(spec, "xformOp:scale", _TYPES.Float3, size)
             order.append("xformOp:scale")
         author_order(spec, *order)
         visible = track.visible[:, i]
         if not visible.all():
-            translate = attribute(spec, "visibility", _TYPES.Token)
+            translate = attribute_spec(spec, "visibility", _TYPES.Token)
             rows = np.flatnonzero(np.diff(visible, prepend=~visible[:1]))
             text_rows = [
                 "inherited" if position else "invisible"
                 for position in visible[rows].tolist()
             ]
             write_samples(self.layer, translate, track.codes, rows, text_rows)
-        rig = prim(self.layer, f"{path}/Rig", "SkelRoot")
+        rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
         apply_schemas(rig, ["SkelBindingAPI"])
-        relationship(rig, "skel:animationSource", f"{path}/Anim")
+        author_relationship(rig, "skel:animationSource", f"{path}/Anim")
 
     def _animate(
         self,
@@ -364,28 +364,28 @@ class _Group:
         """Author a SkelAnimation whose joints keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
         joints = cast.animated[joints_]
-        spec = prim(self.layer, path, "SkelAnimation")
+        spec = prim_spec(self.layer, path, "SkelAnimation")
         spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
         joint_tokens = Vt.TokenArray([tokens[j] for j in joints.tolist()])
-        attribute(spec, "joints", _TYPES.TokenArray, joint_tokens, uniform=True)
+        attribute_spec(spec, "joints", _TYPES.TokenArray, joint_tokens, uniform=True)
         rest = (cast.rig.rest_translations[joints] / unit).astype(np.float32)
         translations = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rest))
-        attribute(spec, "translations", _TYPES.Float3Array, translations)
-        attribute(spec, "rotations", _TYPES.QuatfArray)
+        attribute_spec(spec, "translations", _TYPES.Float3Array, translations)
+        attribute_spec(spec, "rotations", _TYPES.QuatfArray)
         unit_scales = Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints))
-        attribute(spec, "scales", _TYPES.Half3Array, unit_scales)
+        attribute_spec(spec, "scales", _TYPES.Half3Array, unit_scales)
         return spec
 
     def _use_shared(self, path: str, i: int) -> None:
         """Bind a character to the shared standing animation, with a time offset."""
         track, fps = self.track, self.owner.fps
-        shared_root = f"{self.paths.model}/{STANDING}"
+        shared_root = f"{self.paths.model}/{STANDING_SCOPE}"
         if self.layer.GetPrimAtPath(shared_root) is None:
             self._write_shared(shared_root)
         clock = float(track.clocks[0, i]) % max(track.cast.period, 1e-9)
         offset = float(track.codes[0]) - clock * fps
-        spec = prim(self.layer, f"{path}/Anim", "SkelAnimation")
+        spec = prim_spec(self.layer, f"{path}/Anim", "SkelAnimation")
         spec.referenceList.explicitItems = [
             Sdf.Reference("", shared_root, Sdf.LayerOffset(offset))
         ]
@@ -401,7 +401,7 @@ class _Group:
         )
         rows = np.arange(int(np.ceil(duration)) + 1)
         clocks = rows / fps
-        rotations = _continuous(
+        rotations = _align_signs(
             _standing_values(cast, cast.rotations, clocks).astype(np.float32)
         )
         arrays = [
@@ -433,10 +433,10 @@ def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> Float
     if table.ndim == 2:
         return np.asarray(before + fraction[:, None] * (after - before))
     after = np.where((before * after).sum(axis=-1, keepdims=True) < 0, -after, after)
-    return slerped(before, after, fraction[:, None])
+    return slerp(before, after, fraction[:, None])
 
 
-def _continuous(rotations: Float32Array) -> Float32Array:
+def _align_signs(rotations: Float32Array) -> Float32Array:
     """Return rotations ``(F, …, 4)`` with signs continuous over frames."""
     products = (rotations[1:] * rotations[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)

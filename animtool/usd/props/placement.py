@@ -13,7 +13,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.motion.transforms import Track, Transforms, below_matrices, placed
+from animtool.motion.transforms import (
+    Track,
+    Transforms,
+    place_transforms,
+    transform_by_matrices,
+)
 from animtool.rig.placement import IDENTITY_TOLERANCE, Placement
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 
@@ -55,14 +60,14 @@ class PropPlacements:
             return transforms
         if is_within(path, self.model):
             if self.to_rig is not None:
-                transforms = placed(transforms, self.to_rig(codes))
+                transforms = place_transforms(transforms, self.to_rig(codes))
             parent_space = space_above(self.target, path, codes, inside=True)
         else:
             if track.follows_placement:
                 transforms = self._with_rig(transforms, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:
-                transforms = placed(
+                transforms = place_transforms(
                     transforms, Placement.from_rotation(np.array(up_rotation))
                 )
             parent_space = space_above(self.target, path, codes, inside=False)
@@ -85,8 +90,8 @@ class PropPlacements:
             placement_matrices = placement_matrices.after(self.to_rig(codes))
         return (
             transforms
-            if placement_matrices.steady().is_none
-            else placed(transforms, placement_matrices)
+            if placement_matrices.simplified().is_identity
+            else place_transforms(transforms, placement_matrices)
         )
 
 
@@ -168,7 +173,7 @@ def matrices_inside(
     if to_rig is None:
         return parent_space
     placement, unit = to_rig(codes), target.skeleton.rig.meters_per_unit
-    if placement.is_none:
+    if placement.is_identity:
         return parent_space
     local = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
     local[:, :3, :3] = so3.to_matrix(placement.rotations)
@@ -189,8 +194,8 @@ def _premultiplied_transforms(
     unscaled[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
     unscaled[:, :3, 3] = translations
     if np.abs(unscaled - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
-        return placed(transforms, Placement(translations, rotations, sizes))
-    return below_matrices(transforms, matrices)
+        return place_transforms(transforms, Placement(translations, rotations, sizes))
+    return transform_by_matrices(transforms, matrices)
 
 
 def is_within(path: str, ancestor: str) -> bool:

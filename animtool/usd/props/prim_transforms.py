@@ -45,8 +45,10 @@ def open_prim(
     """
     with usd_errors(path):
         stage = open_stage(path)
-        usd_prim = _prim(stage, path, prim)
-        space_prim = None if space is None else _prim(stage, path, space, "space")
+        usd_prim = _require_prim(stage, path, prim)
+        space_prim = (
+            None if space is None else _require_prim(stage, path, space, "space")
+        )
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     up_rotation = up_from_up(rig.up, up_axis(stage))
     if space_prim is not None:
@@ -83,7 +85,7 @@ def world_matrices(prim: Any, codes: FloatArray, relative_to: Any = None) -> Flo
     return np.array(matrices, np.float64).reshape(-1, 4, 4)
 
 
-def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
+def _require_prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
     """Return a prim; raise an error at ``where`` if it is missing."""
     prim = find_prim(stage, name)
     if prim:

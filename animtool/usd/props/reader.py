@@ -34,8 +34,8 @@ from animtool.usd.rigs.prims import (
     find_prim,
     nearest_prim,
     open_stage,
+    self_and_ancestors,
     up_axis,
-    upwards,
 )
 
 # Relative rounding error of float64 transforms composed along a hierarchy.
@@ -44,7 +44,7 @@ ROUNDING = 1e-11
 KEY_TOLERANCE = 1e-9
 
 # Number of components of interpolated values, by their C++ type.
-_WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
+_TYPE_WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
     f"GfVec{width}{letter}": width for width in (2, 3, 4) for letter in "fdh"
 }
 # Types that USD holds until the next sample.
@@ -60,9 +60,9 @@ _STEPPED_TYPES = {
     *(f"GfVec{width}i" for width in (2, 3, 4)),
 }
 # Attributes that determine a camera's view, even if not authored.
-_LENS = ("focalLength", "horizontalAperture", "verticalAperture")
+_LENS_ATTRIBUTES = ("focalLength", "horizontalAperture", "verticalAperture")
 _CAMERA_ATTRIBUTES = (
-    *_LENS,
+    *_LENS_ATTRIBUTES,
     "horizontalApertureOffset",
     "verticalApertureOffset",
     "clippingRange",
@@ -73,7 +73,7 @@ _CAMERA_ATTRIBUTES = (
     "shutter:close",
 )
 # Attributes in stage units, or tenths of these.
-_LENGTHS = frozenset(_CAMERA_ATTRIBUTES[:7])
+_LENGTH_ATTRIBUTES = frozenset(_CAMERA_ATTRIBUTES[:7])
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,9 @@ class PropSource:
     keys: FloatArray  # time codes of all its samples, ascending ``(K,)``
     # First and last time code; None if it is static.
     span: tuple[Fraction, Fraction] | None
-    unstated: tuple[str, ...]  # attributes of a camera's view that are not authored
+    unstated_range: tuple[
+        str, ...
+    ]  # attributes of a camera's view that are not authored
     # Whether its transform is a matrix because it has shear.
     sheared: bool
     # Returns the largest relative shear that was dropped between keys so far.
@@ -111,14 +113,14 @@ def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
 
 def _prop_source(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
     has_transform = bool(UsdGeom.Xformable(prim))
-    attributes = _attributes(prim, request)
+    attributes = _attributes_to_read(prim, request)
     if not has_transform and not attributes:
         message = (
             f"{request.prim} has no transform: it is a {prim.GetTypeName() or 'prim'}"
         )
         hint = "list the attributes to read under attributes:"
         raise OptionError(Fault("SCN048", message, hint=hint))
-    sampler = _Sampler(
+    sampler = _PrimSampler(
         stage,
         prim,
         attributes,
@@ -136,14 +138,14 @@ def _prop_source(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> Pro
         has_transform,
         sampler.is_animated,
         sampler.descriptions,
-        _reference(request, stage),
+        _prop_reference(request, stage),
     )
-    lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
+    lens = _LENS_ATTRIBUTES if prim.IsA(UsdGeom.Camera) else ()
     return PropSource(
         track,
         rate_from_float(stage.GetTimeCodesPerSecond()),
         sampler.keys,
-        _span(stage, sampler.keys) if sampler.is_animated else None,
+        _stage_span(stage, sampler.keys) if sampler.is_animated else None,
         tuple(n for n in lens if not prim.GetAttribute(n).HasAuthoredValue()),
         sampler.sheared,
         lambda: sampler.shear,
@@ -160,7 +162,7 @@ def _type_name(prim: Any, request: PropRequest) -> str:
     return type_name
 
 
-def _reference(request: PropRequest, stage: Any) -> PropReference | None:
+def _prop_reference(request: PropRequest, stage: Any) -> PropReference | None:
     if request.reference is None:
         return None
     if request.reference == request.file:
@@ -174,12 +176,12 @@ def _reference(request: PropRequest, stage: Any) -> PropReference | None:
     return PropReference(str(request.reference.resolve()), "", unit)
 
 
-def _attributes(prim: Any, request: PropRequest) -> list[Any]:
+def _attributes_to_read(prim: Any, request: PropRequest) -> list[Any]:
     """Return the attributes to read."""
     attributes, faults = [], []
     if prim.IsA(UsdGeom.Camera):
         # USD's fallback for lengths that are not authored depends on the unit.
-        always = {*_LENS, "clippingRange"}
+        always = {*_LENS_ATTRIBUTES, "clippingRange"}
         camera_attributes = [prim.GetAttribute(name) for name in _CAMERA_ATTRIBUTES]
         attributes = [
             a
@@ -202,7 +204,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             hint = f"did you mean {similar_name}?" if similar_name else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
-        elif _value_kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
+        elif _value_kind(attribute) not in {*_TYPE_WIDTHS, *_STEPPED_TYPES}:
             message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are copied"
             faults.append(Fault("SCN049", message, hint=hint))
@@ -220,15 +222,15 @@ def _value_kind(attribute: Any) -> str:
 
 def _attribute_of(attribute: Any) -> Attribute:
     name, type_name = attribute.GetName(), str(attribute.GetTypeName())
-    width = _WIDTHS.get(_value_kind(attribute), 0)
+    width = _TYPE_WIDTHS.get(_value_kind(attribute), 0)
     if width:
-        return Attribute(name, type_name, width, length=name in _LENGTHS)
+        return Attribute(name, type_name, width, length=name in _LENGTH_ATTRIBUTES)
     times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
     choices = dict.fromkeys(map(attribute.Get, times))
     return Attribute(name, type_name, 0, tuple(choices))
 
 
-def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
+def _stage_span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
     """Return the time codes of a prim: the stage's range and its keys."""
     key_range = keys[[0, -1]].tolist() if len(keys) else []
     if stage.HasAuthoredTimeCodeRange() or not key_range:
@@ -237,7 +239,7 @@ def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
 
 
 @dataclass(slots=True)
-class _Sampler:
+class _PrimSampler:
     """Samples a prim at time codes."""
 
     stage: Any  # keeps the stage and its prims alive
@@ -268,7 +270,7 @@ class _Sampler:
         if not len(codes):
             codes = np.array([self.stage.GetStartTimeCode()])
         self.sheared = (
-            self.has_transform and _split(self._matrices(codes))[3] > ROUNDING
+            self.has_transform and _decompose(self._matrices(codes))[3] > ROUNDING
         )
         transforms = self.at(codes)
         # Values such as splines vary over time without samples.
@@ -282,7 +284,7 @@ class _Sampler:
             np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDING
         )
         self.scales = (
-            _without_rounding(transforms.scales[0])
+            _remove_rounding(transforms.scales[0])
             if has_constant_scales and not self.sheared
             else None
         )
@@ -292,7 +294,7 @@ class _Sampler:
         for attribute in self.attributes:
             if attribute.ValueMightBeTimeVarying():
                 yield attribute
-        for prim in upwards(self.prim) if self.has_transform else ():
+        for prim in self_and_ancestors(self.prim) if self.has_transform else ():
             xformable = UsdGeom.Xformable(prim)
             if xformable and xformable.TransformMightBeTimeVarying():
                 yield xformable
@@ -312,7 +314,7 @@ class _Sampler:
         if self.sheared:
             matrices = self._matrices(codes)
         elif self.has_transform:
-            positions, rotations, scales, shear = _split(self._matrices(codes))
+            positions, rotations, scales, shear = _decompose(self._matrices(codes))
             self.shear = max(self.shear, shear)
             if self.scales is not None:
                 is_constant = np.abs(scales - self.scales) <= ROUNDING * np.abs(
@@ -327,7 +329,7 @@ class _Sampler:
         return replace(transforms, clamped=self._outside_samples(codes))
 
     def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
-        first, last = map(float, _span(self.stage, self.keys))
+        first, last = map(float, _stage_span(self.stage, self.keys))
         # A frame, and its shutter before the next one, lasts up to the next frame.
         frame_length = 1 - KEY_TOLERANCE
         is_outside = (codes < first - frame_length) | (codes > last + frame_length)
@@ -373,7 +375,7 @@ class _Sampler:
             PrimLocation.of(self.where, self.prim).fail("USD171", message)
 
 
-def _without_rounding(scales: FloatArray) -> FloatArray:
+def _remove_rounding(scales: FloatArray) -> FloatArray:
     """Return scales without the rounding error of short decimals."""
     rounded_scales = np.round(scales, 9)
     return np.where(
@@ -398,7 +400,7 @@ def _repeated_transforms(transforms: Transforms, count: int) -> Transforms:
     )
 
 
-def _split(
+def _decompose(
     matrices: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return translations, rotations, scales, and the relative shear dropped."""

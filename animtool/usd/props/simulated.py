@@ -1,6 +1,6 @@
 """Writes simulated prims to a layer while the simulation runs.
 
-Each frame is a record of a prim's values; `FORMS` defines how each type is written.
+Each frame is a record of a prim's values; `FRAME_FORMS` says how each type is written.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from animtool.usd.caches.writer import (
     FrameForm,
     FramePrim,
     PointWriter,
+    attribute_kind,
+    attribute_labels,
     author_values,
     author_width,
     bounds,
-    kind_of,
-    labels_of,
     remove_attribute,
     split_attribute,
 )
 from animtool.usd.layers.chunks import (
-    Chunks,
+    ChunkedWriter,
     ClipFiles,
     GrowingLayer,
     OneLayer,
@@ -55,29 +55,29 @@ from animtool.usd.layers.chunks import (
     growing_crate,
     write_frames,
 )
-from animtool.usd.layers.finite import narrowed, rounded
+from animtool.usd.layers.finite import narrow_floats, rounded
 from animtool.usd.layers.sdf import (
     SampleWriter,
     StageMetadata,
-    attribute,
+    attribute_spec,
     author_metadata,
     author_model,
     author_order,
+    gf_quaternion,
     new_layer,
-    prim,
-    quaternion,
+    prim_spec,
 )
-from animtool.usd.props.writer import InstancerForm, XformsForm, part_names
+from animtool.usd.props.writer import InstancerForm, XformsForm, instance_names
 from animtool.usd.rigs.meshes import MeshForm
 
 if TYPE_CHECKING:
-    from animtool.usd.props.characters import Characters
+    from animtool.usd.props.characters import CharactersWriter
 
 # Time code of each frame, and the frame of each prim.
-Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
+FrameRows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
 
 
-class _Curves(FrameForm[CurvesFrame]):
+class _CurvesForm(FrameForm[CurvesFrame]):
     type_name = "BasisCurves"
     sampled = ("points", "velocities", "extent")
 
@@ -105,7 +105,7 @@ class _Curves(FrameForm[CurvesFrame]):
         return {"extent": bounds(points, frame.width / writer.unit / 2)}
 
 
-class _Points(FrameForm[PointsFrame]):
+class _PointsForm(FrameForm[PointsFrame]):
     type_name = "Points"
     sampled = ("points", "velocities", "ids", "widths")
 
@@ -118,19 +118,19 @@ class _Points(FrameForm[PointsFrame]):
         return {"ids": frame.ids, "widths": widths, "extent": extent}
 
 
-FORMS: dict[type[Frame], FrameForm[Any]] = {
-    CurvesFrame: _Curves(),
+FRAME_FORMS: dict[type[Frame], FrameForm[Any]] = {
+    CurvesFrame: _CurvesForm(),
     MeshFrame: MeshForm(),
-    PointsFrame: _Points(),
+    PointsFrame: _PointsForm(),
     TransformsFrame: InstancerForm(),
 }
-_XFORMS = XformsForm()
+_XFORMS_FORM = XformsForm()
 
 
 def form_of(frame: Frame) -> FrameForm[Any]:
     """Return the form that writes a type of frame."""
     has_xforms = isinstance(frame, TransformsFrame) and frame.xforms
-    return _XFORMS if has_xforms else FORMS[type(frame)]
+    return _XFORMS_FORM if has_xforms else FRAME_FORMS[type(frame)]
 
 
 class SimulatedPrim:
@@ -148,7 +148,7 @@ class SimulatedPrim:
         # Orientation of the prim in the layer (4,).
         self.rotation = so3.IDENTITY if rotation is None else rotation
         self.fps = fps  # time codes per second
-        self._characters: Characters | None = None
+        self._characters: CharactersWriter | None = None
         self._first: Any = None
         self._sampled: tuple[str, ...] = ()  # attributes of every frame, in order
 
@@ -160,35 +160,37 @@ class SimulatedPrim:
     @cached_property
     def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
-        return part_names(self._first.names).names
+        return instance_names(self._first.names).names
 
     def begin(self, layer: Any, frame: Frame) -> None:
         """Write the prim at the first frame: attributes and constants."""
         self._first, report = frame, self.report
         if isinstance(frame, CharactersFrame):
-            from animtool.usd.props.characters import Characters
+            from animtool.usd.props.characters import CharactersWriter
 
-            self._characters = Characters(report.path, self.unit, self.fps)
+            self._characters = CharactersWriter(report.path, self.unit, self.fps)
             self._characters.begin(layer, frame)
             return
         form = form_of(frame)
         if isinstance(frame, TransformsFrame):
             report.names = frame.names
             if frame.xforms:
-                report.notices += part_names(frame.names).notices
-        spec = prim(layer, report.path, form.type_name)
+                report.notices += instance_names(frame.names).notices
+        spec = prim_spec(layer, report.path, form.type_name)
         form.divide(spec, frame)
         attribute_kinds, shape = form.kinds(frame), form.shape(frame)
         self._sampled = tuple(attribute_kinds)
         for name, kind in attribute_kinds.items():
             path, leaf = split_attribute(report.path, name)
             owner = layer.GetPrimAtPath(path)
-            attribute(owner, leaf, kind.type_name, interpolation=kind.interpolation)
+            attribute_spec(
+                owner, leaf, kind.type_name, interpolation=kind.interpolation
+            )
         report.sampled = list(attribute_kinds)
         if form.tears(frame):
             report.sampled += shape
             for name in shape:
-                attribute(spec, name, ATTRIBUTES[name].type_name)
+                attribute_spec(spec, name, ATTRIBUTES[name].type_name)
         else:
             author_values(spec, shape)
         form.describe(self, spec, frame)
@@ -204,7 +206,7 @@ class SimulatedPrim:
         if not form.points:
             no_points = np.zeros((0, 3), np.float32)
             values_ = form.values(self, frame, no_points, code)
-            return Block(number, codes, _rows(values_), len(frame.points))
+            return Block(number, codes, _add_frame_axis(values_), len(frame.points))
         points, error, vertex = self._rounded(form.points, frame.points, code)
         values = {form.points: points, **form.values(self, frame, points, code)}
         for name, array in frame.primvars.items():
@@ -218,7 +220,13 @@ class SimulatedPrim:
         if form.tears(frame):
             sampled_values |= form.shape(frame)
         return Block(
-            number, codes, _rows(sampled_values), len(points), error, code, vertex
+            number,
+            codes,
+            _add_frame_axis(sampled_values),
+            len(points),
+            error,
+            code,
+            vertex,
         )
 
     def finish(self, layer: Any) -> None:
@@ -235,15 +243,15 @@ class SimulatedPrim:
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
         """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
-        labels = labels_of(self.report, name)
-        rows = narrowed(values[None], "f", labels, np.array([code]))
+        labels = attribute_labels(self.report, name)
+        rows = narrow_floats(values[None], "f", labels, np.array([code]))
         return np.asarray(rows[0], np.float32)
 
     def _rounded(
         self, name: str, values: FloatArray, code: float
     ) -> tuple[Float32Array, float, int]:
         """Return rounded points ``(N, 3)``, the largest error [m] and its point."""
-        labels = labels_of(self.report, name)
+        labels = attribute_labels(self.report, name)
         rows, error, _, vertex = rounded(
             values[None], self.unit, labels, np.array([code])
         )
@@ -257,11 +265,13 @@ class SimulatedPrim:
         remove_attribute(spec, "velocities")
         for name, rows in prim_writer.block(0, 0.0, frame).values.items():
             if name != "velocities":
-                make = kind_of(name, rows[0]).make
+                make = attribute_kind(name, rows[0]).make
                 SampleWriter(spec.attributes[name], make).finish(rows[0])
 
 
-def _rows(values: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+def _add_frame_axis(
+    values: Mapping[str, npt.NDArray[Any]],
+) -> dict[str, npt.NDArray[Any]]:
     """Return the values of one frame with a leading frame axis ``(1, …)``."""
     return {name: array[None] for name, array in values.items()}
 
@@ -306,20 +316,20 @@ def simulated_layer(job: SimulatedJob, output: Path) -> Any:
 
 
 def grow_simulated(
-    job: SimulatedJob, rows: Rows, growing: GrowingLayer
+    job: SimulatedJob, rows: FrameRows, growing: GrowingLayer
 ) -> list[CachedMesh]:
     """Write prims to a layer frame by frame; return a report per prim."""
     prims, layer = job.prims(), growing.layer
     reports = [prim_writer.report for prim_writer in prims]
     writer = OneLayer([PointWriter(layer, report, every=True) for report in reports])
-    write_frames(_blocks(job, prims, rows, layer, growing), writer, reports)
+    write_frames(_write_blocks(job, prims, rows, layer, growing), writer, reports)
     for prim_writer in prims:
         prim_writer.finish(layer)
     return reports
 
 
 def chunk_simulated(
-    job: SimulatedJob, rows: Rows, layer: Any, files: ClipFiles, size: int
+    job: SimulatedJob, rows: FrameRows, layer: Any, files: ClipFiles, size: int
 ) -> tuple[list[Path], list[CachedMesh]]:
     """Write samples of prims to chunk files, combined by a layer.
 
@@ -344,7 +354,7 @@ def chunk_simulated(
             replacement_path(path) as temporary,
             growing_crate(temporary, path) as growing,
         ):
-            _declare(growing.layer, reports, layer)
+            _declare_attributes(growing.layer, reports, layer)
             yield [
                 PointWriter(
                     growing.layer,
@@ -357,22 +367,22 @@ def chunk_simulated(
             ]
             author_span(growing.layer, job.metadata)
 
-    with Chunks(files, size, len(prims), chunk) as chunks:
-        write_frames(_blocks(job, prims, rows, layer), chunks, reports)
+    with ChunkedWriter(files, size, len(prims), chunk) as chunks:
+        write_frames(_write_blocks(job, prims, rows, layer), chunks, reports)
     chunks.join(
         layer,
         job.model,
         job.metadata,
-        lambda manifest: _declare(manifest, reports, layer),
+        lambda manifest: _declare_attributes(manifest, reports, layer),
         defaults=True,
     )
     return chunks.finish(), reports
 
 
-def _blocks(
+def _write_blocks(
     job: SimulatedJob,
     prims: Sequence[SimulatedPrim],
-    rows: Rows,
+    rows: FrameRows,
     layer: Any,
     growing: GrowingLayer
     | None = None,  # counts the bytes of each row; None for chunks
@@ -391,8 +401,8 @@ def _blocks(
             if job.placement_matrices is not None:
                 _author_placement(spec, job, job.placement_matrices)
             elif job.rotation is not None:
-                rotation = quaternion(job.rotation)
-                attribute(spec, "xformOp:orient", types.Quatd, rotation)
+                rotation = gf_quaternion(job.rotation)
+                attribute_spec(spec, "xformOp:orient", types.Quatd, rotation)
                 author_order(spec, "xformOp:orient")
         size = 0
         for k, (writer, frame) in enumerate(zip(prims, frames, strict=True)):
@@ -413,7 +423,7 @@ def _author_placement(
         up_matrix[:3, :3] = so3.to_matrix(job.rotation)
         placement_matrices = placement_matrices @ up_matrix
     rows = np.broadcast_to(placement_matrices.swapaxes(1, 2), (len(job.codes), 4, 4))
-    attr = attribute(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
+    attr = attribute_spec(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
     samples = SampleWriter(attr, lambda row: Gf.Matrix4d(row.tolist()))
     samples.add(job.codes, rows)
     samples.finish(rows[0])
@@ -427,11 +437,11 @@ def _refuse_characters(frames: Sequence[Frame]) -> None:
         raise OptionError(Fault("SIM151", message, hint=f"remove {argument('chunk')}"))
 
 
-def _declare(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
+def _declare_attributes(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
     """Declare the sampled attributes with the types of another layer."""
     for report in reports:
-        prim(layer, report.path, over=True)
+        prim_spec(layer, report.path, over=True)
         for name in report.sampled:
             path, leaf = split_attribute(report.path, name)
             kind = source.GetPrimAtPath(path).attributes[leaf].typeName
-            attribute(prim(layer, path, over=True), leaf, kind)
+            attribute_spec(prim_spec(layer, path, over=True), leaf, kind)

@@ -15,10 +15,18 @@ JOINT_TOLERANCE = 0.018
 FOOT_TOLERANCE, HIP_TOLERANCE = 0.0006, 0.004
 # A joint is static if its rotation moves its descendants by less than this, relative to
 # the rig.
-STATIC_MOVE = 0.003
+STATIC_DISTANCE = 0.003
 # Distances of samples in frames, with the shorter spans that must fit before each is
 # tried.
-SPANS = {2: (1,), 3: (2,), 4: (3,), 6: (3, 3), 9: (4, 4), 16: (9, 6), 32: (16, 16)}
+SPAN_SPLITS = {
+    2: (1,),
+    3: (2,),
+    4: (3,),
+    6: (3, 3),
+    9: (4, 4),
+    16: (9, 6),
+    32: (16, 16),
+}
 
 
 @dataclass(frozen=True)
@@ -80,7 +88,7 @@ def kept_samples(
     offsets = np.zeros((count, 3))
     checked_spans: dict[int, tuple[IntArray, FloatArray]] = {}
     valid_spans = {1: np.ones(count, np.bool_)}
-    for span, parts in SPANS.items():
+    for span, parts in SPAN_SPLITS.items():
         can_begin = np.ones(max(count - span, 0), np.bool_)
         start = 0
         for length in parts:
@@ -92,7 +100,7 @@ def kept_samples(
             fits_, corrections = chain.fitting(exact, is_planted, begins, span)
             valid_spans[span][begins] = fits_
             checked_spans[span] = begins, corrections
-    rows = _fewest(valid_spans)
+    rows = _fewest_frames(valid_spans)
     keys = np.flatnonzero(rows)
     for begin, span in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
         if span > 1:
@@ -102,7 +110,7 @@ def kept_samples(
     return rows, offsets
 
 
-def _fewest(spans_: dict[int, BoolArray]) -> BoolArray:
+def _fewest_frames(spans_: dict[int, BoolArray]) -> BoolArray:
     """Return the fewest frames that connect first and last by valid spans."""
     count = len(spans_[1])
     steps, best = [1] * count, [0] * count
@@ -121,7 +129,7 @@ def _fewest(spans_: dict[int, BoolArray]) -> BoolArray:
     return rows
 
 
-def slerped(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
+def slerp(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
     """Return the slerp of unit quaternions ``(…, 4)`` in one hemisphere."""
     cosine = np.clip(np.einsum("...k,...k->...", a, b), -1.0, 1.0)
     angle = np.arccos(cosine)
@@ -145,4 +153,4 @@ def rotating_joints(
     """
     cosine = np.abs((rotations * rotations[:1]).sum(axis=-1)).min(axis=0)
     angles = 2 * np.arccos(np.clip(cosine, 0.0, 1.0))
-    return np.asarray(angles * arms > STATIC_MOVE * size)
+    return np.asarray(angles * arms > STATIC_DISTANCE * size)

@@ -34,12 +34,12 @@ from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
 from animtool.usd.layers.sdf import (
     SampleWriter,
     asset_path,
-    attribute,
+    attribute_spec,
     author_order,
-    prim,
-    quaternion,
-    relationship,
-    vector,
+    author_relationship,
+    gf_quaternion,
+    gf_vector,
+    prim_spec,
 )
 from animtool.usd.props.placement import PropPlacements, is_within
 
@@ -128,7 +128,7 @@ def author_props(
         _define_ancestors(layer, path, placements)
         exists = placements.exists(path)
         type_name = "" if exists else track.type_name
-        spec = prim(layer, placements.spec(path), type_name, over=exists)
+        spec = prim_spec(layer, placements.spec(path), type_name, over=exists)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
         transforms = placements.located(track, path, codes, track.at(times[:, i]))
@@ -165,7 +165,7 @@ def _define_ancestors(layer: Any, path: str, placements: PropPlacements) -> None
             continue
         spec = placements.spec(text)
         if layer.GetPrimAtPath(spec) is None and not placements.exists(text):
-            prim(layer, spec, "Xform")
+            prim_spec(layer, spec, "Xform")
 
 
 def _author_reference(spec: Any, reference: PropReference, output: Path) -> None:
@@ -183,7 +183,7 @@ def _author_track(
 
     def author(name: str, type_name: Any, rows: Any, make: _Convert) -> None:
         quaternions = type_name == types.Quatd
-        attr = attribute(spec, name, type_name)
+        attr = attribute_spec(spec, name, type_name)
         samples = SampleWriter(attr, make, quaternions=quaternions)
         samples.add(codes, rows)
         samples.finish(rows[0])
@@ -193,17 +193,19 @@ def _author_track(
         matrices[:, :3, 3] /= unit
         matrices[:, :3, :3] *= factor
         rows = matrices.swapaxes(1, 2)
-        author("xformOp:transform", types.Matrix4d, rows, _matrix)
+        author("xformOp:transform", types.Matrix4d, rows, _to_matrix)
         author_order(spec, "xformOp:transform")
     elif track.placed:
-        author("xformOp:translate", types.Double3, sampled.translations / unit, vector)
-        author("xformOp:orient", types.Quatd, sampled.rotations, quaternion)
-        author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
+        author(
+            "xformOp:translate", types.Double3, sampled.translations / unit, gf_vector
+        )
+        author("xformOp:orient", types.Quatd, sampled.rotations, gf_quaternion)
+        author("xformOp:scale", types.Double3, sampled.scales * factor, gf_vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for attribute_, values in zip(track.attributes, sampled.values, strict=True):
         value_type = types.Find(attribute_.type_name)
         if attribute_.width:
-            make = _number if attribute_.width == 1 else _numbers
+            make = _to_float if attribute_.width == 1 else _to_vector
             author(
                 attribute_.name,
                 value_type,
@@ -211,27 +213,29 @@ def _author_track(
                 make,
             )
         else:
-            author(attribute_.name, value_type, values, _choice(attribute_.choices))
+            author(
+                attribute_.name, value_type, values, _choice_text(attribute_.choices)
+            )
 
 
-def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
+def _choice_text(choices: Sequence[object]) -> Callable[[Any], object]:
     return lambda row: choices[int(row)]
 
 
-def _number(row: FloatArray) -> float:
+def _to_float(row: FloatArray) -> float:
     return float(row[0])
 
 
-def _numbers(row: FloatArray) -> tuple[float, ...]:
+def _to_vector(row: FloatArray) -> tuple[float, ...]:
     return tuple(row.tolist())
 
 
-def _matrix(row: FloatArray) -> Any:
+def _to_matrix(row: FloatArray) -> Any:
     return Gf.Matrix4d(row.tolist())
 
 
 # Operations of an animated Xform.
-_OPERATIONS = ("xformOp:translate", "xformOp:orient")
+_XFORM_OPS = ("xformOp:translate", "xformOp:orient")
 PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # child prims that are not instances
 
 
@@ -252,7 +256,9 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
         """Write the prototype meshes below the prim."""
-        relationship(spec, "prototypes", *_prototypes(writer, spec, frame.meshes))
+        author_relationship(
+            spec, "prototypes", *_write_prototypes(writer, spec, frame.meshes)
+        )
 
     def values(
         self,
@@ -262,7 +268,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return prototype index, orientation and scale of each, and the bounds."""
-        boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
+        boxes = np.stack([_bounds_corners(mesh.points) for mesh in frame.meshes])
         corners = boxes[frame.mesh_indices] * (frame.scales[:, None] / writer.unit)
         corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
         extent = writer.narrowed("extent", corners.reshape(-1, 3), code)
@@ -288,35 +294,35 @@ class XformsForm(FrameForm[TransformsFrame]):
         """Return the transform ops of the animated instances."""
         return {
             f"{part_name}.{name}": ATTRIBUTES[name]
-            for i, part_name in enumerate(part_names(frame.names).names)
+            for i, part_name in enumerate(instance_names(frame.names).names)
             if i not in frame.static
-            for name in _OPERATIONS
+            for name in _XFORM_OPS
         }
 
     def divide(self, spec: Any, frame: TransformsFrame) -> None:
         """Create the Xforms, in order."""
-        for name in part_names(frame.names).names:
-            prim(spec.layer, f"{spec.path}/{name}", "Xform")
+        for name in instance_names(frame.names).names:
+            prim_spec(spec.layer, f"{spec.path}/{name}", "Xform")
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
         The prototypes are a class, so they are not visible.
         """
-        layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
+        layer, paths = spec.layer, _write_prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
         for i, name in enumerate(writer.child_names):
             body = layer.GetPrimAtPath(f"{spec.path}/{name}")
-            names = list(_OPERATIONS)
+            names = list(_XFORM_OPS)
             if i in frame.static:
                 transform = _instance_transform(frame, i, writer.unit)
                 author_values(body, dict(zip(names, transform, strict=True)))
             if not (frame.scales[i] == 1.0).all():
                 scale = Gf.Vec3f(*frame.scales[i].tolist())
-                attribute(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
+                attribute_spec(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
                 names.append("xformOp:scale")
             author_order(body, *names)
-            mesh = prim(layer, f"{body.path}/mesh")
+            mesh = prim_spec(layer, f"{body.path}/mesh")
             mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.mesh_indices[i]]))
         if frame.physics is not None:
             from animtool.usd.physics.write import PhysicsWriter
@@ -338,7 +344,7 @@ class XformsForm(FrameForm[TransformsFrame]):
             for i, part_name in enumerate(writer.child_names)
             if i not in frame.static
             for name, value in zip(
-                _OPERATIONS, _instance_transform(frame, i, writer.unit), strict=True
+                _XFORM_OPS, _instance_transform(frame, i, writer.unit), strict=True
             )
         }
 
@@ -350,10 +356,10 @@ def _instance_transform(
     return frame.points[i] / unit, frame.rotations[i]
 
 
-def part_names(names: Sequence[str]) -> UsdNames:
+def instance_names(names: Sequence[str]) -> UsdNames:
     """Return legal, distinct names of instances.
 
-    >>> part_names(["brick[3]", "brick_3"]).names
+    >>> instance_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
     all_names = [PROTOTYPES, PHYSICS, *names]
@@ -363,16 +369,18 @@ def part_names(names: Sequence[str]) -> UsdNames:
     return replace(distinct, names=distinct.names[2:])
 
 
-def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
+def _write_prototypes(
+    writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]
+) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
-    scope = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
     paths = [f"{scope.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
         writer.write_static(spec.layer, path, mesh)
     return paths
 
 
-def _corners(points: FloatArray) -> FloatArray:
+def _bounds_corners(points: FloatArray) -> FloatArray:
     """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
     bounds_ = np.stack([points.min(axis=0), points.max(axis=0)])
     return bounds_[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

@@ -22,20 +22,20 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.usd.layers.names import RigPaths, joint_names, legal_name
 from animtool.usd.layers.sdf import (
     apply_schemas,
-    attribute,
+    attribute_spec,
     author_order,
+    author_relationship,
+    gf_quaternion,
+    gf_quatf,
     new_layer,
-    prim,
-    quaternion,
-    quatf,
-    relationship,
+    prim_spec,
     save_layer,
 )
 from animtool.usd.rigs.meshes import author_meshes
 from animtool.usd.rigs.skeleton import author_rig
 
 # Low above high locks an axis in UsdPhysics.
-LOCKED = (1.0, -1.0)
+LOCKED_LIMITS = (1.0, -1.0)
 
 _TYPES = Sdf.ValueTypeNames
 _AXES = "XYZ"
@@ -55,29 +55,33 @@ def author_physics(
         {*movable_joints, *(rig.joints[i].parent for i in movable_joints)} - {-1}
     )
     scope = f"{model}/Physics"
-    prim(layer, model, over=True)
+    prim_spec(layer, model, over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
-        prim(layer, path, "Scope")
+        prim_spec(layer, path, "Scope")
     world = rest_world(rig)
     rotations = so3.from_matrix(world.linear[0])
     for i in bodies:
         position = world.positions[0, i] / meters_per_unit
-        _body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
+        _author_body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
     for i in movable_joints:
-        _joint(layer, scope, rig, i, names, meters_per_unit)
+        _author_joint(layer, scope, rig, i, names, meters_per_unit)
     return len(movable_joints)
 
 
-def _body(layer: Any, path: str, position: FloatArray, rotation: FloatArray) -> None:
-    spec = prim(layer, path, "Xform")
+def _author_body(
+    layer: Any, path: str, position: FloatArray, rotation: FloatArray
+) -> None:
+    spec = prim_spec(layer, path, "Xform")
     apply_schemas(spec, ["PhysicsRigidBodyAPI"])
-    attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
-    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist()))
-    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(rotation))
+    attribute_spec(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
+    attribute_spec(
+        spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist())
+    )
+    attribute_spec(spec, "xformOp:orient", _TYPES.Quatd, gf_quaternion(rotation))
     author_order(spec, "xformOp:translate", "xformOp:orient")
 
 
-def _joint(
+def _author_joint(
     layer: Any,
     scope: str,
     rig: Rig,
@@ -86,27 +90,35 @@ def _joint(
     meters_per_unit: float,
 ) -> None:
     joint = rig.joints[index]
-    spec = prim(layer, f"{scope}/Joints/{names[index]}", _prim_type(joint))
-    token = attribute(spec, "animtool:joint", _TYPES.Token, str(joint.type))
+    spec = prim_spec(layer, f"{scope}/Joints/{names[index]}", _prim_type(joint))
+    token = attribute_spec(spec, "animtool:joint", _TYPES.Token, str(joint.type))
     token.custom = True
     if joint.parent >= 0:
-        relationship(spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}")
-    relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
-    axis, frame = _frame(joint)
+        author_relationship(
+            spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}"
+        )
+    author_relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
+    axis, frame = _joint_frame(joint)
     position = np.array(joint.translation) / meters_per_unit
     parent_frame = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
-    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist()))
-    attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
-    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(parent_frame))
-    attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
+    attribute_spec(
+        spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist())
+    )
+    attribute_spec(spec, "physics:localPos1", _TYPES.Point3f, zero)
+    attribute_spec(spec, "physics:localRot0", _TYPES.Quatf, gf_quatf(parent_frame))
+    attribute_spec(spec, "physics:localRot1", _TYPES.Quatf, gf_quatf(frame))
     if axis:
-        attribute(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
+        attribute_spec(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
     if isinstance(joint.limits, RangeLimit):
         pin = joint.type is JointType.PIN
         scale = math.degrees(1.0) if pin else 1.0 / meters_per_unit
-        attribute(spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale)
-        attribute(spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale)
+        attribute_spec(
+            spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale
+        )
+        attribute_spec(
+            spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale
+        )
     elif isinstance(joint.limits, BallLimit):
         twists = joint.limits.twist is not None
         if schemas := author_ball(spec, joint.limits, locked=twists):
@@ -125,7 +137,7 @@ def _prim_type(joint: Joint) -> str:
     }[joint.type]
 
 
-def _frame(joint: Joint) -> tuple[str, FloatArray]:
+def _joint_frame(joint: Joint) -> tuple[str, FloatArray]:
     """Return the axis token, empty for none, and the joint frame in the body."""
     if isinstance(joint.limits, BallLimit):
         token = "" if joint.limits.twist is not None else "X"
@@ -149,22 +161,26 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     if not locked:
         if swing_degrees is not None:
             # The first cone angle tilts towards Y, a rotation about Z.
-            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing_degrees[1])
-            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing_degrees[0])
+            attribute_spec(
+                spec, "physics:coneAngle0Limit", _TYPES.Float, swing_degrees[1]
+            )
+            attribute_spec(
+                spec, "physics:coneAngle1Limit", _TYPES.Float, swing_degrees[0]
+            )
         return []
     ranges: dict[str, tuple[float, float]] = {}
     if limits.twist is not None:
         lower, upper = np.degrees(limits.twist).tolist()
-        ranges["rotX"] = LOCKED if lower == upper == 0 else (lower, upper)
+        ranges["rotX"] = LOCKED_LIMITS if lower == upper == 0 else (lower, upper)
     if swing_degrees is not None:
         ranges |= {
             "rotY": (-swing_degrees[0], swing_degrees[0]),
             "rotZ": (-swing_degrees[1], swing_degrees[1]),
         }
-    ranges |= {f"trans{axis}": LOCKED for axis in _AXES}
+    ranges |= {f"trans{axis}": LOCKED_LIMITS for axis in _AXES}
     for name, (lower, upper) in ranges.items():
-        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, lower)
-        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, upper)
+        attribute_spec(spec, f"limit:{name}:physics:low", _TYPES.Float, lower)
+        attribute_spec(spec, f"limit:{name}:physics:high", _TYPES.Float, upper)
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
@@ -207,7 +223,7 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
 
 
 # USD's fallback rate; an animation over the rig adopts it.
-RATE = Fraction(24)
+LAYER_RATE = Fraction(24)
 
 
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
@@ -232,7 +248,7 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         _, renamed = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
         root = layer.GetPrimAtPath(paths.root)
         apply_schemas(root, ["SkelBindingAPI"])
-        relationship(root, "skel:skeleton", paths.skeleton)
+        author_relationship(root, "skel:skeleton", paths.skeleton)
     stage = Usd.Stage.Open(layer)
     boundable = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
@@ -241,14 +257,14 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
     bounds = np.array(extent, np.float32).reshape(-1, 3)
     with Sdf.ChangeBlock():
         value = Vt.Vec3fArray.FromNumpy(bounds)
-        attribute(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
+        attribute_spec(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
     notices = [replace(fault, path=str(path)) for fault in names.notices + renamed]
     return layer, notices
 
 
 def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
     layer.defaultPrim = Sdf.Path(paths.model).name
-    layer.framesPerSecond = layer.timeCodesPerSecond = float(RATE)
+    layer.framesPerSecond = layer.timeCodesPerSecond = float(LAYER_RATE)
     layer.pseudoRoot.SetInfo("metersPerUnit", rig.meters_per_unit)
     layer.pseudoRoot.SetInfo("upAxis", rig.up.value)
 
@@ -264,7 +280,7 @@ def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]
     with Sdf.ChangeBlock():
         _metadata(layer, rig, paths)
         layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
-        prim(layer, paths.model, over=True)
+        prim_spec(layer, paths.model, over=True)
         counts = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
     layer.subLayerPaths = [f"./{rig_path.name}"]
     return save_layer(layer, path), counts

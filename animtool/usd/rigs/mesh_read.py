@@ -23,11 +23,11 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.usd.caches.reader import PointReader, transformed
-from animtool.usd.layers.faults import PrimLocation, bind_transforms
+from animtool.usd.caches.reader import PointReader, transform_points
+from animtool.usd.layers.faults import PrimLocation, bind_faults
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.meshes import SUBDIVISION
@@ -36,8 +36,8 @@ from animtool.usd.rigs.prims import (
     SkeletonRig,
     array_value,
     find_skeletons,
-    integers,
-    numbers,
+    integer_array,
+    number_rows,
     numbers_of,
     open_stage,
     prim_below,
@@ -45,7 +45,7 @@ from animtool.usd.rigs.prims import (
 )
 from animtool.usd.rigs.rest_pose import collapsed_bones
 from animtool.usd.rigs.skinned import (
-    floats,
+    float_rows,
     joint_names,
     prim_name,
     skinned_prims,
@@ -55,7 +55,7 @@ from animtool.usd.rigs.skinned import (
 from animtool.usd.rigs.target import RigTarget
 from animtool.usd.rigs.unskinned import unskinned_notice
 
-_METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
+_SKIN_METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
 
 def read_meshes(
@@ -72,11 +72,11 @@ def read_meshes(
     notices = unbound_notice(skeleton, where)
     for name, query in bound_meshes(skeleton):
         at = PrimLocation.of(where, query.GetPrim())
-        bind = _bind(query, skeleton, at)
-        meshes.append(_mesh(query, name, rig, at, bind, notices))
+        bind = _geom_bind(query, skeleton, at)
+        meshes.append(_read_mesh(query, name, rig, at, bind, notices))
         count = len(meshes[-1].points.load())
         shape_names_ = {shape.name for shape in shapes}
-        shapes += _shapes(query, name, count, where, shape_names_)
+        shapes += _read_shapes(query, name, count, where, shape_names_)
     return tuple(meshes), tuple(shapes), notices
 
 
@@ -100,7 +100,7 @@ def bound_shapes(skeleton: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _bind(query: Any, skeleton: Any, at: PrimLocation) -> tuple[float, ...] | None:
+def _geom_bind(query: Any, skeleton: Any, at: PrimLocation) -> tuple[float, ...] | None:
     """Return the bind transform of a mesh; None if it is the identity."""
     if query.HasJointInfluences():
         authored_bind = query.GetGeomBindTransform()
@@ -120,7 +120,7 @@ def _bind(query: Any, skeleton: Any, at: PrimLocation) -> tuple[float, ...] | No
     return tuple(matrix.ravel().tolist()) if (matrix != np.eye(4)).any() else None
 
 
-def _mesh(
+def _read_mesh(
     query: Any,
     name: str,
     rig: SkeletonRig,
@@ -130,7 +130,7 @@ def _mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = floats(PointReader(prim).attr, 3, at, "USD265")
+    points = float_rows(PointReader(prim).attr, 3, at, "USD265")
     if not len(points):
         at.fail("USD017", "the mesh has no points")
     normals = None
@@ -139,22 +139,22 @@ def _mesh(
         len(authored_normals) == len(points)
         and mesh.GetNormalsInterpolation() == "vertex"
     ):
-        normals = floats(mesh.GetNormalsAttr(), 3, at)
+        normals = float_rows(mesh.GetNormalsAttr(), 3, at)
     elif len(authored_normals):
         message = "normals that are not one per vertex are skipped"
         notices.append(at.fault("USD116", message, severity=Severity.NOTE))
     return Mesh(
         name,
         LoadedArray(points),
-        LoadedArray(_faces(mesh, len(points), at)),
+        LoadedArray(_padded_faces(mesh, len(points), at)),
         None if normals is None else LoadedArray(normals),
         bind,
-        _skin(query, len(points), rig, at) if query.HasJointInfluences() else None,
-        _subdivision(mesh, normals is not None),
+        _read_skin(query, len(points), rig, at) if query.HasJointInfluences() else None,
+        _read_subdivision(mesh, normals is not None),
     )
 
 
-def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
+def _read_subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
     """Return the subdivision scheme; None for the default one."""
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     by_scheme = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
@@ -162,7 +162,7 @@ def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
     return None if by_scheme is default else by_scheme
 
 
-def _faces(mesh: Any, points: int, at: PrimLocation) -> FloatArray:
+def _padded_faces(mesh: Any, points: int, at: PrimLocation) -> FloatArray:
     """Return faces ``(N, K)``, padded with -1."""
     counts, indices = PointReader(mesh.GetPrim()).faces(None)
     if not len(counts):
@@ -181,7 +181,7 @@ def _faces(mesh: Any, points: int, at: PrimLocation) -> FloatArray:
     return faces.astype(np.float64)
 
 
-def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
+def _read_skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
     indices, weights = (
         numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
         for primvar in (
@@ -205,14 +205,14 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
     shape = (points, width)
     method = str(query.GetSkinningMethod())
     return Skin(
-        _METHODS.get(method, "linear"),
+        _SKIN_METHODS.get(method, "linear"),
         names,
         LoadedArray(np.broadcast_to(indices.reshape(rows, width), shape).copy()),
         LoadedArray(np.broadcast_to(weights.reshape(rows, width), shape).copy()),
     )
 
 
-def _shapes(
+def _read_shapes(
     query: Any, mesh: str, points: int, where: str, known_shapes: set[str]
 ) -> list[Shape]:
     """Return the blend shapes of a mesh.
@@ -236,15 +236,15 @@ def _shapes(
     for token, target in zip(order, targets, strict=True):
         prim, is_shared = stage.GetPrimAtPath(target), token in known_shapes
         name = f"{mesh}_{token}" if is_shared else token
-        shape = _shape(UsdSkel.BlendShape(prim), name, mesh, points, where)
+        shape = _read_shape(UsdSkel.BlendShape(prim), name, mesh, points, where)
         shapes.append(replace(shape, combine=(token,)) if is_shared else shape)
     return shapes
 
 
-def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
+def _read_shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     at = PrimLocation.of(where, shape)
-    deltas = floats(shape.GetOffsetsAttr(), 3, at, "USD243")
-    vertices = integers(shape.GetPointIndicesAttr())
+    deltas = float_rows(shape.GetOffsetsAttr(), 3, at, "USD243")
+    vertices = integer_array(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
     steps = shape.GetInbetweens()
     normal_attributes = [shape.GetNormalOffsetsAttr()]
@@ -262,7 +262,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     def rows_of(attr: Any) -> LoadedArray | None:
         if not attr or not attr.HasAuthoredValue():
             return None
-        values = floats(attr, 3, at, "USD243")
+        values = float_rows(attr, 3, at, "USD243")
         if len(values) != rows:
             at.fail(
                 "USD242" if attr.GetName().endswith("normalOffsets") else "USD240",
@@ -309,8 +309,8 @@ def bound_strands(
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         source = query.GetPrim()
         at = PrimLocation.of(where, source)
-        joint = _carrier(query, rig, at)
-        points = _points(UsdGeom.BasisCurves(source), query, at)
+        joint = _carrier_joint(query, rig, at)
+        points = _strand_points(UsdGeom.BasisCurves(source), query, at)
         if joint is not None and points is not None:
             name = unique_name(prim_name(source), used_names)
             kind, array = AttachKind.STRANDS.value, LoadedArray(points)
@@ -318,12 +318,14 @@ def bound_strands(
     return strands
 
 
-def _carrier(query: Any, rig: SkeletonRig, at: PrimLocation) -> str | None:
+def _carrier_joint(query: Any, rig: SkeletonRig, at: PrimLocation) -> str | None:
     """Return the single joint a prim is rigidly bound to; None if there are others."""
     if not query.HasJointInfluences() or not query.IsRigidlyDeformed():
         return None
-    indices = integers(query.GetJointIndicesPrimvar().GetAttr(), Usd.TimeCode.Default())
-    weights = numbers(
+    indices = integer_array(
+        query.GetJointIndicesPrimvar().GetAttr(), Usd.TimeCode.Default()
+    )
+    weights = number_rows(
         query.GetJointWeightsPrimvar().GetAttr(), 1, Usd.TimeCode.Default()
     )
     if len(indices) != 1 or len(weights) != 1:
@@ -335,18 +337,18 @@ def _carrier(query: Any, rig: SkeletonRig, at: PrimLocation) -> str | None:
     return names[int(indices[0])]
 
 
-def _points(curves: Any, query: Any, at: PrimLocation) -> FloatArray | None:
+def _strand_points(curves: Any, query: Any, at: PrimLocation) -> FloatArray | None:
     """Return bind points ``(S, K, 3)``; None if the curves are not strands."""
-    counts = integers(curves.GetCurveVertexCountsAttr())
+    counts = integer_array(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
-    values = floats(PointReader(curves.GetPrim()).attr, 3, at, "USD265")
+    values = float_rows(PointReader(curves.GetPrim()).attr, 3, at, "USD265")
     if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
     if not np.isfinite(matrix).all():
         at.fail("USD235", "geomBindTransform is not finite")
-    return transformed(values, matrix).reshape(len(counts), -1, 3)
+    return transform_points(values, matrix).reshape(len(counts), -1, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -377,7 +379,7 @@ def source_meshes(
         rig = skeleton_rig(skeletons[0], path)
         where = local_placement(skeletons[0].GetPrim(), rig.rig)
         at_rest = where.sized if placement == DROP else where.rest
-        meshes = _meshes(skeletons[0], rig, path, at_rest)
+        meshes = _stage_meshes(skeletons[0], rig, path, at_rest)
         unskinned = unskinned_notice(skeletons[0], str(path), placement)
         return replace(meshes, notices=meshes.notices + unskinned)
 
@@ -386,14 +388,14 @@ def target_meshes(target: RigTarget) -> StageMeshes:
     """Return the meshes of a rig layer."""
     with usd_errors(target.path), without_usd_warnings():
         prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
-        meshes = _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
+        meshes = _stage_meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
         new_notices = [
             notice for notice in meshes.notices if notice not in target.notices
         ]
         return replace(meshes, notices=new_notices)
 
 
-def _meshes(
+def _stage_meshes(
     skeleton: Any,
     skeleton_rig: SkeletonRig,
     path: Path,
@@ -405,14 +407,14 @@ def _meshes(
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     location = PrimLocation.of(path, skeleton)
-    location.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
+    location.refuse(bind_faults(skeleton, skeleton_rig.tokens, skins=True))
     warnings = collapsed_bones(skeleton, skeleton_rig.tokens)
     notices += [replace(fault, path=str(path)) for fault in warnings]
     attr = skeleton.GetBindTransformsAttr()
-    bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
+    bind = number_rows(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit
-    if placement is not None and not placement.is_none:
-        rig = placed_rig(rig, placement)
+    if placement is not None and not placement.is_identity:
+        rig = place_rig(rig, placement)
         bind = placement_matrix(placement) @ bind
         # Joints cannot store this scale: it is in their lengths.
         bind[:, :3, :3] /= placement.size

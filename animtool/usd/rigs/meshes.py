@@ -28,14 +28,14 @@ from animtool.usd.caches.writer import (
     author_values,
     bounds,
 )
-from animtool.usd.layers.finite import Labels, check_value, narrowed
+from animtool.usd.layers.finite import ValueLabels, check_value, narrow_floats
 from animtool.usd.layers.names import RigPaths, distinct_names
 from animtool.usd.layers.sdf import (
     apply_schemas,
-    attribute,
+    attribute_spec,
     author_order,
-    prim,
-    relationship,
+    author_relationship,
+    prim_spec,
 )
 from animtool.usd.rigs.skeleton import STRANDS_SCOPE
 
@@ -58,7 +58,7 @@ SUBDIVISION = {
     Subdivision.BILINEAR: "bilinear",
 }
 _TYPES = Sdf.ValueTypeNames
-_METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
+_SKIN_METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
 
 
 def author_mesh(
@@ -150,8 +150,8 @@ def author_meshes(
     notices: list[Fault] = []
     mesh_paths, renamed = mesh_names(surfaces, paths)
     for i, (path, surface) in enumerate(zip(mesh_paths, surfaces, strict=True)):
-        spec = _mesh(layer, path, surface, meters_per_unit)
-        _color(spec, COLORS[i % len(COLORS)])
+        spec = _author_mesh_prim(layer, path, surface, meters_per_unit)
+        _author_color(spec, COLORS[i % len(COLORS)])
         if path in renamed:
             spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
@@ -159,14 +159,18 @@ def author_meshes(
         if bound and (surface.skin is not None or surface.shapes):
             apply_schemas(spec, ["SkelBindingAPI"])
             if surface.skin is not None:
-                notices += _skin(spec, surface, surface.skin, tokens, meters_per_unit)
+                notices += _author_skin(
+                    spec, surface, surface.skin, tokens, meters_per_unit
+                )
             if surface.shapes:
-                _shapes(layer, spec, surface, meters_per_unit)
+                _author_shapes(layer, spec, surface, meters_per_unit)
     return mesh_paths, notices
 
 
-def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> Any:
-    spec = prim(layer, path, "Mesh")
+def _author_mesh_prim(
+    layer: Any, path: str, surface: Surface, meters_per_unit: float
+) -> Any:
+    spec = prim_spec(layer, path, "Mesh")
     points = surface.points / meters_per_unit
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
     values = {
@@ -186,9 +190,9 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
     return spec
 
 
-def _color(spec: Any, color: tuple[float, float, float]) -> None:
+def _author_color(spec: Any, color: tuple[float, float, float]) -> None:
     """Author displayColor, linear, for viewers without a material."""
-    attribute(
+    attribute_spec(
         spec,
         "primvars:displayColor",
         _TYPES.Color3fArray,
@@ -199,12 +203,12 @@ def _color(spec: Any, color: tuple[float, float, float]) -> None:
 
 def _author_transform(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
     """Author the transform of a mesh without skin."""
-    matrix = _matrix(transform, meters_per_unit)
-    attribute(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
+    matrix = _stage_matrix(transform, meters_per_unit)
+    attribute_spec(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
     author_order(spec, "xformOp:transform")
 
 
-def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
+def _stage_matrix(transform: FloatArray, meters_per_unit: float) -> Any:
     """Return a column-vector transform [m] as a row-vector matrix in stage units."""
     rows = transform.T.copy()
     rows[3, :3] /= meters_per_unit
@@ -212,15 +216,15 @@ def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
 
 
 def _to_float32(values: FloatArray, where: str) -> Float32Array:
-    labels = Labels(where, "point")
-    return np.ascontiguousarray(narrowed(values, "f", labels))
+    labels = ValueLabels(where, "point")
+    return np.ascontiguousarray(narrow_floats(values, "f", labels))
 
 
 def _vec3f(values: FloatArray, where: str) -> Any:
     return Vt.Vec3fArray.FromNumpy(_to_float32(values, where))
 
 
-def _skin(
+def _author_skin(
     spec: Any,
     surface: Surface,
     skin: SurfaceSkin,
@@ -231,25 +235,25 @@ def _skin(
     indices, weights = _padded_influences(influences)
     if skin.joints != tuple(tokens):
         joints = Vt.TokenArray([tokens[name] for name in skin.joints])
-        attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
+        attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
     if (surface.geom_bind != np.eye(4)).any():
-        bind = _matrix(surface.geom_bind, meters_per_unit)
-        attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
+        bind = _stage_matrix(surface.geom_bind, meters_per_unit)
+        attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
     joint_indices = np.ascontiguousarray(indices.ravel(), np.int32)
     shares = np.ascontiguousarray(weights.ravel(), np.float32)
     for name, kind, values in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(shares)),
     ):
-        attr = attribute(
+        attr = attribute_spec(
             spec, f"primvars:skel:{name}", kind, values, interpolation="vertex"
         )
         attr.SetInfo("elementSize", indices.shape[1])
-    method = _METHODS[skin.method]
+    method = _SKIN_METHODS[skin.method]
     if method != "classicLinear":
         name = "primvars:skel:skinningMethod"
-        attribute(spec, name, _TYPES.Token, method, uniform=True)
-    return _notices(surface.name, report)
+        attribute_spec(spec, name, _TYPES.Token, method, uniform=True)
+    return _influence_notices(surface.name, report)
 
 
 def _padded_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
@@ -264,7 +268,7 @@ def _padded_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     return joints, weights
 
 
-def _notices(mesh: str, report: InfluenceReport) -> list[Fault]:
+def _influence_notices(mesh: str, report: InfluenceReport) -> list[Fault]:
     if not report.normalized:
         return []
     message = (
@@ -275,23 +279,25 @@ def _notices(mesh: str, report: InfluenceReport) -> list[Fault]:
     return [Fault("SKIN101", message, severity=Severity.NOTE)]
 
 
-def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> None:
+def _author_shapes(
+    layer: Any, spec: Any, surface: Surface, meters_per_unit: float
+) -> None:
     shape_names = [shape.name for shape in surface.shapes]
     names = distinct_names(shape_names, shape_names, shape_names).names
     targets = [f"{spec.path}/{name}" for name in names]
-    attribute(
+    attribute_spec(
         spec,
         "skel:blendShapes",
         _TYPES.TokenArray,
         Vt.TokenArray(shape_names),
         uniform=True,
     )
-    relationship(spec, "skel:blendShapeTargets", *targets)
+    author_relationship(spec, "skel:blendShapeTargets", *targets)
     for target, shape in zip(targets, surface.shapes, strict=True):
-        _shape(prim(layer, target, "BlendShape"), shape, meters_per_unit)
+        _author_shape(prim_spec(layer, target, "BlendShape"), shape, meters_per_unit)
 
 
-def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
+def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
     delta_arrays = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
     normal_offsets = [shape.normals, *(step.normals for step in shape.inbetweens)]
     offsets = [
@@ -304,7 +310,7 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
     if vertices is None and is_moved.mean() < MAX_INDEXED_FRACTION:
         vertices = np.flatnonzero(is_moved)
         rows = is_moved
-    attribute(
+    attribute_spec(
         spec,
         "offsets",
         _TYPES.Vector3fArray,
@@ -313,18 +319,20 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
     )
     if shape.normals is not None:
         normals = _vec3f(shape.normals[rows], f"{spec.path}.normalOffsets")
-        attribute(spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True)
+        attribute_spec(
+            spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True
+        )
     if vertices is not None:
         points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
-        attribute(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
+        attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
     for i, step in enumerate(shape.inbetweens):
         name = f"inbetweens:step_{i + 1}"
         deltas = _vec3f(step.deltas[rows] / meters_per_unit, f"{spec.path}.{name}")
-        attr = attribute(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
-        check_value(step.at, "f", Labels(f"{spec.path}.{name}", "the weight"))
+        attr = attribute_spec(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
+        check_value(step.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
         attr.SetInfo("weight", step.at)
         if step.normals is not None:
-            attribute(
+            attribute_spec(
                 spec,
                 f"{name}:normalOffsets",
                 _TYPES.Vector3fArray,
@@ -335,11 +343,13 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
 
 # A bone is an octahedron, widest at a fifth of its length.
 WAIST_POSITION = 0.2
-HALF_WIDTH = 0.08
+BONE_HALF_WIDTH = 0.08
 # Gap at either end, relative to the length: tools would merge points shared by bones.
 END_GAP = 0.005
 
-_FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
+_OCTAHEDRON_FACES = np.array(
+    [[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))]
+)
 
 
 def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
@@ -377,8 +387,10 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
         return False
     corners, outwards = _octahedra(segments / meters_per_unit)
     points = _to_float32(corners.reshape(-1, 3), f"{paths.root}/Bones.points")
-    faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
-    spec = prim(layer, f"{paths.root}/Bones", "Mesh")
+    faces = (
+        _OCTAHEDRON_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]
+    ).reshape(-1)
+    spec = prim_spec(layer, f"{paths.root}/Bones", "Mesh")
     apply_schemas(spec, ["SkelBindingAPI"])
     values = {
         "faceVertexCounts": np.full(len(faces) // 3, 3, np.int32),
@@ -388,7 +400,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
         "extent": np.stack([points.min(axis=0), points.max(axis=0)]),
     }
     author_mesh(spec, values, closed=True)
-    _color(spec, BONE_COLOR)
+    _author_color(spec, BONE_COLOR)
     # Marks the mesh, so that readers can tell it from the meshes of the rig.
     spec.SetInfo("customData", {"animtool": {"bones": True}})
     joint_indices_ = np.repeat(owners, 6).astype(np.int32)
@@ -400,13 +412,13 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
             Vt.FloatArray.FromNumpy(np.ones(len(joint_indices_), np.float32)),
         ),
     ):
-        attr = attribute(
+        attr = attribute_spec(
             spec, f"primvars:skel:{name}", kind, value, interpolation="vertex"
         )
         attr.SetInfo("elementSize", 1)
     identity = Gf.Matrix4d(1.0)
-    attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, identity)
-    relationship(spec, "skel:skeleton", paths.skeleton)
+    attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, identity)
+    author_relationship(spec, "skel:skeleton", paths.skeleton)
     return True
 
 
@@ -428,7 +440,7 @@ def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
     side_axis /= np.linalg.norm(side_axis, axis=-1, keepdims=True)
     front_axis = np.cross(direction, side_axis)
     waist = head + WAIST_POSITION * directions
-    width = HALF_WIDTH * length
+    width = BONE_HALF_WIDTH * length
     corner_axes = [side_axis, front_axis, -side_axis, -front_axis]
     waist_points = [waist + width * v for v in corner_axes]
     return (

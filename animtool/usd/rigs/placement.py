@@ -22,12 +22,12 @@ from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.props.prim_transforms import world_matrices
-from animtool.usd.rigs.prims import decompose, up_axis, upwards
+from animtool.usd.rigs.prims import decompose, self_and_ancestors, up_axis
 
 # Tolerance of scale factors, and of cosines between axes, in float32.
 SCALE_TOLERANCE = 1e-5
@@ -70,7 +70,7 @@ class SkeletonPlacement:
     def motion(self) -> Placement:
         """Placement per frame relative to `stands`."""
         stands, _ = self.fixed.split(self._up)
-        return stands.inverse().after(self.full).steady()
+        return stands.inverse().after(self.full).simplified()
 
     def _at_rest(self) -> tuple[Placement, Placement]:
         first_placement = self.full.first()
@@ -81,7 +81,7 @@ def animated_ancestors(skeleton: Any) -> list[Any]:
     """Return the prims whose transforms place a Skeleton, if any is animated."""
     chain = [
         xformable
-        for prim in upwards(skeleton)
+        for prim in self_and_ancestors(skeleton)
         if (xformable := UsdGeom.Xformable(prim))
     ]
     is_animated = any(xformable.TransformMightBeTimeVarying() for xformable in chain)
@@ -106,7 +106,7 @@ def skeleton_placement(
     ``rig`` has local values; the placement uses its unit and up axis.
     """
     is_animated = bool(animated_ancestors(skeleton))
-    times = _times(skeleton, codes) if is_animated else [0.0]
+    times = _placement_times(skeleton, codes) if is_animated else [0.0]
     all_matrices = world_matrices(skeleton, np.array(times))
     kept_matrices = all_matrices
     if is_animated:
@@ -117,7 +117,11 @@ def skeleton_placement(
     units = _StageUnits.of(skeleton, rig, all_matrices[0])
     fixed_placement = units.placement(kept_matrices)
     # One frame does not show whether the placement is animated.
-    rides = fixed_placement.moves if codes else is_animated and _may_ride(skeleton)
+    rides = (
+        fixed_placement.moves
+        if codes
+        else is_animated and _has_moving_ancestor(skeleton)
+    )
     return SkeletonPlacement(
         units.placement(all_matrices),
         fixed_placement,
@@ -128,7 +132,7 @@ def skeleton_placement(
     )
 
 
-def _may_ride(skeleton: Any) -> bool:
+def _has_moving_ancestor(skeleton: Any) -> bool:
     """Return whether an ancestor other than the SkelRoot moves the Skeleton."""
     root = UsdSkel.Root.Find(skeleton)
     root_path = root.GetPath() if root else None
@@ -138,7 +142,7 @@ def _may_ride(skeleton: Any) -> bool:
     )
 
 
-def _times(skeleton: Any, codes: Sequence[float] | None) -> list[float]:
+def _placement_times(skeleton: Any, codes: Sequence[float] | None) -> list[float]:
     if codes is not None and len(codes):
         return list(codes)
     stage = skeleton.GetStage()
@@ -241,12 +245,12 @@ class _StageUnits:
             rotations = so3.multiply(self.upright, rotations)
         sizes = np.where(sizes > 0.0, sizes, 1.0)
         placement = Placement(translations, so3.align_signs(rotations), sizes)
-        return _snapped_placement(placement.steady())
+        return _snapped_placement(placement.simplified())
 
 
 def _snapped_placement(placement: Placement) -> Placement:
     """Return a placement snapped to the identity within rounding."""
-    if not placement.moves and placement.is_none:
+    if not placement.moves and placement.is_identity:
         return Placement.from_rotation(so3.IDENTITY)
     is_unit = np.abs(placement.sizes - 1.0) <= SCALE_TOLERANCE / 10
     sizes = np.where(is_unit, 1.0, placement.sizes)
@@ -320,17 +324,17 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
 
     ``choice`` ``drop`` ignores the stage placement; None keeps it.
     """
-    sized_rig = placed_rig(rig, placement.sized)
+    sized_rig = place_rig(rig, placement.sized)
     if choice == DROP:
         return sized_rig
     stands = placement.stands
-    placed_rig_ = placed_rig(rig, placement.rest)
+    placed_rig_ = place_rig(rig, placement.rest)
     if sized_rig.stands is not None:
         # Its values also include a placement.
         stands = stands.after(sized_rig.stands)
     return replace(
         placed_rig_,
-        stands=None if stands.is_none else stands,
+        stands=None if stands.is_identity else stands,
         rides=placement.rides or rig.rides,
     )
 

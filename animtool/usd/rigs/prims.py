@@ -27,14 +27,14 @@ from animtool.usd.layers.faults import (
     MAX_METADATA,
     MIN_METADATA,
     PrimLocation,
-    joint_order,
-    units_and_axis,
+    joint_order_faults,
+    unit_and_axis_faults,
 )
 from animtool.usd.layers.sdf import check_prim_path, find_layer
 from animtool.usd.rigs.rest_pose import readable_rest
 
 # Maximum prims whose names are compared with an unknown one.
-MAX_COMPARED = 20_000
+MAX_COMPARED_PATHS = 20_000
 
 
 def array_value(attr: Any, time: Any = None) -> Any:
@@ -53,7 +53,7 @@ def array_of(value: Any) -> Any:
     return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
-def numbers(attr: Any, width: int, time: Any = None) -> FloatArray:
+def number_rows(attr: Any, width: int, time: Any = None) -> FloatArray:
     """Return an attribute's rows ``(N, width)``; empty for another type."""
     return numbers_of(array_value(attr, time), width)
 
@@ -67,7 +67,7 @@ def numbers_of(value: Any, width: int) -> FloatArray:
     return numbers.astype(np.float64).reshape(-1, width)
 
 
-def integers(attr: Any, time: Any = None) -> IntArray:
+def integer_array(attr: Any, time: Any = None) -> IntArray:
     """Return an attribute's integers ``(N,)``; empty for another type."""
     numbers = np.array(array_value(attr, time))
     if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
@@ -81,9 +81,9 @@ def stored_data(prim: Any) -> dict[str, Any]:
     return data if isinstance(data, dict) else {}
 
 
-_CONTROL = re.compile(f"[{CONTROL}]")
+_CONTROL_CHARACTER = re.compile(f"[{CONTROL}]")
 # Rest transforms are float32.
-MAX_REST = float(np.finfo(np.float32).max)
+MAX_REST_VALUE = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def _check_metadata(stage: Any, where: PrimLocation) -> None:
     ):
         if not abs(code) <= MAX_METADATA:
             where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
-    where.refuse(units_and_axis(stage))
+    where.refuse(unit_and_axis_faults(stage))
 
 
 def find_prim(stage: Any, name: str) -> Any:
@@ -129,13 +129,13 @@ def find_prim(stage: Any, name: str) -> Any:
 
 def nearest_prim(stage: Any, name: str) -> str | None:
     """Return a hint that names the prim with the most similar path."""
-    all_of_them = islice(stage.Traverse(), MAX_COMPARED)
+    all_of_them = islice(stage.Traverse(), MAX_COMPARED_PATHS)
     names = [str(prim.GetPath()) for prim in all_of_them]
     similar_path = most_similar(name, names)
     return f"did you mean {similar_path}?" if similar_path else None
 
 
-def upwards(prim: Any) -> Iterator[Any]:
+def self_and_ancestors(prim: Any) -> Iterator[Any]:
     """Yield a prim and its ancestors, without the pseudo-root."""
     while prim and not prim.IsPseudoRoot():
         yield prim
@@ -144,7 +144,7 @@ def upwards(prim: Any) -> Iterator[Any]:
 
 def placing_times(prim: Any) -> set[float]:
     """Return the sample times of a prim's world transform."""
-    xformables = filter(None, map(UsdGeom.Xformable, upwards(prim)))
+    xformables = filter(None, map(UsdGeom.Xformable, self_and_ancestors(prim)))
     return {time for xformable in xformables for time in xformable.GetTimeSamples()}
 
 
@@ -208,7 +208,7 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     return replace(rig, notices=tuple(notices))
 
 
-def check_moves(joints: int, shapes: int, where: PrimLocation) -> None:
+def check_animatable(joints: int, shapes: int, where: PrimLocation) -> None:
     """Refuse a character without joints or shapes to animate."""
     if not joints and not shapes:
         where.fail("USD002", "there are no joints and no blend shapes")
@@ -230,7 +230,7 @@ def rig_from_tokens(
     of ``data``, else ``source_names``, the Skeleton's ``jointNames``, if valid.
     """
     index = {token: i for i, token in enumerate(tokens)}
-    where.refuse(joint_order(f"{where.where}.joints", tokens))
+    where.refuse(joint_order_faults(f"{where.where}.joints", tokens))
     if not isinstance(data, dict) or not all(
         isinstance(data.get(key, {}), dict) for key in ("names", "pins")
     ):
@@ -244,9 +244,9 @@ def rig_from_tokens(
     joints: list[Joint] = []
     uniques = numbered_names(token.rpartition("/")[2] for token in tokens)
     for i, token in enumerate(tokens):
-        parent = _parent(token, index)
+        parent = _parent_index(token, index)
         leaf = token.rpartition("/")[2]
-        if match := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
+        if match := _CONTROL_CHARACTER.search(f"{leaf}{originals.get(leaf, '')}"):
             message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
             where.fail("DOC023", message)
         unique = uniques[i]
@@ -282,7 +282,7 @@ def _source_name(original: Any, joint_name: str, leaf: str, unique: str) -> str:
     return "" if name == unique else name
 
 
-def _parent(token: str, index: dict[str, int]) -> int:
+def _parent_index(token: str, index: dict[str, int]) -> int:
     """Return the nearest ancestor that is a joint, as UsdSkel.Topology does."""
     while token := token.rpartition("/")[0]:
         if token in index:

@@ -20,15 +20,15 @@ from animtool.core.rules import finding
 from animtool.maths import so3
 from animtool.usd.layers.faults import (
     PrimLocation,
-    finite_transforms,
     joint_parents,
     matrix_array,
+    non_finite_faults,
     singular,
-    tokens,
+    token_array,
     transform_attributes,
 )
 
-MAX_NAMED = 6
+MAX_LISTED_JOINTS = 6
 # A bone without length, and one with; in lengths of the longest bone.
 NO_LENGTH, MIN_LENGTH = 1e-5, 0.02
 
@@ -53,7 +53,7 @@ def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     bind = relative_bind(skeleton, joints)
     if bind is not None:
         return RestPose(bind, "the bind pose")
-    first_pose = _first_sample(_animation(skeleton), joints)
+    first_pose = _first_pose(_bound_animation(skeleton), joints)
     return (
         None
         if first_pose is None
@@ -107,7 +107,7 @@ def collapsed_bones(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
         return
     message = (
         f"{counted(len(names), 'joint')} with the bind position of the parent, but "
-        f"another one at rest: {listed(names, MAX_NAMED)}; {names[0]!r} rests "
+        f"another one at rest: {listed(names, MAX_LISTED_JOINTS)}; {names[0]!r} rests "
         f"{lengths[is_collapsed][0]:.4g} from it"
     )
     yield finding("USD290", attr.GetPath(), message)
@@ -120,7 +120,7 @@ def _bone_lengths(matrices: FloatArray, parents: IntArray) -> FloatArray:
     return np.asarray(np.linalg.norm(offsets, axis=1))
 
 
-def rest_transforms(
+def rest_faults(
     skeleton: Any, joints: Sequence[str], *, animated: bool = True
 ) -> Iterator[Fault]:
     """Yield faults of the rest transforms of a Skeleton with joints.
@@ -136,7 +136,7 @@ def rest_transforms(
         message += f" for {counted(len(joints), 'joint')}"
         yield finding("USD223", attr.GetPath(), message)
     else:
-        yield from finite_transforms(attr, rest, joints)
+        yield from non_finite_faults(attr, rest, joints)
 
 
 def _missing_rest_fault(
@@ -146,13 +146,13 @@ def _missing_rest_fault(
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     unanimated_joints = (
-        _unanimated_joints(_animation(skeleton), joints) if animated else []
+        _unanimated_joints(_bound_animation(skeleton), joints) if animated else []
     )
     if unanimated_joints:
         message += (
             f", and the animation does not have {len(unanimated_joints)} of them: "
         )
-        message += f"{listed(unanimated_joints, MAX_NAMED)}; UsdSkel poses none"
+        message += f"{listed(unanimated_joints, MAX_LISTED_JOINTS)}; UsdSkel poses none"
         return finding("USD239", where, message)
     pose = rest_pose(skeleton, joints)
     if pose is None:
@@ -170,7 +170,7 @@ def readable_rest(
 
     Faults that readers cannot accept are raised.
     """
-    faults = list(rest_transforms(skeleton, joints, animated=animated))
+    faults = list(rest_faults(skeleton, joints, animated=animated))
     replacement_faults = [fault for fault in faults if fault.code == "USD229"]
     where.refuse(fault for fault in faults if fault not in replacement_faults)
     pose = rest_pose(skeleton, joints)
@@ -182,7 +182,7 @@ def readable_rest(
     ]
 
 
-def _animation(skeleton: Any) -> Any:
+def _bound_animation(skeleton: Any) -> Any:
     """Return the animation bound to a Skeleton; None if unbound."""
     binding = UsdSkel.BindingAPI(skeleton.GetPrim())
     source = binding.GetInheritedAnimationSource()
@@ -193,18 +193,18 @@ def _unanimated_joints(animation: Any, joints: Sequence[str]) -> list[str]:
     """Return the joints missing from an animation that has joints."""
     if animation is None:
         return []
-    animated_joints = set(tokens(animation.GetJointsAttr()))
+    animated_joints = set(token_array(animation.GetJointsAttr()))
     attributes = transform_attributes(animation).values()
     if not animated_joints or not all(attr.HasAuthoredValue() for attr in attributes):
         return []
     return [joint for joint in joints if joint not in animated_joints]
 
 
-def _first_sample(animation: Any, joints: Sequence[str]) -> FloatArray | None:
+def _first_pose(animation: Any, joints: Sequence[str]) -> FloatArray | None:
     """Return the first pose of an animation of all joints, as USD matrices."""
     if animation is None or _unanimated_joints(animation, joints):
         return None
-    index = {name: i for i, name in enumerate(tokens(animation.GetJointsAttr()))}
+    index = {name: i for i, name in enumerate(token_array(animation.GetJointsAttr()))}
     first_code = Usd.TimeCode.EarliestTime()
     components = []
     for attr, width in zip(

@@ -16,27 +16,27 @@ from animtool.core.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import ArraySource, Shape
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.surfaces import Strands, strands_of
 from animtool.rig.write import rig_text
-from animtool.usd.layers.finite import Labels, narrowed
+from animtool.usd.layers.finite import ValueLabels, narrow_floats
 from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
 from animtool.usd.layers.sdf import (
     apply_schemas,
-    attribute,
+    attribute_spec,
     author_model,
-    prim,
-    quaternion,
-    relationship,
+    author_relationship,
+    gf_quaternion,
+    prim_spec,
 )
 
 if TYPE_CHECKING:
     from animtool.usd.layers.faults import PrimLocation
 
 
-KEY = "stands"
+RECORD_KEY = "stands"
 
 
 def rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
     placement_ = rig.stands or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
         "translate": Gf.Vec3d(*placement_.translations[0].tolist()),
-        "rotate": quaternion(placement_.rotations[0]),
+        "rotate": gf_quaternion(placement_.rotations[0]),
     }
     return record | ({"rides": True} if rig.rides else {})
 
@@ -81,8 +81,8 @@ def with_recorded_rest(
             if rest_placement is None
             else stands.after(rest_placement[0].inverse())
         )
-        rig = placed_rig(rig, relative_placement)
-    return replace(rig, stands=None if stands.is_none else stands, rides=rides)
+        rig = place_rig(rig, relative_placement)
+    return replace(rig, stands=None if stands.is_identity else stands, rides=rides)
 
 
 def _recorded_placement(
@@ -92,7 +92,7 @@ def _recorded_placement(
     # Writing does not need stages.
     from animtool.usd.rigs.prims import stored_data
 
-    record = stored_data(prim).get(KEY)
+    record = stored_data(prim).get(RECORD_KEY)
     if record is None:
         return None
     position, orientation = (
@@ -100,12 +100,12 @@ def _recorded_placement(
         for key in ("translate", "rotate")
     )
     if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
-        where.fail("USD007", f"customData animtool:{KEY} is malformed")
+        where.fail("USD007", f"customData animtool:{RECORD_KEY} is malformed")
     rotation = np.array([*orientation.GetImaginary(), orientation.GetReal()], float)
     translation = np.array(position, float)
     length = float(np.linalg.norm(rotation))
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
-        where.fail("USD007", f"customData animtool:{KEY} is malformed")
+        where.fail("USD007", f"customData animtool:{RECORD_KEY} is malformed")
     placement = Placement(translation[None], rotation[None] / length, np.ones(1))
     return placement, bool(record.get("rides", False))
 
@@ -123,25 +123,25 @@ def author_rig(
 ) -> None:
     """Write the model, the SkelRoot and the Skeleton of a rig, with its strands."""
     author_model(layer, paths.model)
-    prim(layer, paths.root, "SkelRoot")
-    spec = prim(layer, paths.skeleton, "Skeleton")
+    prim_spec(layer, paths.root, "SkelRoot")
+    spec = prim_spec(layer, paths.skeleton, "Skeleton")
     types = Sdf.ValueTypeNames
     tokens = Vt.TokenArray(rig.paths(names.names))
-    attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
+    attribute_spec(spec, "joints", types.TokenArray, tokens, uniform=True)
     world = bind_matrices(rig)
-    bind = _matrices(world[:, :3, 3] / meters_per_unit, world[:, :3, :3])
+    bind = _row_matrices(world[:, :3, 3] / meters_per_unit, world[:, :3, :3])
     local = so3.to_matrix(rig.rest_rotations)
-    rest = _matrices(rig.rest_translations / meters_per_unit, local)
+    rest = _row_matrices(rig.rest_translations / meters_per_unit, local)
     matrices = types.Matrix4dArray
-    attribute(spec, "bindTransforms", matrices, bind, uniform=True)
-    attribute(spec, "restTransforms", matrices, rest, uniform=True)
+    attribute_spec(spec, "bindTransforms", matrices, bind, uniform=True)
+    attribute_spec(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):
         paths_by_name = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, paths_by_name, meters_per_unit)
     data: dict[str, Any] = {}
     if has_extra_data(rig):
         data["rig"] = rig_text(without_arrays(rig))
-        if pins := _pins(rig):
+        if pins := _pins_by_cloth(rig):
             data["pins"] = pins
         data["hash"] = skeleton_hash(tokens, rest, bind)
     if extras := joint_extras(rig, names.names):
@@ -149,7 +149,7 @@ def author_rig(
     if names.originals:
         data["names"] = names.originals
     if record := rest_record(rig):
-        data[KEY] = record
+        data[RECORD_KEY] = record
     if data:
         spec.SetInfo("customData", {"animtool": data})
 
@@ -184,16 +184,16 @@ def without_arrays(rig: Rig) -> Rig:
     return replace(rig, meshes=(), shapes=shapes, attach=attach)
 
 
-def _pins(rig: Rig) -> dict[str, Any]:
+def _pins_by_cloth(rig: Rig) -> dict[str, Any]:
     """Return the pinned vertices by cloth name."""
     return {
-        entry.name: Vt.IntArray.FromNumpy(_integers(entry.pins, entry.name))
+        entry.name: Vt.IntArray.FromNumpy(_load_integers(entry.pins, entry.name))
         for entry in rig.attach
         if entry.pins is not None
     }
 
 
-def _integers(source: ArraySource, name: str) -> Any:
+def _load_integers(source: ArraySource, name: str) -> Any:
     try:
         return np.ascontiguousarray(source.load(), np.int32)
     except ValueError as error:
@@ -208,7 +208,7 @@ def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
     return digest.hexdigest()
 
 
-def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
+def _row_matrices(positions: FloatArray, linear: FloatArray) -> Any:
     """Return row-vector matrices, as in USD."""
     matrices = np.zeros((len(positions), 4, 4))
     matrices[:, :3, :3] = linear.swapaxes(-1, -2)
@@ -243,12 +243,12 @@ def author_binding(
     """Bind the animation, and the skeleton if the rig does not."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
-        spec = prim(layer, paths.binding, over=True)
+        spec = prim_spec(layer, paths.binding, over=True)
     apply_schemas(spec, ["SkelBindingAPI"])
     if animation:
-        relationship(spec, "skel:animationSource", paths.animation)
+        author_relationship(spec, "skel:animationSource", paths.animation)
     if skeleton:
-        relationship(spec, "skel:skeleton", paths.skeleton)
+        author_relationship(spec, "skel:skeleton", paths.skeleton)
 
 
 def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
@@ -270,24 +270,28 @@ def author_strands(
     """Write strands as linear curves below the SkelRoot, each bound to its joint."""
     if not strands:
         return
-    prim(layer, f"{paths.root}/{STRANDS_SCOPE}", "Scope")
+    prim_spec(layer, f"{paths.root}/{STRANDS_SCOPE}", "Scope")
     for entry, path in zip(strands, strand_paths(strands, paths), strict=True):
-        spec = prim(layer, path, "BasisCurves")
+        spec = prim_spec(layer, path, "BasisCurves")
         if Sdf.Path(path).name != entry.name:
             spec.SetInfo("customData", {"animtool": {"name": entry.name}})
-        _curves(spec, entry.points / meters_per_unit, STRAND_WIDTH / meters_per_unit)
+        _author_curves(
+            spec, entry.points / meters_per_unit, STRAND_WIDTH / meters_per_unit
+        )
         if bound:
             _bind_to_joint(spec, tokens[entry.joint])
 
 
-def _curves(spec: Any, points: FloatArray, width: float) -> None:
+def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
     from pxr import UsdGeom
 
     from animtool.usd.caches.writer import POLYLINE, author_values, author_width
 
     count, length = points.shape[:2]
-    labels = Labels(f"{spec.path}.points", "point")
-    points_array = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
+    labels = ValueLabels(f"{spec.path}.points", "point")
+    points_array = np.ascontiguousarray(
+        narrow_floats(points.reshape(-1, 3), "f", labels)
+    )
     curve_points, widths = Vt.Vec3fArray.FromNumpy(points_array), Vt.FloatArray([width])
     values = {
         "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
@@ -303,12 +307,12 @@ def _bind_to_joint(spec: Any, token: str) -> None:
     """Bind a prim rigidly to one joint."""
     apply_schemas(spec, ["SkelBindingAPI"])
     joints = Vt.TokenArray([token])
-    attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
+    attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
     for name, kind, value in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),
     ):
-        attr = attribute(
+        attr = attribute_spec(
             spec, f"primvars:skel:{name}", kind, value, interpolation="constant"
         )
         attr.SetInfo("elementSize", 1)

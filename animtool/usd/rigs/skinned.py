@@ -17,9 +17,9 @@ from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     find_skeletons,
-    numbers,
+    number_rows,
+    self_and_ancestors,
     stored_data,
-    upwards,
 )
 
 
@@ -73,14 +73,16 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
     ]
     if not unbound_paths:
         return []
-    message = f"SkelBindingAPI is not applied to {listed(unbound_paths, MAX_NAMED)}"
+    message = (
+        f"SkelBindingAPI is not applied to {listed(unbound_paths, MAX_LISTED_PRIMS)}"
+    )
     message += ", which no joint or shape deforms"
     return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
 
 
 def ignored_binding(skeleton: Any) -> str:
     """Return the prim whose binding UsdSkel ignores for lack of its schema, or None."""
-    for prim in upwards(skeleton):
+    for prim in self_and_ancestors(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         if (
             relationship
@@ -93,7 +95,7 @@ def ignored_binding(skeleton: Any) -> str:
 
 def missing_animation(skeleton: Any) -> str:
     """Return which animation a skeleton is bound to, and why it has no effect."""
-    for prim in upwards(skeleton):
+    for prim in self_and_ancestors(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         targets = relationship.GetTargets() if relationship else ()
         if targets:
@@ -124,13 +126,15 @@ def unique_name(name: str, used_names: set[str]) -> str:
     return unique
 
 
-def floats(attr: Any, width: int, at: PrimLocation, code: str = "USD017") -> FloatArray:
+def float_rows(
+    attr: Any, width: int, at: PrimLocation, code: str = "USD017"
+) -> FloatArray:
     """Return the rows of an attribute ``(N, width)``.
 
     ``code`` is that of the fault for non-finite rows.
     """
     # Points without a default are those of the first sample.
-    values = numbers(attr, width, Usd.TimeCode.EarliestTime())
+    values = number_rows(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} contain a value that is not finite"
         at.fail(code, message)
@@ -149,7 +153,7 @@ def joint_names(query: Any, rig: SkeletonRig, at: PrimLocation) -> tuple[str, ..
     return tuple(rig.rig.names[index[token]] for token in tokens)
 
 
-def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
+def usdskel_world(path: Path, codes: FloatArray) -> WorldTransforms:
     """Return the world transforms of a stage's first skeleton, posed by UsdSkel.
 
     ``codes`` are the time codes, also between samples ``(F,)``.
@@ -176,7 +180,7 @@ def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
     )
 
 
-MAX_NAMED = 40
+MAX_LISTED_PRIMS = 40
 
 
 def character_paths(stage: Any) -> list[str]:
@@ -184,14 +188,14 @@ def character_paths(stage: Any) -> list[str]:
 
     For each Skeleton this is its component, or its SkelRoot without one.
     """
-    paths = [_character(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
+    paths = [_character_root(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
     return list(dict.fromkeys(paths))
 
 
-def _character(skeleton: Any) -> str:
+def _character_root(skeleton: Any) -> str:
     root = UsdSkel.Root.Find(skeleton)
     top_prim = root.GetPrim() if root else skeleton
-    for prim in upwards(top_prim):
+    for prim in self_and_ancestors(top_prim):
         if Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
             return str(prim.GetPath())
     return str(top_prim.GetPath())
@@ -209,7 +213,7 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
     characters = character_paths(stage)
     if not characters or _is_rig_alone(stage, prim_path, characters):
         return False
-    existing = listed(characters, MAX_NAMED)
+    existing = listed(characters, MAX_LISTED_PRIMS)
     message = f"has no character at {prim_path}, but at {existing}"
     hint = "only a file with a single rig can be given a new path"
     raise OptionError(Fault("USD033", message, where, (), hint))

@@ -16,7 +16,7 @@ from animtool.documents.document import document_of
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver, split_coordinate
-from animtool.rig.file import rig_of_document
+from animtool.rig.file import parse_rig
 from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.usd.layers.faults import PrimLocation, matrix_array
@@ -25,13 +25,13 @@ from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
 from animtool.usd.rigs.placement import local_placement, rest_rig, uneven_notice
 from animtool.usd.rigs.prims import (
-    MAX_REST,
+    MAX_REST_VALUE,
     SkeletonRig,
-    check_moves,
+    check_animatable,
     composition_notices,
     decompose,
     find_skeletons,
-    numbers,
+    number_rows,
     open_stage,
     others_notice,
     prim_below,
@@ -42,7 +42,7 @@ from animtool.usd.rigs.skeleton import skeleton_hash
 from animtool.usd.rigs.skinned import unique_name
 
 
-def joined_attachments(
+def merge_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]
 ) -> tuple[tuple[Attachment, ...], list[str]]:
     """Return a rig's attachments with arrays, and names of dropped ones.
@@ -57,7 +57,7 @@ def joined_attachments(
     for entry in rig.attach:
         if entry.kind == AttachKind.STRANDS and entry.name in unknown_strands:
             attachments.append(unknown_strands.pop(entry.name))
-        elif entry.kind == AttachKind.CLOTH and _is_valid(entry, counts, pins):
+        elif entry.kind == AttachKind.CLOTH and _is_valid_cloth(entry, counts, pins):
             pin_values = (
                 np.array(pins[entry.name], float) if entry.name in pins else None
             )
@@ -78,7 +78,7 @@ def joined_attachments(
     return tuple(attachments), dropped_names
 
 
-def _is_valid(
+def _is_valid_cloth(
     entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]
 ) -> bool:
     """Return whether a cloth's mesh exists and its pins are valid vertices."""
@@ -92,7 +92,7 @@ def _is_valid(
 REST_TOLERANCE = 1e-9
 
 
-def joined_rig(
+def merge_rig(
     usd_rig: Rig,
     data: dict[str, Any],
     tokens: list[str],
@@ -112,14 +112,14 @@ def joined_rig(
         return usd_rig, []
     document = document_of(str(text), path)
     # The referenced arrays are stored in USD.
-    document.partial |= {"meshes", "attach"}
+    document.partial_lists |= {"meshes", "attach"}
     try:
-        stored_rig = rig_of_document(document)
+        stored_rig = parse_rig(document)
     except FormatError as error:
         reason = error.faults[0].message
         message = f"customData animtool:rig is malformed: {reason}"
         raise FormatError(Fault("USD007", message, str(path))) from error
-    shapes = _shapes(stored_rig, usd_rig)
+    shapes = _merged_shapes(stored_rig, usd_rig)
     merged_rig = replace(
         stored_rig,
         meshes=usd_rig.meshes,
@@ -148,7 +148,7 @@ def with_attachments(
         entry.name: replace(entry, joints=tuple(names[name] for name in entry.joints))
         for entry in usd_rig.attach
     }
-    attach, dropped = joined_attachments(joined, strands, data.get("pins", {}))
+    attach, dropped = merge_attachments(joined, strands, data.get("pins", {}))
     rig = replace(joined, attach=attach)
     if not dropped:
         return rig, []
@@ -166,7 +166,7 @@ def _with_joint_names(mesh: Mesh, names: dict[str, str]) -> Mesh:
     return replace(mesh, skin=replace(mesh.skin, joints=joints))
 
 
-def _shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
+def _merged_shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
     """Return shapes in stored order, with USD's arrays."""
     by_name = {shape.name: shape for shape in usd_rig.shapes}
     stored_names = {shape.name for shape in stored_rig.shapes}
@@ -237,7 +237,7 @@ def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
             joint,
             mirror="" if joint.mirror in removed else joint.mirror,
             mimic=None if joint.mimic and joint.mimic.joint in removed else joint.mimic,
-            driven=_driver(joint.driven, removed),
+            driven=_driver_without(joint.driven, removed),
         )
         for joint in rig.joints
     )
@@ -245,10 +245,10 @@ def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
         rig,
         joints=joints,
         shapes=tuple(
-            replace(shape, driven=_driver(shape.driven, removed))
+            replace(shape, driven=_driver_without(shape.driven, removed))
             for shape in rig.shapes
         ),
-        controls=tuple(_control(control, removed) for control in rig.controls),
+        controls=tuple(_control_without(control, removed) for control in rig.controls),
         chains=tuple(
             chain for chain in rig.chains if not {chain.root, chain.tip} & removed
         ),
@@ -262,16 +262,18 @@ def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
     )
 
 
-def _control(control: Control, removed: set[str]) -> Control:
+def _control_without(control: Control, removed: set[str]) -> Control:
     drives = tuple(
         drive
         for drive in control.drives
         if not any(drive.target.startswith(f"joint/{name}.") for name in removed)
     )
-    return replace(control, drives=drives, driven=_driver(control.driven, removed))
+    return replace(
+        control, drives=drives, driven=_driver_without(control.driven, removed)
+    )
 
 
-def _driver(driver: Driver | None, removed: set[str]) -> Driver | None:
+def _driver_without(driver: Driver | None, removed: set[str]) -> Driver | None:
     """Return a driver; None if it reads a removed joint."""
     driver_names = () if driver is None else driver.names
     return (
@@ -314,7 +316,7 @@ def read_rig_with_data(
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
         where = PrimLocation.of(path, skeleton)
-        check_moves(len(of_skeleton.rig.joints), len(shapes), where)
+        check_animatable(len(of_skeleton.rig.joints), len(shapes), where)
         notices += of_skeleton.notices
         notices += others_notice(
             skeletons, str(path), f"choose one with {argument('source.prim_path')}"
@@ -330,7 +332,7 @@ def read_rig_with_data(
             attach=read_strands(skeleton, of_skeleton, str(path)),
         )
         data = stored_data(skeleton.GetPrim())
-        merged_rig, edits = joined_rig(
+        merged_rig, edits = merge_rig(
             rig,
             data,
             of_skeleton.tokens,
@@ -353,11 +355,11 @@ def _bind_poses(
     The scales ``(J, 3)`` are not part of the poses.
     """
     rig = skeleton_rig.rig
-    world = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
+    world = number_rows(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if (
         not rig.joints
         or len(world) != len(rig.joints)
-        or not (np.abs(world) <= MAX_REST).all()
+        or not (np.abs(world) <= MAX_REST_VALUE).all()
     ):
         return {}, np.ones((len(rig.joints), 3))
     parent_world = np.where(

@@ -91,18 +91,18 @@ class RigTarget:
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
     """Open the stage with a rig: a rig layer, or a shot that references one."""
     with usd_errors(path), without_usd_warnings():
-        return _target(open_stage(path), path, prim_path)
+        return _open_rig_target(open_stage(path), path, prim_path)
 
 
-def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
+def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     moved_to: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)
         if not holds_character(stage, prim_path, str(path)):
             prim_path, moved_to = None, prim_path
-    skeletons, root = _skeletons(stage, path, prim_below(stage, prim_path))
+    skeletons, root = _skeletons_below(stage, path, prim_below(stage, prim_path))
     prim = skeletons[0].GetPrim()
-    model = _model(stage, root, prim_path)
+    model = _model_path(stage, root, prim_path)
     paths = RigPaths(
         str(model),
         str(root.GetPath()),
@@ -115,7 +115,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
-    placing_ops, motion_ops = _operations(root)
+    placing_ops, motion_ops = _xform_ops(root)
     skeleton = skeleton_rig(skeletons[0], path, animated=False)
     notices = composition_notices(stage, str(path))
     notices += others_notice(
@@ -147,7 +147,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     )
 
 
-def _skeletons(stage: Any, path: Path, below: str) -> tuple[list[Any], Any]:
+def _skeletons_below(stage: Any, path: Path, below: str) -> tuple[list[Any], Any]:
     """Return the skeletons below a prim, and the SkelRoot of the first."""
     skeletons = find_skeletons(stage, below)
     if not skeletons:
@@ -190,7 +190,7 @@ def _shot_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]
     return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
 
 
-def _operations(root: Any) -> tuple[list[str], list[str]]:
+def _xform_ops(root: Any) -> tuple[list[str], list[str]]:
     """Return the xform ops that place a SkelRoot, and those that animate it."""
     placing_ops: list[str] = []
     motion_ops: list[str] = []
@@ -200,7 +200,7 @@ def _operations(root: Any) -> tuple[list[str], list[str]]:
     return placing_ops, motion_ops
 
 
-def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
+def _model_path(stage: Any, root: Any, prim_path: str | None) -> Any:
     """Return the path of the character's root prim."""
     if prim_path is not None and root.GetPath().HasPrefix(Sdf.Path(prim_path)):
         return Sdf.Path(prim_path)
@@ -237,7 +237,7 @@ def _moved_paths(paths: RigPaths, model: str, to: str) -> RigPaths:
     )
 
 
-def compose_check(target: RigTarget, layer: Any) -> Any:
+def compose_over_rig(target: RigTarget, layer: Any) -> Any:
     """Return a stage of the layer over its rig, composed as in a shot."""
     stage = Usd.Stage.CreateInMemory()
     root = stage.GetRootLayer()

@@ -13,11 +13,11 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
-from animtool.usd.rigs.prims import numbers
-from animtool.usd.rigs.skinned import MAX_NAMED, is_shown_mesh
+from animtool.usd.rigs.prims import number_rows
+from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_shown_mesh
 
 # Maximum times at which a transform is evaluated.
-MAX_TIMES = 256
+MAX_SAMPLED_TIMES = 256
 # Smaller motion is rounding [m].
 MOTION_TOLERANCE = 1e-6
 
@@ -38,14 +38,15 @@ def unskinned_notice(
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
         if is_shown_mesh(prim) and prim.GetPath() not in skinned_paths
-        if (distance := _distance(prim, skeleton.GetPrim(), choice)) > MOTION_TOLERANCE
+        if (distance := _moved_distance(prim, skeleton.GetPrim(), choice))
+        > MOTION_TOLERANCE
     }
     if not distances:
         return []
     mesh_count = counted(len(distances), "mesh", "meshes")
     largest = max(distances.values())
     message = f"transforms move {mesh_count} without a skin by up to {largest:.4g} "
-    message += f"m, but the cache does not: {listed(list(distances), MAX_NAMED)}"
+    message += f"m, but the cache does not: {listed(list(distances), MAX_LISTED_PRIMS)}"
     hint = (
         f"bind them to a joint; if the source is also {argument('rig_layer')}, "
         "meshes without "
@@ -66,7 +67,7 @@ def _skinned_paths(root: Any) -> set[Any]:
     }
 
 
-def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
+def _moved_distance(prim: Any, skeleton: Any, choice: str | None) -> float:
     """Return how far a mesh moves from its first position [m]."""
     chain = [
         *animated_ancestors(prim),
@@ -75,21 +76,21 @@ def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
     times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
     if len(times) < 2:
         return 0.0
-    spread = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES))
+    spread = np.linspace(0, len(times) - 1, min(len(times), MAX_SAMPLED_TIMES))
     codes = np.array(times)[spread.round().astype(int)]
     matrices = world_matrices(prim, codes)
     if choice == DROP:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
-    corners = _corners(prim)
+    corners = _bounds_corners(prim)
     positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
     distance = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
     unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
     return float(distance) * float(unit) if np.isfinite(distance) else 0.0
 
 
-def _corners(prim: Any) -> FloatArray:
+def _bounds_corners(prim: Any) -> FloatArray:
     """Return the corners ``(8, 3)`` of a mesh's bounds."""
-    points = numbers(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
+    points = number_rows(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
     if not len(points):
         return np.zeros((1, 3))
     bounds_ = np.stack([points.min(axis=0), points.max(axis=0)])

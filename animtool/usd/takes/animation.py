@@ -18,17 +18,17 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.usd.layers.faults import (
     PrimLocation,
-    duplicate_names,
-    missing_parts,
-    tokens,
+    duplicate_name_faults,
+    missing_transform_faults,
+    token_array,
     transform_attributes,
-    unknown_joints,
+    unknown_joint_faults,
 )
 from animtool.usd.rigs.placement import animated_ancestors, rotates_or_scales
 from animtool.usd.rigs.prims import (
     SkeletonRig,
-    check_moves,
-    numbers,
+    check_animatable,
+    number_rows,
     rig_from_tokens,
     stored_data,
     up_axis,
@@ -36,7 +36,7 @@ from animtool.usd.rigs.prims import (
 from animtool.usd.takes.animation_values import (
     SampleGrid,
     animated_shapes,
-    normalised,
+    normalize_rotations,
     on_every_frame,
     sample_grid,
     sampled_values,
@@ -67,7 +67,7 @@ def read_animation(
     columns, notices = _columns(skeleton, animation, prim, where)
     attributes = _attributes(animation, columns, where, notices)
     shapes = animated_shapes(animation)
-    check_moves(len(skeleton.rig.joints), len(shapes), where)
+    check_animatable(len(skeleton.rig.joints), len(shapes), where)
     sources = [
         *attributes.values(),
         *([] if prim is None else animated_ancestors(prim)),
@@ -96,7 +96,7 @@ def read_animation(
     translations = dense("translations", rig.rest_translations / meters) * meters
     rotations = dense("rotations", rig.rest_rotations)
     scales = dense("scales", skeleton.rest_scales)
-    rotations, length_warnings = normalised(rotations, rig.names, codes, where)
+    rotations, length_warnings = normalize_rotations(rotations, rig.names, codes, where)
     notices += length_warnings
     weights = None
     if shapes:
@@ -120,7 +120,9 @@ def _attributes(
     """
     if not len(columns):
         return {}
-    faults = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
+    faults = list(
+        missing_transform_faults(animation, token_array(animation.GetJointsAttr()))
+    )
     if any(fault.severity is Severity.ERROR for fault in faults):
         where.refuse(faults)
     notices += [replace(fault, path=where.path) for fault in faults]
@@ -135,10 +137,10 @@ def _columns(
     """Return Skeleton columns of the animation's joints (-1 unknown), and a warning."""
     attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
-    columns = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
+    columns = np.array([index.get(token, -1) for token in token_array(attr)], np.int64)
     if prim is None:
         return columns, []
-    unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
+    unknown = unknown_joint_faults(attr, skeleton.tokens, prim.GetPath())
     return columns, [replace(fault, path=where.path) for fault in unknown]
 
 
@@ -196,13 +198,13 @@ def root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
 
 def rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     """Return the rig of an animation layer alone: its joints at their first sample."""
-    joints = tokens(animation.GetJointsAttr())
+    joints = token_array(animation.GetJointsAttr())
     where = PrimLocation.of(path, animation)
-    where.refuse(duplicate_names(animation.GetJointsAttr()))
+    where.refuse(duplicate_name_faults(animation.GetJointsAttr()))
     data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     first_code = Usd.TimeCode.EarliestTime()
-    positions = numbers(animation.GetTranslationsAttr(), 3, first_code)
+    positions = number_rows(animation.GetTranslationsAttr(), 3, first_code)
     if joints and len(positions) == len(joints):
         matrices[:, 3, :3] = positions
     rig = rig_from_tokens(

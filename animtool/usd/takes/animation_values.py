@@ -20,7 +20,7 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.usd.layers.faults import UNIT_TOLERANCE, PrimLocation
-from animtool.usd.rigs.prims import array_value, numbers
+from animtool.usd.rigs.prims import array_value, number_rows
 from animtool.usd.takes.library import take_range
 
 
@@ -69,7 +69,7 @@ def sampled_values(
         time_codes = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
     rows = np.empty((len(time_codes), count, width))
     for i, time in enumerate(time_codes):
-        value = numbers(attr, width, time)
+        value = number_rows(attr, width, time)
         if len(value) != count:
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
             message += f" for {counted(count, noun)}"
@@ -115,7 +115,7 @@ def _time_text(time: Any) -> str:
     return f"time code {time.GetValue():g}"
 
 
-def normalised(
+def normalize_rotations(
     rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
     """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
@@ -142,12 +142,12 @@ def normalised(
 # finer than the samples; beyond this the samples are a curve's own keys.
 MAX_GRID_RATIO = 8
 # Maximum frames of a take with irregular keys; more indicate a misplaced key.
-MAX_FRAMES = 100_000
+MAX_GRID_FRAMES = 100_000
 # Time codes slower than this are no frames, but seconds or the like [1/s].
 SLOWEST_FRAMES = 12
 # Samples within this fraction of a step or time code from a frame belong to it:
 # exporters accumulate float steps, which drift. Shutter offsets are many times larger.
-MAX_DRIFT = 0.02
+MAX_FRAME_DRIFT = 0.02
 # If samples fit no other grid, those this close to an integer time code belong to that
 # frame [time codes]; samples further away may be intended.
 MAX_OFF_FRAME = 0.05
@@ -170,20 +170,20 @@ class SampleGrid:
 
 
 @dataclass(frozen=True, slots=True)
-class _Span:
+class _TakeSpan:
     """First frame, and the last frame if the take or its stage authors it."""
 
     first: Fraction
     last: Fraction | None
 
 
-def _span(stage: Any, animation: Any) -> _Span:
+def _authored_span(stage: Any, animation: Any) -> _TakeSpan:
     authored_range = take_range(animation)
     if authored_range is not None:
-        return _Span(*authored_range)
+        return _TakeSpan(*authored_range)
     is_authored = stage.HasAuthoredTimeCodeRange()
     last_code = time_fraction(stage.GetEndTimeCode()) if is_authored else None
-    return _Span(time_fraction(stage.GetStartTimeCode()), last_code)
+    return _TakeSpan(time_fraction(stage.GetStartTimeCode()), last_code)
 
 
 def with_rest(
@@ -205,7 +205,7 @@ def sample_grid(
     stage: Any, animation: Any, times: list[float], where: PrimLocation
 ) -> SampleGrid:
     """Return the frame grid of an animation."""
-    grid = _grid(times, _span(stage, animation), where)
+    grid = _find_grid(times, _authored_span(stage, animation), where)
     return _with_standard_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
@@ -223,7 +223,7 @@ def on_every_frame(grid: SampleGrid, stage: Any, where: PrimLocation) -> SampleG
         frame = max(frame, Fraction(1))
     parts = math.ceil(grid.step / frame)
     count = (grid.count - 1) * parts + 1
-    if count > MAX_FRAMES and parts > 1:
+    if count > MAX_GRID_FRAMES and parts > 1:
         message = f"its moving placement spans {count} frames"
         where.fail("USD016", message, "is one of its samples a stray one?")
     return replace(grid, step=grid.step / parts, count=count)
@@ -238,7 +238,7 @@ def _with_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     rate = fps / grid.step
     standard = rate_from_float(float(rate))
     drift = float(abs(fps / standard - grid.step) * (grid.count - 1))
-    if standard == rate or drift > MAX_DRIFT * min(float(grid.step), 1.0):
+    if standard == rate or drift > MAX_FRAME_DRIFT * min(float(grid.step), 1.0):
         return grid
     last_code = float(grid.start + grid.step * (grid.count - 1))
     # The last sample drifts most, in addition to its existing drift.
@@ -246,10 +246,10 @@ def _with_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     return replace(grid, step=fps / standard, drift=grid.drift + drift, drift_code=code)
 
 
-def _grid(times: list[float], span: _Span, where: PrimLocation) -> SampleGrid:
+def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves during the take or its stage.
-        frames = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
+        frames = min(max(0, math.floor(span.last - span.first)), MAX_GRID_FRAMES) + 1
         return SampleGrid(span.first, Fraction(1), frames, True)
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
@@ -278,7 +278,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     codes = np.array(times)
     gaps = np.diff(codes)
     # Drifting attributes have samples of one frame at almost equal times.
-    gaps = gaps[gaps > MAX_DRIFT * np.quantile(gaps, 0.75, method="lower")]
+    gaps = gaps[gaps > MAX_FRAME_DRIFT * np.quantile(gaps, 0.75, method="lower")]
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
     steps = [
         middle.limit_denominator(denominator) for denominator in COMMON_DENOMINATORS
@@ -291,7 +291,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     """Return the grid of a step if every sample is close to one of its frames."""
     length = float(step)
-    tolerance = MAX_DRIFT * min(length, 1.0)
+    tolerance = MAX_FRAME_DRIFT * min(length, 1.0)
     is_plain = step.denominator <= COMMON_DENOMINATORS[-1]
     denominator = step.denominator if is_plain else 1
     start = Fraction(round(codes[0] * denominator), denominator)
@@ -333,7 +333,7 @@ def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
     """Return all integer time codes that the samples span."""
     exact = [time_fraction(time) for time in times]
     first_code, last_code = math.floor(exact[0]), math.ceil(exact[-1])
-    if last_code - first_code > MAX_FRAMES:
+    if last_code - first_code > MAX_GRID_FRAMES:
         message = (
             f"{len(times)} samples spread over {last_code - first_code} time codes"
         )
@@ -345,7 +345,7 @@ def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
     )
 
 
-def _from_authored_start(grid: SampleGrid, span: _Span) -> SampleGrid:
+def _from_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
     """Return a grid extended to the authored first frame, if that is just before it.
 
     Samples up to a frame earlier are used for its motion blur.

@@ -38,25 +38,30 @@ from animtool.usd.layers.sdf import (
     check_prim_path,
     layer_span,
     new_layer,
-    prim,
+    prim_spec,
     save_layer,
 )
 from animtool.usd.layers.stderr import without_usd_warnings, without_version_warnings
-from animtool.usd.rigs.skeleton import KEY, author_binding, author_rig, rest_record
+from animtool.usd.rigs.skeleton import (
+    RECORD_KEY,
+    author_binding,
+    author_rig,
+    rest_record,
+)
 from animtool.usd.takes.extents import author_extents
 from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
 
 BLOCK_FRAMES = 512  # frames per block of a take written by `write`
 
 
-def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
+def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdResult]:
     """Author the layers of a job in memory; nothing is saved yet.
 
     Takes are requested one by one, so authored ones need not be kept in memory.
     """
     outputs = output_paths(job.output, job.form)
     animation = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
-    authored = Authored(animation)
+    authored = AuthoredLayers(animation)
     notices: list[Fault] = []
     if job.form is not LayerForm.LAYER:
         authored.rig = (
@@ -87,7 +92,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
         ]
         written_takes = [layer_part.written for layer_part in layer_parts]
         for layer in authored.layers:
-            author_metadata(layer, _metadata(job, written_takes))
+            author_metadata(layer, _stage_metadata(job, written_takes))
     notices += [notice for take in written_takes for notice in take.notices]
     result = UsdResult(layer_span(animation), takes=written_takes, notices=notices)
     for layer_part in layer_parts:
@@ -123,7 +128,7 @@ class _LayerPart:
 
 
 def _author_take(
-    job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
+    job: UsdJob, authored: AuthoredLayers, take: UsdTake, *, first: bool
 ) -> _LayerPart:
     """Author a SkelAnimation and its binding; extents and curves are added later."""
     layer, paths = authored.animation, job.paths
@@ -133,7 +138,7 @@ def _author_take(
         paths = take_paths(job.paths, take.name)
     writer = AnimationWriter(layer, paths, job.joints, take.written_joints, take.shapes)
     if take.name or authored.rig is not layer:
-        prim(layer, paths.root, over=True)
+        prim_spec(layer, paths.root, over=True)
     if take.name and first:
         _begin_library(job, authored, take.name)
     with_skeleton = job.form is not LayerForm.LAYER and not take.name
@@ -177,7 +182,7 @@ def _author_take(
     if take.reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
     if take.rest_record:
-        _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.rest_record)
+        _author_data(layer.GetPrimAtPath(paths.animation), RECORD_KEY, take.rest_record)
     return _LayerPart(writer, written_take, take.curves)
 
 
@@ -207,7 +212,7 @@ def _written_take(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> Writte
     )
 
 
-def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
+def _begin_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
     """Select the first take, and bind the skeleton outside the variants."""
     from animtool.usd.takes.library import author_selection
 
@@ -217,7 +222,7 @@ def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
 
 
 @dataclass(slots=True)
-class Authored:
+class AuthoredLayers:
     """Authored layers in memory."""
 
     animation: Any  # layer with the SkelAnimation
@@ -233,13 +238,13 @@ class Authored:
 
 def write_usd(
     job: UsdJob,
-    authored: Authored,
+    authored: AuthoredLayers,
     result: UsdResult,
     save: Callable[[Any, Path], int] = save_layer,
 ) -> None:
     """Save the layers of a job, the referencing layer last."""
     if job.output == STDOUT:
-        with _quietly(result):
+        with _without_usd_messages(result):
             result.bytes = save(authored.animation, STDOUT)
         return
     result.outputs = output_paths(job.output, job.form)
@@ -247,21 +252,21 @@ def write_usd(
     if job.form is LayerForm.SPLIT:
         root = new_layer(job.output)
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
-        author_metadata(root, _metadata(job, result.takes))
+        author_metadata(root, _stage_metadata(job, result.takes))
         layers = [authored.rig, authored.animation, root]
-    with _quietly(result), atomic_outputs():
+    with _without_usd_messages(result), atomic_outputs():
         for layer, path in zip(layers, result.outputs, strict=True):
             saver = save if layer is authored.animation else save_layer
             result.bytes += saver(layer, path)
 
 
-def _quietly(result: UsdResult) -> AbstractContextManager[None]:
+def _without_usd_messages(result: UsdResult) -> AbstractContextManager[None]:
     """Context that drops USD's messages about splines and libraries."""
     newer = any(take.curves or take.name for take in result.takes)
     return without_version_warnings() if newer else nullcontext()
 
 
-def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
+def _stage_metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.rig.up
     if job.target is not None:
@@ -362,11 +367,13 @@ def _stage_job(
         joints=rig.paths(names.names),
         paths=RigPaths.below(prim_path or f"/{legal_name(rig.name)}"),
         fps=clock.fps,
-        meters_per_unit=rig.meters_per_unit if unit is None else _unit(unit).meters,
+        meters_per_unit=rig.meters_per_unit
+        if unit is None
+        else _unit_meters(unit).meters,
         bones=bones,
     )
     usd_take = UsdTake(
-        round_blocks(_blocks(take), rig, job.meters_per_unit),
+        round_blocks(_take_blocks(take), rig, job.meters_per_unit),
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
@@ -375,7 +382,7 @@ def _stage_job(
     return job, usd_take, [replace(n, path=str(path)) for n in names.notices]
 
 
-def _unit(name: LengthUnit | str) -> LengthUnit:
+def _unit_meters(name: LengthUnit | str) -> LengthUnit:
     try:
         return LengthUnit(name)
     except ValueError as error:
@@ -388,11 +395,11 @@ def _layer_job(
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
     from animtool.usd.rigs.joint_map import map_joints
     from animtool.usd.rigs.target import open_target
-    from animtool.usd.takes.over_rig import over_rig
+    from animtool.usd.takes.over_rig import convert_over_rig
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    converted_take = over_rig(
+    converted_take = convert_over_rig(
         stream, target.placement, None, str(layer), target.skeleton.rig
     )
     take = converted_take.stream.collect()
@@ -415,7 +422,7 @@ def _layer_job(
     )
     blocks = (
         (codes, mapping.at(codes, motion))
-        for codes, motion in _blocks(replace(take, clock=clock))
+        for codes, motion in _take_blocks(replace(take, clock=clock))
     )
     usd_take = UsdTake(
         round_blocks(blocks, mapping.rig, job.meters_per_unit),
@@ -428,7 +435,7 @@ def _layer_job(
     return job, usd_take, notices
 
 
-def _blocks(take: Take) -> _Blocks:
+def _take_blocks(take: Take) -> _Blocks:
     codes = take.clock.times
     for begin in range(0, len(codes), BLOCK_FRAMES):
         frames = slice(begin, begin + BLOCK_FRAMES)

@@ -11,7 +11,7 @@ from pxr import Gf, Sdf
 from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.errors import Fault, OutputError
 from animtool.usd.layers.jobs import UsdJob
-from animtool.usd.layers.sdf import attribute, prim
+from animtool.usd.layers.sdf import attribute_spec, prim_spec
 from animtool.usd.takes.joint_writer import AnimationWriter
 
 
@@ -26,7 +26,7 @@ def shape_bounds(
     """
     from pxr import Usd, UsdGeom
 
-    from animtool.usd.caches.reader import PointReader, transformed
+    from animtool.usd.caches.reader import PointReader, transform_points
 
     largest = np.zeros(len(shapes))
     for rows in weights:
@@ -43,7 +43,7 @@ def shape_bounds(
             continue
         local, _ = cache.ComputeRelativeTransform(mesh, root)
         matrix = np.array(local, np.float64)
-        root_points = transformed(points, matrix)
+        root_points = transform_points(points, matrix)
         pad = _shape_padding(mesh, largest_weights) * float(
             np.linalg.norm(matrix[:3, :3], 2)
         )
@@ -75,11 +75,11 @@ def _shape_padding(prim: Any, largest_weights: dict[str, float]) -> float:
             # Below an inbetween's weight, a small weight may move points as far as the
             # inbetween.
             weight = max(weight, 1.0)
-        pad += weight * max(map(_largest, (shape.GetOffsetsAttr(), *steps)))
+        pad += weight * max(map(_largest_offset, (shape.GetOffsetsAttr(), *steps)))
     return pad
 
 
-def _largest(attr: Any) -> float:
+def _largest_offset(attr: Any) -> float:
     offsets = np.array(attr.Get() or (), np.float64).reshape(-1, 3)
     return float(np.linalg.norm(offsets, axis=1).max(initial=0.0))
 
@@ -108,7 +108,7 @@ def author_extents(
     stage = _composed_stage(job, layers)
     for name, writer in writers:
         if name:
-            _select(stage, job, name)
+            _select_variant(stage, job, name)
         if name or job.target is not None:
             _check_resolved(job, stage, writer.paths.animation, library=bool(name))
         if not job.joints:
@@ -126,9 +126,9 @@ def _composed_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
     from pxr import Usd
 
     if job.target is not None:
-        from animtool.usd.rigs.target import compose_check
+        from animtool.usd.rigs.target import compose_over_rig
 
-        return compose_check(job.target, layers[0])
+        return compose_over_rig(job.target, layers[0])
     root_layer = Sdf.Layer.CreateAnonymous(".usda")
     root_layer.subLayerPaths = [layer.identifier for layer in layers]
     stage = Usd.Stage.Open(root_layer)
@@ -136,7 +136,7 @@ def _composed_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
     return stage
 
 
-def _select(stage: Any, job: UsdJob, name: str) -> None:
+def _select_variant(stage: Any, job: UsdJob, name: str) -> None:
     from animtool.usd.takes.library import find_take_set, select_take
 
     select_take(find_take_set(stage.GetPrimAtPath(job.paths.model)), name, "")
@@ -196,14 +196,16 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
     joints = skeleton.GetJointsAttr().Get() or []
     collapsed_layer = Sdf.Layer.CreateAnonymous(".usda")
-    animation_spec = prim(collapsed_layer, job.paths.animation, over=True)
+    animation_spec = prim_spec(collapsed_layer, job.paths.animation, over=True)
     count, types = len(joints), Sdf.ValueTypeNames
-    attribute(animation_spec, "joints", types.TokenArray, joints, uniform=True)
-    attribute(animation_spec, "translations", types.Float3Array, [(0, 0, 0)] * count)
-    attribute(
+    attribute_spec(animation_spec, "joints", types.TokenArray, joints, uniform=True)
+    attribute_spec(
+        animation_spec, "translations", types.Float3Array, [(0, 0, 0)] * count
+    )
+    attribute_spec(
         animation_spec, "rotations", types.QuatfArray, [Gf.Quatf.GetIdentity()] * count
     )
-    attribute(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
+    attribute_spec(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
     session = stage.GetSessionLayer()
     session.subLayerPaths.insert(0, collapsed_layer.identifier)
     extent = _computed_extent(root, Usd.TimeCode.Default())

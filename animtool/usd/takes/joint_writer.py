@@ -16,20 +16,20 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.finite import Labels, narrowed
+from animtool.usd.layers.finite import ValueLabels, narrow_floats
 from animtool.usd.layers.jobs import RootPath, Rounding, WrittenBlock
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     SampleWriter,
-    attribute,
+    attribute_spec,
     author_order,
-    prim,
-    quaternion,
-    vector,
+    gf_quaternion,
+    gf_vector,
+    prim_spec,
 )
 
 # Joint transforms that are dense in memory at once: 10 MB in float64.
-DENSE_JOINTS = 1 << 17
+MAX_DENSE_JOINTS = 1 << 17
 
 
 def round_blocks(
@@ -44,21 +44,23 @@ def round_blocks(
 
     ``size`` is the scale of the rig on its stage, in which errors are measured.
     """
-    for codes, motion in _split(blocks, len(rig.joints)):
+    for codes, motion in _split_blocks(blocks, len(rig.joints)):
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
         root = None
         if root_motion and rig.roots:
             root = _move_root(rig, translations, rotations, meters_per_unit)
         names = rig.names
-        written_t = narrowed(
-            translations, "f", Labels("translations", "joint", names), codes
+        written_t = narrow_floats(
+            translations, "f", ValueLabels("translations", "joint", names), codes
         )
-        written_r = narrowed(rotations, "f", Labels("rotations", "joint", names), codes)
+        written_r = narrow_floats(
+            rotations, "f", ValueLabels("rotations", "joint", names), codes
+        )
         written_s = None
         if scales is not None:
-            labels = Labels("scales", "joint", names)
-            written_s = narrowed(scales, "h", labels, codes)
+            labels = ValueLabels("scales", "joint", names)
+            written_s = narrow_floats(scales, "h", labels, codes)
         extents, error, frame, joint = _kernels.measure_rounding(
             rig.parents,
             translations,
@@ -70,7 +72,7 @@ def round_blocks(
         )
         if not rig.joints:
             extents = np.zeros_like(extents)
-        bounds = narrowed(extents, "f", Labels("extent"), codes)
+        bounds = narrow_floats(extents, "f", ValueLabels("extent"), codes)
         yield WrittenBlock(
             codes,
             written_t,
@@ -81,28 +83,30 @@ def round_blocks(
             error * meters_per_unit * size,
             float(codes[frame]),
             joint,
-            _weights(motion, rig, codes),
+            _float32_weights(motion, rig, codes),
             scales is not None and bool((scales != written_s).any()),
         )
 
 
-def _split(
+def _split_blocks(
     blocks: Iterator[tuple[FloatArray, Motion]], joints: int
 ) -> Iterator[tuple[FloatArray, Motion]]:
-    """Yield blocks of at most `DENSE_JOINTS`: a clip arrives as one block."""
-    size = max(1, DENSE_JOINTS // max(joints, 1))
+    """Yield blocks of at most `MAX_DENSE_JOINTS`: a clip arrives as one block."""
+    size = max(1, MAX_DENSE_JOINTS // max(joints, 1))
     for codes, motion in blocks:
         for start in range(0, len(codes), size):
             frames = slice(start, start + size)
             yield codes[frames], motion.select(frames)
 
 
-def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:
+def _float32_weights(
+    motion: Motion, rig: Rig, codes: FloatArray
+) -> Float32Array | None:
     if motion.weights is None:
         return None
     weights = motion.weights.dense()[..., 0]
     names = [shape.name for shape in rig.shapes]
-    return narrowed(weights, "f", Labels("weights", "shape", names), codes)
+    return narrow_floats(weights, "f", ValueLabels("weights", "shape", names), codes)
 
 
 def _move_root(
@@ -128,7 +132,7 @@ def _move_root(
     return RootPath(root_translations, rotation)
 
 
-_TRANSFORMS = {
+_TRANSFORM_ATTRIBUTES = {
     "translations": (Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray.FromNumpy),
     "rotations": (Sdf.ValueTypeNames.QuatfArray, Vt.QuatfArray.FromNumpy),
     "scales": (Sdf.ValueTypeNames.Half3Array, Vt.Vec3hArray.FromNumpy),
@@ -149,7 +153,7 @@ class AnimationWriter:
 
     def __post_init__(self) -> None:
         """Create the prim and its attributes."""
-        spec = prim(self.layer, self.paths.animation, "SkelAnimation")
+        spec = prim_spec(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
         if self.written_joints is not None:
@@ -162,16 +166,16 @@ class AnimationWriter:
         self._transforms: dict[str, SampleWriter] = {}
         if names:
             tokens = Vt.TokenArray(names)
-            attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
+            attribute_spec(spec, "joints", types.TokenArray, tokens, uniform=True)
             self._transforms = {
                 name: SampleWriter(
-                    attribute(spec, name, kind),
+                    attribute_spec(spec, name, kind),
                     make,
                     quaternions=name == "rotations",
                     noun="joint",
                     names=names,
                 )
-                for name, (kind, make) in _TRANSFORMS.items()
+                for name, (kind, make) in _TRANSFORM_ATTRIBUTES.items()
             }
         self._weights: list[Float32Array] = []
         self._weight_samples: SampleWriter | None = None
@@ -229,7 +233,7 @@ class AnimationWriter:
     def author_bounds(self, extents: list[Float32Array]) -> None:
         """Author the SkelRoot's bounds ``(F, 2, 3)``, one array per block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
-        attr = attribute(spec, "extent", Sdf.ValueTypeNames.Float3Array)
+        attr = attribute_spec(spec, "extent", Sdf.ValueTypeNames.Float3Array)
         samples = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
@@ -256,8 +260,8 @@ class AnimationWriter:
             n for n, is_written in zip(self.shapes, is_used, strict=True) if is_written
         ]
         tokens = Vt.TokenArray(names)
-        attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
-        attr = attribute(spec, "blendShapeWeights", types.FloatArray)
+        attribute_spec(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
+        attr = attribute_spec(spec, "blendShapeWeights", types.FloatArray)
         samples = SampleWriter(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self._codes, self._weights, strict=True):
             samples.add(codes, rows[:, is_used])
@@ -270,10 +274,10 @@ class AnimationWriter:
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
         translation_writer = SampleWriter(
-            attribute(spec, names[0], types.Double3), vector
+            attribute_spec(spec, names[0], types.Double3), gf_vector
         )
         samples = SampleWriter(
-            attribute(spec, names[1], types.Quatd), quaternion, quaternions=True
+            attribute_spec(spec, names[1], types.Quatd), gf_quaternion, quaternions=True
         )
         author_order(spec, *placing_ops, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):

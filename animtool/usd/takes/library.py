@@ -25,7 +25,12 @@ from animtool.core.rates import MAX_FRAME
 from animtool.core.record import dataclass
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
-from animtool.usd.rigs.prims import find_skeletons, open_stage, prim_below, upwards
+from animtool.usd.rigs.prims import (
+    find_skeletons,
+    open_stage,
+    prim_below,
+    self_and_ancestors,
+)
 
 # A layer stack's own opinions are stronger than its variants, whatever their order.
 STRONGER_HINT = (
@@ -103,7 +108,7 @@ def find_take_set(start: Any) -> TakeSet | None:
 
     Prims inside instances cannot select variants and are skipped.
     """
-    for prim in upwards(start):
+    for prim in self_and_ancestors(start):
         if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
             variants = prim.GetVariantSet(TAKE_SET)
             names = tuple(variants.GetVariantNames())
@@ -143,7 +148,7 @@ def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) ->
                 raise OutputError(Fault("USD032", message, where, (), STRONGER_HINT))
 
 
-MAX_NAMED = 40
+MAX_LISTED_TAKES = 40
 
 
 def check_library(
@@ -164,7 +169,9 @@ def check_library(
     if name not in takes.names:
         return
     if not overwrite:
-        message = f"already has a take {name!r}, of {listed(takes.names, MAX_NAMED)}"
+        message = (
+            f"already has a take {name!r}, of {listed(takes.names, MAX_LISTED_TAKES)}"
+        )
         hint = f"{argument('overwrite', True)} replaces it; take: chooses another name"
         raise OptionError(Fault("SCN050", message, str(path), (), hint))
     variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, name)
@@ -174,7 +181,7 @@ def check_library(
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
 
 
-def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
+def merge_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     """Return a library with another layer's take added or replaced.
 
     Every other take, and the selection, stays unchanged.

@@ -10,10 +10,10 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.reorient import at_stage_origin, placement_notice
+from animtool.motion.reorient import placement_notice, unplace_take
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -38,7 +38,7 @@ class OverRig:
     notices: list[Fault]  # notices about kept and dropped placements
 
 
-def over_rig(
+def convert_over_rig(
     stream: TakeStream,
     placement: Callable[[FloatArray | None], SkeletonPlacement],
     choice: str | None,
@@ -76,7 +76,7 @@ def over_rig(
         ]
         stream, notices = replace(stream, notices=other_notices), []
     stands, rig = rig_placement.stands, stream.rig
-    is_placed = rig_placement.rides or not rig_placement.fixed.is_none
+    is_placed = rig_placement.rides or not rig_placement.fixed.is_identity
     if choice is None and _rests_at_stage_placement(rig, raw, rig_placement):
         # The values include the rig's placement, which is not recorded.
         rig = replace(rig, stands=stands, rides=rig_placement.rides)
@@ -86,13 +86,13 @@ def over_rig(
         has_no_rest, choice = False, choice or KEEP
     if rig_placement.uneven or has_no_rest or not is_placed:
         # Without a rest pose the take is in the space of its rig, which is this one.
-        stream = at_stage_origin(stream) if choice == DROP else stream
+        stream = unplace_take(stream) if choice == DROP else stream
         keeps_placement = choice != DROP
         notices += placement_notice(
             rig, where, kept=keeps_placement, over=rig_placement.stands
         )
         return OverRig(stream, _IDENTITY_PLACEMENT, None, notices)
-    somewhere = rig_placement.rides or not stands.is_none
+    somewhere = rig_placement.rides or not stands.is_identity
     keeps_placement = choice == KEEP or (
         choice is None and (stream.rig.rides or not somewhere)
     )
@@ -101,8 +101,8 @@ def over_rig(
     )
     if not keeps_placement:
         inverse_size = rig_placement.sized.inverse()
-        to_rig = None if inverse_size.is_none else lambda _: inverse_size
-        return OverRig(at_stage_origin(stream), rig_placement.sized, to_rig, notices)
+        to_rig = None if inverse_size.is_identity else lambda _: inverse_size
+        return OverRig(unplace_take(stream), rig_placement.sized, to_rig, notices)
     if not rig_placement.rides:
         inverse_size = rig_placement.fixed.inverse()
         return OverRig(stream, rig_placement.sized, lambda _: inverse_size, notices)
@@ -120,7 +120,7 @@ _IDENTITY_PLACEMENT = Placement(
 
 
 # Rest poses closer than this, relative to their size, are equal.
-SAME_REST = 1e-3
+REST_TOLERANCE = 1e-3
 
 
 def _rests_at_stage_placement(
@@ -131,7 +131,7 @@ def _rests_at_stage_placement(
     This is so for a take that was read from such a stage and converted to another
     format: a BVH, whose joints have no rest rotation, has its roots there.
     """
-    if take.stands is not None or not take.has_rest or rig_placement.stands.is_none:
+    if take.stands is not None or not take.has_rest or rig_placement.stands.is_identity:
         return False
     index = {joint.source_name or joint.name: j for j, joint in enumerate(raw.joints)}
     pairs = [
@@ -145,7 +145,7 @@ def _rests_at_stage_placement(
     rests = rest_world(take).positions[0, take_joints]
     size = float(np.ptp(rests, axis=0).max())
     fits_placed, fits_unplaced = (
-        np.abs(rest_world(placed_rig(raw, at)).positions[0, rig_joints] - rests).max(
+        np.abs(rest_world(place_rig(raw, at)).positions[0, rig_joints] - rests).max(
             axis=1
         )
         for at in (rig_placement.rest, rig_placement.sized)
@@ -154,7 +154,7 @@ def _rests_at_stage_placement(
     return any(
         bool(
             fits_placed[selected].max()
-            <= SAME_REST * size
+            <= REST_TOLERANCE * size
             < fits_unplaced[selected].max()
         )
         for selected in (np.full(len(pairs), True), roots)

@@ -18,7 +18,7 @@ from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import at_stage_origin, placed_motion, placement_notice
+from animtool.motion.reorient import place_motion, placement_notice, unplace_take
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placement import Placement
@@ -44,7 +44,7 @@ from animtool.usd.rigs.placement import (
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     animation_source,
-    check_moves,
+    check_animatable,
     composition_notices,
     find_skeletons,
     open_stage,
@@ -56,7 +56,7 @@ from animtool.usd.rigs.prims import (
 from animtool.usd.rigs.skeleton import with_recorded_rest
 from animtool.usd.rigs.skinned import (
     BINDING_HINT,
-    MAX_NAMED,
+    MAX_LISTED_PRIMS,
     character_paths,
     ignored_binding,
     missing_animation,
@@ -105,7 +105,7 @@ def _read_stage(
     choice: str | None,
 ) -> TakeStream:
     root_path = prim_below(stage, prim_path)
-    takes = _takes(stage, root_path)
+    takes = _take_set(stage, root_path)
     if take is not None:
         takes = select_take(takes, take, str(path))
     stream = read_character(stage, path, root_path, choice)
@@ -115,7 +115,7 @@ def _read_stage(
     return stream
 
 
-def _takes(stage: Any, root_path: str) -> TakeSet | None:
+def _take_set(stage: Any, root_path: str) -> TakeSet | None:
     """Return the take set of the character."""
     skeletons = find_skeletons(stage, root_path)
     if skeletons:
@@ -144,7 +144,9 @@ def read_character(
             message = f"has no Skeleton and no SkelAnimation below {root_path}"
             characters = character_paths(stage)
             hint = (
-                f"characters: {listed(characters, MAX_NAMED)}" if characters else None
+                f"characters: {listed(characters, MAX_LISTED_PRIMS)}"
+                if characters
+                else None
             )
             raise FormatError(Fault("USD008", message, str(path), (), hint))
         skeleton = rig_of_animation(animation, path, stage)
@@ -178,7 +180,7 @@ def read_character(
     return stream
 
 
-def _placement(
+def _placement_at(
     prim: Any,
     rig: Rig,
     codes: list[float] | None,
@@ -201,10 +203,10 @@ def _placed_on_stage(
 ) -> Motion:
     """Return the motion moved to the stage placement of its rig."""
     path = placement.motion if choice == DROP else placement.full
-    if path.is_none:
+    if path.is_identity:
         return motion
     roots = np.array(rig.roots, np.int64)
-    return placed_motion(motion, roots, path).map(Channel.compact)
+    return place_motion(motion, roots, path).map(Channel.compact)
 
 
 def _without_placement(
@@ -220,7 +222,7 @@ def _without_placement(
     stream.notices += placement_notice(rig_, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
     stands = stream.rig.stands
-    stream = at_stage_origin(stream)
+    stream = unplace_take(stream)
     stream.rig = replace(stream.rig, rides=False)
     if rig_.stands is not None or rig_.rides:
         stream.dropped = _dropped_placement(placement, stands, prim, raw)
@@ -252,9 +254,9 @@ def _join_stored(
     data = stored_data(skeleton.GetPrim())
     if not data.get("rig"):
         return
-    from animtool.usd.rigs.stored import joined_rig
+    from animtool.usd.rigs.stored import merge_rig
 
-    merged_rig, notices = joined_rig(
+    merged_rig, notices = merge_rig(
         stream.rig,
         data,
         rig.tokens,
@@ -264,7 +266,7 @@ def _join_stored(
     )
     names = [shape.name for shape in merged_rig.shapes]
     columns = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
-    stream.blocks = _with_columns(stream.blocks, columns, len(names))
+    stream.blocks = _spread_weights(stream.blocks, columns, len(names))
     # Meshes and curves stay in place, and with them cloth and strands.
     with_usd_arrays = {AttachKind.CLOTH, AttachKind.STRANDS}
     attach = tuple(
@@ -274,7 +276,7 @@ def _join_stored(
     stream.notices += notices
 
 
-def _with_columns(
+def _spread_weights(
     blocks: Iterator[Motion], columns: IntArray, count: int
 ) -> Iterator[Motion]:
     """Yield blocks with weights in the given columns; other columns are 0."""
@@ -307,7 +309,7 @@ def _rest_take(
     """Return a take of one frame at rest, for a rig without animation."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
-    check_moves(len(rig.joints), len(shapes), PrimLocation.of(path, prim))
+    check_animatable(len(rig.joints), len(shapes), PrimLocation.of(path, prim))
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
@@ -315,14 +317,14 @@ def _rest_take(
         scale_channel(skeleton.rest_scales[None]),
         Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
-    placement, notices = _placement(
+    placement, notices = _placement_at(
         prim, rig, None, PrimLocation.of(path, prim), choice
     )
     motion = _placed_on_stage(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
-    stream.details = _details(stage, skeleton)
+    stream.details = _source_details(stage, skeleton)
     stream.details["animation"] = None
     if not stage.HasAuthoredMetadata("startTimeCode"):
         stream.start = None
@@ -358,17 +360,17 @@ def _animated_take(
     codes = values.clock.times.tolist()
     ancestor_codes = nearest_samples(sample_times, codes, values.drift)
     rig = skeleton.rig
-    placement, notices = _placement(prim, rig, ancestor_codes, where, choice)
+    placement, notices = _placement_at(prim, rig, ancestor_codes, where, choice)
     motion = _placed_on_stage(values.motion, rig, placement, choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in values.shapes))
     stream = TakeStream.of(Take(rig, values.clock, motion))
     stream.notices.extend([*values.notices, *notices])
-    stream.details = _details(stage, skeleton)
+    stream.details = _source_details(stage, skeleton)
     stream.details["animation"] = str(animation.GetPath())
     return stream, placement
 
 
-def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:
+def _source_details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:
     return {
         "format": "USD",
         "layers": len(stage.GetUsedLayers()),

@@ -37,18 +37,18 @@ from pxr import Sdf, Ts
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
-from animtool.usd.layers.finite import Labels, check_value
+from animtool.usd.layers.finite import ValueLabels, check_value
 from animtool.usd.layers.names import distinct_names
-from animtool.usd.layers.sdf import attribute
+from animtool.usd.layers.sdf import attribute_spec
 
 # Namespace of the attributes of controls.
 CONTROL_NAMESPACE = "animtool:control:"
 
 # Time of a split from its key, relative to the segment. Less would be lost if a shot
 # shifts or scales time: time codes of 1e6 are 1e-10 apart.
-SPLIT_TIME = 2.0**-30
+MIN_SPLIT_TIME = 2.0**-30
 # Samples per segment, and on either side, to measure the spline.
-SAMPLES = 16
+SAMPLES_PER_SEGMENT = 16
 
 _INTERPOLATION = {
     SegmentKind.HOLD: Ts.InterpHeld,
@@ -126,20 +126,20 @@ def author_curve(
         for piece in _curve_segments(curves, i)
     ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
-        for knot in _knots(pieces, curves, where):
+        for knot in _spline_knots(pieces, curves, where):
             spline.SetKnot(knot)
         extrapolations = (curves.pre[0], -1), (curves.post[0], 1)
         pre_extrapolation, post_extrapolation = (
-            _extrapolation(mode, curves, evaluate, side, where)
+            _spline_extrapolation(mode, curves, evaluate, side, where)
             for mode, side in extrapolations
         )
         spline.SetPreExtrapolation(pre_extrapolation)
         spline.SetPostExtrapolation(post_extrapolation)
     spec = layer.GetPrimAtPath(prim_path)
-    attr = attribute(spec, name, Sdf.ValueTypeNames.Double)
+    attr = attribute_spec(spec, name, Sdf.ValueTypeNames.Double)
     attr.custom = True
     attr.SetSpline(spline)
-    difference, seam = _measure(spline, curves, evaluate)
+    difference, seam = _measure_error(spline, curves, evaluate)
     split_count = len({piece.segment for piece in pieces if piece.part})
     return CurveReport(name, len(spline.GetKnots()), split_count, difference, seam)
 
@@ -183,12 +183,14 @@ def _curve_segments(curves: Curves, i: int) -> list[_CurveSegment]:
         return [_CurveSegment(i, 0, kind, begin, points)]
     point_sets = [points]
     if _is_vertical(out_handle):
-        point_sets = _split(points, _parameter_at(points[:, 0], h * SPLIT_TIME))
+        point_sets = _split_bezier(
+            points, _parameter_at(points[:, 0], h * MIN_SPLIT_TIME)
+        )
     if _is_vertical(in_handle):
         last_points = point_sets.pop()
         mirrored_points = last_points[::-1] * [-1.0, 1.0] + [h, 0.0]
-        near_points, other_points = _split(
-            mirrored_points, _parameter_at(mirrored_points[:, 0], h * SPLIT_TIME)
+        near_points, other_points = _split_bezier(
+            mirrored_points, _parameter_at(mirrored_points[:, 0], h * MIN_SPLIT_TIME)
         )
         point_sets += [
             piece_points[::-1] * [-1.0, 1.0] + [h, 0.0]
@@ -231,7 +233,7 @@ def _parameter_at(times: FloatArray, at: float) -> float:
     return upper
 
 
-def _split(points: FloatArray, u: float) -> list[FloatArray]:
+def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
     """Return the two parts of a Bézier curve (de Casteljau)."""
     rows = [points]
     while len(rows[-1]) > 1:
@@ -242,7 +244,7 @@ def _split(points: FloatArray, u: float) -> list[FloatArray]:
     ]
 
 
-def _knots(pieces: list[_CurveSegment], curves: Curves, where: str) -> list[Any]:
+def _spline_knots(pieces: list[_CurveSegment], curves: Curves, where: str) -> list[Any]:
     """Return the knots at the ends of all pieces."""
     piece_starts = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
     end_point = (float(curves.times[-1]), float(curves.values[-1]), None)
@@ -251,27 +253,27 @@ def _knots(pieces: list[_CurveSegment], curves: Curves, where: str) -> list[Any]
     for time, value, piece in [*piece_starts, end_point]:
         fields: dict[str, Any] = {"nextInterp": Ts.InterpHeld}
         if previous is not None and previous.kind >= SegmentKind.CUBIC:
-            width, slope = _tangent(previous.points[3] - previous.points[2])
+            width, slope = _tangent_of_handle(previous.points[3] - previous.points[2])
             fields |= {"preTanWidth": width, "preTanSlope": slope}
         if piece is not None:
             fields["nextInterp"] = _INTERPOLATION[piece.kind]
             if piece.kind >= SegmentKind.CUBIC:
-                width, slope = _tangent(piece.points[1] - piece.points[0])
+                width, slope = _tangent_of_handle(piece.points[1] - piece.points[0])
                 fields |= {"postTanWidth": width, "postTanSlope": slope}
         numbers = [n for n in (time, value, *fields.values()) if isinstance(n, float)]
-        check_value(numbers, "d", Labels(where, f"the knot at {time:.10g}"))
+        check_value(numbers, "d", ValueLabels(where, f"the knot at {time:.10g}"))
         knots.append(Ts.Knot("double", time=time, value=value, **fields))
         previous = piece
     return knots
 
 
-def _tangent(handle: FloatArray) -> tuple[float, float]:
+def _tangent_of_handle(handle: FloatArray) -> tuple[float, float]:
     """Return width and slope of a handle from its time and value offsets."""
     width, value_offset = handle.tolist()
     return (width, value_offset / width) if width > 0 else (0.0, 0.0)
 
 
-def _extrapolation(
+def _spline_extrapolation(
     mode: Extrapolation, curves: Curves, evaluate: Evaluate, side: int, where: str
 ) -> Any:
     extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
@@ -281,18 +283,22 @@ def _extrapolation(
         far_time = edge + side * 1024.0 * magnitude
         at_edge, far_value = evaluate(np.array([edge, far_time])).tolist()
         slope = (far_value - at_edge) / (far_time - edge)
-        check_value(slope, "d", Labels(where, "the slope outside the keys"))
+        check_value(slope, "d", ValueLabels(where, "the slope outside the keys"))
         extrapolation.slope = slope
     return extrapolation
 
 
-def _measure(spline: Any, curves: Curves, evaluate: Evaluate) -> tuple[float, float]:
+def _measure_error(
+    spline: Any, curves: Curves, evaluate: Evaluate
+) -> tuple[float, float]:
     """Return the largest error, and the error at the end of a cycle."""
     times = curves.times
-    steps = np.arange(SAMPLES) / SAMPLES
+    steps = np.arange(SAMPLES_PER_SEGMENT) / SAMPLES_PER_SEGMENT
     segment_times = times[:-1, None] + np.diff(times)[:, None] * steps
     span = float(np.ptp(times)) or 1.0
-    outside_times = span * (np.arange(3 * SAMPLES) + 0.5) / SAMPLES
+    outside_times = (
+        span * (np.arange(3 * SAMPLES_PER_SEGMENT) + 0.5) / SAMPLES_PER_SEGMENT
+    )
     at = np.concatenate(
         [times[0] - outside_times, segment_times.ravel(), times[-1] + outside_times]
     )

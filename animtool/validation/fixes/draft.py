@@ -13,7 +13,7 @@ from animtool.core.errors import Fault
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.documents.edit import Edit
-from animtool.usd.fixes.table import EDITS
+from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.validation.subjects.subject import CheckedFile
 
 
@@ -65,31 +65,31 @@ class FixStep:
 
 # Fixes of documents by code; USD layers have a separate table.
 FIXES = {
-    "RIG109": "animtool.validation.fixes.names:allowed",
-    "RIG210": "animtool.validation.fixes.texts:summed",
-    "RIG219": "animtool.validation.fixes.names:distinct",
-    "RIG221": "animtool.validation.fixes.names:allowed",
-    "RIG222": "animtool.validation.fixes.texts:from_bind",
-    "VAL001": "animtool.validation.fixes.texts:left_out",
+    "RIG109": "animtool.validation.fixes.names:make_names_legal",
+    "RIG210": "animtool.validation.fixes.texts:normalize_weights",
+    "RIG219": "animtool.validation.fixes.names:make_name_unique",
+    "RIG221": "animtool.validation.fixes.names:make_names_legal",
+    "RIG222": "animtool.validation.fixes.texts:rest_from_bind",
+    "VAL001": "animtool.validation.fixes.texts:remove_entry",
 }
 
 
-class NotMendedError(Exception):
+class NotFixedError(Exception):
     """A finding that cannot be fixed safely; the text is the reason."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mend:
+class FixEdits:
     """Edits that fix a finding."""
 
-    remedy: str  # description of the fix for the report
+    description: str  # description of the fix for the report
     edits: tuple[Edit, ...]  # edits of the file's text
     # Arrays of new npz files, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
 
 
 # Raises NotMendedError if the fix would not be safe.
-Fix = Callable[[CheckedFile, Fault], Mend]
+Fix = Callable[[CheckedFile, Fault], FixEdits]
 
 
 def fix_of(code: str) -> Fix | None:
@@ -107,4 +107,4 @@ def has_fix(code: str) -> bool:
     >>> has_fix("RIG210"), has_fix("USD204"), has_fix("RIG201")
     (True, True, False)
     """
-    return code in FIXES or code in EDITS
+    return code in FIXES or code in EDITS_BY_CODE

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.usd.fixes.table import EDITS
+from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.validation.fixes.draft import FixStep
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
@@ -46,7 +46,7 @@ class LayerDraft:
         The extent of a prim depends on its descendants.
         """
         codes = {fault.code for fault in cases}
-        first_code = next(code for code in EDITS if code in codes)
+        first_code = next(code for code in EDITS_BY_CODE if code in codes)
         with_code = (fault for fault in cases if fault.code == first_code)
         return sorted(with_code, key=lambda fault: -(fault.where or "").count("/"))
 

@@ -16,15 +16,15 @@ from animtool.documents.edit import Edit, Rename, Replace
 from animtool.rig.drivers import renamed_coordinates, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.joints import DRIVEN_PARTS, split_part
-from animtool.validation.fixes.draft import Mend, NotMendedError
+from animtool.validation.fixes.draft import FixEdits, NotFixedError
 from animtool.validation.fixes.texts import pointer_of
-from animtool.validation.rules.rig_parts import legal, names_in
+from animtool.validation.rules.rig_parts import group_names, legal_usd_name
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import CheckedFile
 
 
-def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
+def files_naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
     """Yield files that use a name of a rig, with the first such name.
 
     A use is a key or value that is or contains the name, such as
@@ -32,7 +32,7 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
     joints, and files for these, are skipped.
     """
     rig_path = rig.resolve()
-    for path in _documents(rig):
+    for path in _other_documents(rig):
         if path.resolve() == rig_path:
             continue
         try:
@@ -55,7 +55,7 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
         return next(name for name in names if name in text)
     if not _may_mean(path, value, rig):
         return None
-    texts = list(_texts(value))
+    texts = list(_keys_and_texts(value))
     return next((name for name in names if _is_used(name, texts)), None)
 
 
@@ -65,20 +65,20 @@ def _is_used(name: str, texts: Sequence[str]) -> bool:
     return any(part.search(text) for text in texts)
 
 
-def _texts(value: Any) -> Iterator[str]:
+def _keys_and_texts(value: Any) -> Iterator[str]:
     """Yield every key and text of a document."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
         for key, inner in value.items():
             yield str(key)
-            yield from _texts(inner)
+            yield from _keys_and_texts(inner)
     elif isinstance(value, list):
         for inner in value:
-            yield from _texts(inner)
+            yield from _keys_and_texts(inner)
 
 
-def _documents(rig: Path) -> Iterator[Path]:
+def _other_documents(rig: Path) -> Iterator[Path]:
     for root in project_roots(rig):
         for file in matching_files(str(root), DOCUMENT_SUFFIXES):
             yield file.path
@@ -91,10 +91,10 @@ def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
         return True
     if rig_name.startswith("animtool/"):
         return "from" in value
-    return _has_names_of((path.parent / rig_name).resolve(), rig)
+    return _is_same_rig((path.parent / rig_name).resolve(), rig)
 
 
-def _has_names_of(other_path: Path, rig: Path) -> bool:
+def _is_same_rig(other_path: Path, rig: Path) -> bool:
     """Return whether a rig is the given one, or a sidecar."""
     if other_path == rig:
         return True
@@ -132,15 +132,15 @@ _LIST_NAMES = {
 }
 
 
-def allowed(checked: CheckedFile, fault: Fault) -> Mend:
+def make_names_legal(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with every name of a list made legal for USD."""
     rig = _complete_rig(checked)
     key = str(pointer_of(fault)[0])
-    old = [name for name in names_in(rig, key) if legal(name) != name]
-    return _rename(rig, key, old)
+    old = [name for name in group_names(rig, key) if legal_usd_name(name) != name]
+    return _rename_entries(rig, key, old)
 
 
-def distinct(checked: CheckedFile, fault: Fault) -> Mend:
+def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with one of two names renamed that are equal in USD.
 
     Renames the one that USD does not allow, or else the second.
@@ -148,53 +148,53 @@ def distinct(checked: CheckedFile, fault: Fault) -> Mend:
     rig = _complete_rig(checked)
     key, number = pointer_of(fault)[:2]
     entry = rig.written(str(key))[number]
-    names = names_in(rig, key)
+    names = group_names(rig, key)
     for name in (entry["name"], entry.get("mirror")):
         equal_names = [
             other_name
             for other_name in names
-            if name and legal(other_name) == legal(name)
+            if name and legal_usd_name(other_name) == legal_usd_name(name)
         ]
         if len(equal_names) > 1:
             forbidden = [
                 other_name
                 for other_name in equal_names
-                if legal(other_name) != other_name
+                if legal_usd_name(other_name) != other_name
             ]
-            return _rename(rig, str(key), forbidden[-1:])
-    raise NotMendedError(f"renames {entry['name']!r} to make it unique")
+            return _rename_entries(rig, str(key), forbidden[-1:])
+    raise NotFixedError(f"renames {entry['name']!r} to make it unique")
 
 
 def _complete_rig(checked: CheckedFile) -> RigSubject:
     rig: RigSubject = checked.subject
     if "from" in rig.document.value:
-        raise NotMendedError("the names are in another file")
+        raise NotFixedError("the names are in another file")
     return rig
 
 
-def _rename(rig: RigSubject, key: str, old: list[str]) -> Mend:
-    for path, name in naming(rig.document.path, old):
-        raise NotMendedError(f"{path.name} also uses {name!r}")
-    new = _fresh(old, names_in(rig, key))
+def _rename_entries(rig: RigSubject, key: str, old: list[str]) -> FixEdits:
+    for path, name in files_naming(rig.document.path, old):
+        raise NotFixedError(f"{path.name} also uses {name!r}")
+    new = _unused_names(old, group_names(rig, key))
     renamings = [f"{name!r} to {new[name]!r}" for name in old]
     remedy = f"renames {counted(len(old), 'name')} of {key}: {listed(renamings, 3)}"
-    return Mend(remedy, tuple(renaming(rig.document.value, key, new)))
+    return FixEdits(remedy, tuple(rename_edits(rig.document.value, key, new)))
 
 
-def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
+def _unused_names(old: list[str], names: list[str]) -> dict[str, str]:
     """Return a unique USD name for each old one."""
     new: dict[str, str] = {}
-    other_names = {legal(name) for name in names if name not in old} | {*names}
+    other_names = {legal_usd_name(name) for name in names if name not in old} | {*names}
     for name in old:
         used_names = {*other_names, *new.values()}
-        candidate, number = legal(name), 2
+        candidate, number = legal_usd_name(name), 2
         while candidate in used_names:
-            candidate, number = f"{legal(name)}_{number}", number + 1
+            candidate, number = f"{legal_usd_name(name)}_{number}", number + 1
         new[name] = candidate
     return new
 
 
-def renaming(
+def rename_edits(
     value: Mapping[str, Any], key: str, new: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename entries of a list, wherever a rig file names them."""
@@ -212,7 +212,7 @@ def renaming(
             if joint in new:
                 yield Replace(at, f"{new[joint]}.{part}" if part else new[joint])
     if key == "joints":
-        yield from _formulas(value, new)
+        yield from _expression_edits(value, new)
     for at, where in _names_at(value, ("ignore", "*", "where"), ()):
         location = where
         for old, name in new.items():
@@ -224,7 +224,9 @@ def renaming(
             yield Replace(at, location)
 
 
-def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit]:
+def _expression_edits(
+    value: Mapping[str, Any], new: Mapping[str, str]
+) -> Iterator[Edit]:
     """Yield the edits that rename joints in expressions of drivers."""
     for use in EXPRESSION_PATHS:
         for at, text in _names_at(value, tuple(use.split("/")), ()):

@@ -16,7 +16,7 @@ from animtool.validation.run import Report
 
 
 @dataclass(slots=True)
-class FileMend:
+class PlannedFix:
     """A file and its fixed content."""
 
     path: Path  # the file
@@ -31,12 +31,12 @@ class FileMend:
         return self.after.difference()
 
 
-def plan_file(path: Path, options: ValidateOptions) -> FileMend:
+def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     """Return a file with all safe fixes applied in memory.
 
     A fix is kept if its finding disappears and no new one appears.
     """
-    plan = FileMend(path, _open_draft(path))
+    plan = PlannedFix(path, _open_draft(path))
     options = options.with_profile(plan.after.checked.profile)
     unfixable_findings: set[tuple[str, str | None, str]] = set()
     while cases := list(_open_cases(plan.after.findings, options, unfixable_findings)):
@@ -50,7 +50,7 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
             unfixable_findings.clear()
             plan.left.clear()
             continue
-        unfixable_findings.update(map(_key, batch))
+        unfixable_findings.update(map(_fault_key, batch))
         plan.left.extend(step.refused)
         plan.left.extend((fault, reason) for fault, _ in step.done)
     final = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
@@ -123,11 +123,11 @@ def _open_cases(
     """Yield selected findings that have a fix and were not tried yet."""
     for fault in faults:
         is_fixable = has_fix(fault.code) and options.counts(fault.code)
-        if is_fixable and _key(fault) not in known_unfixable:
+        if is_fixable and _fault_key(fault) not in known_unfixable:
             yield fault
 
 
-def _key(fault: Fault) -> tuple[str, str | None, str]:
+def _fault_key(fault: Fault) -> tuple[str, str | None, str]:
     return fault.code, fault.where, fault.message
 
 

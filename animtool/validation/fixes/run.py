@@ -12,7 +12,7 @@ from animtool.core.files.output import atomic_outputs, check_outputs
 from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
-    FileMend,
+    PlannedFix,
     has_fixes,
     is_layer,
     is_package,
@@ -24,10 +24,10 @@ from animtool.validation.run import Report, validate_files
 
 
 @dataclass(frozen=True, slots=True)
-class Fixes:
+class FixResult:
     """Result of fixing files."""
 
-    files: tuple[FileMend, ...]  # files with findings of codes that have a fix
+    files: tuple[PlannedFix, ...]  # files with findings of codes that have a fix
     report: Report  # validation after the fixes
     notes: tuple[str, ...] = ()  # notes about entire files
 
@@ -37,14 +37,14 @@ class Fixes:
         return tuple(entry for file in self.files for entry in file.left)
 
 
-def plan_files(report: Report, options: ValidateOptions) -> Iterator[FileMend]:
+def plan_files(report: Report, options: ValidateOptions) -> Iterator[PlannedFix]:
     """Yield the planned fixes of a report's files; nothing is written.
 
     The report is that of `validate_files` with the same options.
     """
     options = options.resolved()
     for path in _with_fixes(report):
-        yield _plan(path, options)
+        yield _plan_file(path, options)
 
 
 def fix_files(
@@ -52,7 +52,7 @@ def fix_files(
     options: ValidateOptions | None = None,
     *,
     overwrite: bool = False,
-) -> Fixes:
+) -> FixResult:
     """Apply all safe fixes to files, and validate them again.
 
     Args:
@@ -75,7 +75,7 @@ def fix_files(
     }
     changed_files = list(reversed(targets.values()))
     check_outputs(changed_files, [], overwrite=True)
-    plans = [_plan(path, options) for path in changed_files]
+    plans = [_plan_file(path, options) for path in changed_files]
     with atomic_outputs():
         for plan in plans:
             if plan.mended:
@@ -86,7 +86,7 @@ def fix_files(
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
     fixed_findings = tuple(entry for plan in plans for entry in plan.mended)
-    return Fixes(tuple(plans), replace(report, mended=fixed_findings), notes)
+    return FixResult(tuple(plans), replace(report, mended=fixed_findings), notes)
 
 
 def fix_copy(
@@ -95,7 +95,7 @@ def fix_copy(
     options: ValidateOptions | None = None,
     *,
     overwrite: bool = False,
-) -> Fixes:
+) -> FixResult:
     """Write a fixed copy of a USD layer, and validate the copy.
 
     A layer with nothing to fix is copied unchanged.
@@ -118,13 +118,13 @@ def fix_copy(
     check_copy(source, output)
     check_outputs([output], [source], overwrite=overwrite)
     refuse_composed_layers(source, output)
-    plan = _plan(source, options)
+    plan = _plan_file(source, options)
     notes = plan.after.write(output)
     report = validate_files([output], options)
-    return Fixes((plan,), replace(report, mended=tuple(plan.mended)), tuple(notes))
+    return FixResult((plan,), replace(report, mended=tuple(plan.mended)), tuple(notes))
 
 
-def _plan(path: Path, options: ValidateOptions) -> FileMend:
+def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     return plan_file(path, options.within(settings_of(path)))
 
 

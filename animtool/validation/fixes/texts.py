@@ -26,16 +26,16 @@ from animtool.core.files.placing import output_error
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 from animtool.documents.document import document_of, read_text
-from animtool.documents.edit import Add, EditError, Remove, Replace, edited
+from animtool.documents.edit import Add, EditError, Remove, Replace, apply_edits
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
-from animtool.validation.fixes.draft import FixStep, Mend, NotMendedError, fix_of
+from animtool.validation.fixes.draft import FixEdits, FixStep, NotFixedError, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import CheckedFile
 
-_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+_LOCATION_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
 def pointer_of(fault: Fault) -> tuple[Any, ...]:
@@ -44,22 +44,22 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
     >>> pointer_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
     ('meshes', 2, 'skin', 'weights')
     """
-    steps = _STEP.findall(fault.where or "")
+    steps = _LOCATION_STEP.findall(fault.where or "")
     return tuple(int(number) if number else key for key, number in steps)
 
 
-def left_out(checked: CheckedFile, fault: Fault) -> Mend:
+def remove_entry(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file without an entry, and without its list if that is empty then."""
     if checked.document is None:
-        raise NotMendedError("the file has no text")
+        raise NotFixedError("the file has no text")
     entries = checked.document.value["ignore"]
     pointer = pointer_of(fault)
     entry = entries[pointer[1]]
     location = pointer if len(entries) > 1 else ("ignore",)
-    return Mend(f"removes the entry for {entry['code']}", (Remove(location),))
+    return FixEdits(f"removes the entry for {entry['code']}", (Remove(location),))
 
 
-def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
+def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with a joint's rest pose taken from its bind pose."""
     rig: RigSubject = checked.subject
     pointer = pointer_of(fault)
@@ -67,10 +67,10 @@ def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
     pose = rig.document.value["bind"][entry["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
     edits = tuple(Add(pointer, key, pose[key]) for key in keys)
-    return Mend(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
+    return FixEdits(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
 
 
-def summed(checked: CheckedFile, fault: Fault) -> Mend:
+def normalize_weights(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with normalized weights in a new npz.
 
     Every reader of the file normalises the weights anyway. The npz that contains them
@@ -80,23 +80,23 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     pointer = pointer_of(fault)
     skin = rig.rig.meshes[pointer[1]].skin
     if "from" in rig.document.value or skin is None:
-        raise NotMendedError("the mesh is in another file")
+        raise NotFixedError("the mesh is in another file")
     weights = skin.weights
     if not isinstance(weights, ArrayRef):
-        raise NotMendedError("the weights are not in an npz file")
+        raise NotFixedError("the weights are not in an npz file")
     path = _unused_path(weights.path, weights.key)
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
     arrays = {path: {weights.key: _normalized_weights(weights)}}
-    return Mend(remedy, (Replace(pointer, text),), arrays)
+    return FixEdits(remedy, (Replace(pointer, text),), arrays)
 
 
 def _unused_path(path: Path, key: str) -> Path:
     """Return an unused path next to a file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
-        raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
+        raise NotFixedError(f"the name of the array, {excerpt(key)}, {problem}")
     number, candidate = 2, path.with_name(f"{path.stem}_{key}.npz")
     while candidate.exists():
         candidate = path.with_name(f"{path.stem}_{key}_{number}.npz")
@@ -150,16 +150,16 @@ class TextDraft:
         """
         fault = faults[0]
         try:
-            mend = self._mend(fault)
-            text = edited(self.text, self.path, mend.edits)
+            mend = self._fix_edits(fault)
+            text = apply_edits(self.text, self.path, mend.edits)
             if mend.arrays:
                 return FixStep(self)
             new_draft = replace(self, text=text)
             # Check that it can be read.
             _ = new_draft.findings
-        except (NotMendedError, EditError, AnimtoolError) as error:
+        except (NotFixedError, EditError, AnimtoolError) as error:
             return FixStep(self, refused=[(fault, str(error))])
-        return FixStep(new_draft, [(fault, mend.remedy)])
+        return FixStep(new_draft, [(fault, mend.description)])
 
     def finish(self, cases: Sequence[Fault]) -> FixStep:
         """Return the text with those findings fixed that need new arrays."""
@@ -167,13 +167,13 @@ class TextDraft:
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in cases:
             try:
-                mend = self._mend(fault)
+                mend = self._fix_edits(fault)
                 if not mend.arrays:
                     continue
-                text = edited(text, self.path, mend.edits)
-            except (NotMendedError, EditError):
+                text = apply_edits(text, self.path, mend.edits)
+            except (NotFixedError, EditError):
                 continue
-            fixes.append((fault, mend.remedy))
+            fixes.append((fault, mend.description))
             for path, arrays in mend.arrays.items():
                 new_arrays.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in fixes)
@@ -185,8 +185,8 @@ class TextDraft:
         """Yield the findings that can be fixed one by one."""
         for fault in faults:
             try:
-                edited(self.text, self.path, self._mend(fault).edits)
-            except (NotMendedError, EditError):
+                apply_edits(self.text, self.path, self._fix_edits(fault).edits)
+            except (NotFixedError, EditError):
                 continue
             yield fault
 
@@ -194,7 +194,7 @@ class TextDraft:
         """Return the changes as a unified diff."""
         name = self.path.as_posix()
         lines = difflib.unified_diff(
-            _lines(self.before), _lines(self.text), f"a/{name}", f"b/{name}"
+            _split_lines(self.before), _split_lines(self.text), f"a/{name}", f"b/{name}"
         )
         return "".join(
             line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n"
@@ -227,14 +227,14 @@ class TextDraft:
             path = next(iter(self.arrays))
             raise output_error(path, "it would not be read back as written")
 
-    def _mend(self, fault: Fault) -> Mend:
+    def _fix_edits(self, fault: Fault) -> FixEdits:
         fix = fix_of(fault.code)
         if fix is None:
-            raise NotMendedError("there is no automatic fix")
+            raise NotFixedError("there is no automatic fix")
         return fix(self.checked, fault)
 
 
-def _lines(text: str) -> list[str]:
+def _split_lines(text: str) -> list[str]:
     r"""Return lines including their ends; only \n separates lines."""
     return [line + "\n" for line in text.split("\n")[:-1]] + [
         last_line for last_line in text.split("\n")[-1:] if last_line

@@ -49,14 +49,14 @@ class Findings:
     shown: list[ShownFinding]
 
 
-_SEE = clause(f", see {argument('command.verbose')}")
+_SEE_CLAUSE = clause(f", see {argument('command.verbose')}")
 FINDINGS = Template(
     "animtool.validation.formats.plain:Findings",
     (
         Each(
             "shown",
             (
-                f"{{fault}}[{{?repeats}} ({{repeats}} more like it{_SEE})]",
+                f"{{fault}}[{{?repeats}} ({{repeats}} more like it{_SEE_CLAUSE})]",
                 Each("excerpt", ("{self}",)),
             ),
         ),
@@ -89,11 +89,11 @@ def text_report(
 def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     """Return the findings to print; without a line, only the first of a kind."""
     sources = SourceLineCache()
-    counts = Counter(map(_kind, report.findings))
+    counts = Counter(map(_repeat_key, report.findings))
     index_of_kind: dict[_Kind, Fault] = {}
     shown_findings = []
     for fault in report.findings:
-        kind = _kind(fault)
+        kind = _repeat_key(fault)
         if repeats or fault.lines:
             shown_findings.append(
                 ShownFinding(fault, excerpt=excerpt_lines(fault, sources))
@@ -103,7 +103,7 @@ def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     return shown_findings
 
 
-def _kind(fault: Fault) -> _Kind:
+def _repeat_key(fault: Fault) -> _Kind:
     """Return the key that repeated findings of a file share."""
     return fault.path, fault.code, fault.severity
 
@@ -117,7 +117,7 @@ def summary(report: Report) -> str:
     return as_text(SUMMARY.text(report)[0])
 
 
-_LEVELS = {
+_ANNOTATION_LEVELS = {
     Severity.ERROR: "error",
     Severity.WARNING: "warning",
     Severity.NOTE: "notice",
@@ -126,10 +126,10 @@ _LEVELS = {
 
 def github_report(report: Report) -> str:
     """Return a GitHub workflow command for each finding."""
-    return "".join(_command(fault) + "\n" for fault in report.findings)
+    return "".join(_workflow_command(fault) + "\n" for fault in report.findings)
 
 
-def _command(fault: Fault) -> str:
+def _workflow_command(fault: Fault) -> str:
     properties: dict[str, object] = {}
     if fault.path is not None:
         properties["file"] = fault.path.replace("\\", "/")
@@ -139,16 +139,16 @@ def _command(fault: Fault) -> str:
             properties["col"] = fault.column
     properties["title"] = fault.code
     property_text = ",".join(
-        f"{key}={_data(str(value)).replace(':', '%3A').replace(',', '%2C')}"
+        f"{key}={_escape_data(str(value)).replace(':', '%3A').replace(',', '%2C')}"
         for key, value in properties.items()
     )
     location = f"{fault.where}: " if fault.where else ""
     hint = f"; {fault.hint}" if fault.hint else ""
-    text = _data(f"{location}{fault.message}{hint}")
-    return f"::{_LEVELS[fault.severity]} {property_text}::{text}"
+    text = _escape_data(f"{location}{fault.message}{hint}")
+    return f"::{_ANNOTATION_LEVELS[fault.severity]} {property_text}::{text}"
 
 
-def _data(text: str) -> str:
+def _escape_data(text: str) -> str:
     return escaped(text).replace("%", "%25")
 
 
@@ -165,13 +165,13 @@ def junit_report(report: Report) -> str:
     names = dict.fromkeys([*map(str, report.files), *sorted(by_file)])
     unreadable_files = report.unreadable()
     cases = (
-        _case(name, by_file[name], unreadable=name in unreadable_files)
+        _junit_case(name, by_file[name], unreadable=name in unreadable_files)
         for name in names
     )
     return junit_xml("animtool validate", cases)
 
 
-def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
+def _junit_case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
     errors = [fault for fault in faults if fault.severity is Severity.ERROR]
     other_faults = [fault for fault in faults if fault.severity is not Severity.ERROR]
     text = "\n".join(map(str, other_faults))

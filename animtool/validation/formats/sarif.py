@@ -22,8 +22,8 @@ from animtool.core.source_lines import SourceLineCache
 from animtool.validation.run import Report
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
-MAX_SNIPPET = 1000
-_LEVELS = {
+MAX_SNIPPET_LENGTH = 1000
+_SARIF_LEVELS = {
     Severity.ERROR: "error",
     Severity.WARNING: "warning",
     Severity.NOTE: "note",
@@ -35,19 +35,19 @@ def sarif_report(report: Report) -> str:
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
     sources = SourceLineCache()
-    rule_objects = [_rule(rules[code]) for code in codes if code in rules]
+    rule_objects = [_rule_object(rules[code]) for code in codes if code in rules]
     driver = {
         "name": "animtool",
         "version": version("animtool"),
         "rules": rule_objects,
     }
     rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
-    results = [_result(fault, rule_index, sources) for fault in report.findings]
-    _number_equal(results)
+    results = [_result_object(fault, rule_index, sources) for fault in report.findings]
+    _number_duplicates(results)
     file_names = dict.fromkeys(map(str, report.files))
     run = {
         "tool": {"driver": driver},
-        "artifacts": [{"location": _location(path)} for path in file_names],
+        "artifacts": [{"location": _file_uri(path)} for path in file_names],
         "results": results,
         "columnKind": "unicodeCodePoints",
     }
@@ -55,11 +55,11 @@ def sarif_report(report: Report) -> str:
     return json_printed(value, indent=2) + "\n"
 
 
-def _rule(rule: Rule) -> dict[str, Any]:
+def _rule_object(rule: Rule) -> dict[str, Any]:
     rule_object: dict[str, Any] = {
         "id": rule.code,
         "shortDescription": {"text": rule.title},
-        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+        "defaultConfiguration": {"level": _SARIF_LEVELS[rule.severity]},
     }
     text = page_text(rule.code)
     if text is not None:
@@ -68,24 +68,24 @@ def _rule(rule: Rule) -> dict[str, Any]:
     return rule_object
 
 
-def _result(
+def _result_object(
     fault: Fault, rule_index: dict[str, int], sources: SourceLineCache
 ) -> dict[str, Any]:
     text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
         **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
-        "level": _LEVELS[fault.severity],
+        "level": _SARIF_LEVELS[fault.severity],
         # Doubled braces are not placeholders (3.11.5).
         "message": {"text": text.replace("{", "{{").replace("}", "}}")},
     }
     if fault.path is None:
         return {**result, "partialFingerprints": _fingerprint(fault, None)}
-    physical: dict[str, Any] = {"artifactLocation": _location(fault.path)}
+    physical: dict[str, Any] = {"artifactLocation": _file_uri(fault.path)}
     line = None
     if fault.lines:
         line = sources.line(fault.path, fault.lines[0])
-        physical["region"] = _region(fault, line)
+        physical["region"] = _region_object(fault, line)
     location: dict[str, Any] = {"physicalLocation": physical}
     if fault.where:
         location["logicalLocations"] = [{"fullyQualifiedName": fault.where}]
@@ -93,17 +93,17 @@ def _result(
     return {**result, "partialFingerprints": _fingerprint(fault, line)}
 
 
-def _region(fault: Fault, line: str | None) -> dict[str, Any]:
+def _region_object(fault: Fault, line: str | None) -> dict[str, Any]:
     region: dict[str, Any] = {"startLine": fault.lines[0]}
     if fault.column is not None:
         region["startColumn"] = fault.column
     # In a one-line file, every finding would contain the entire file.
-    if line is not None and len(line) <= MAX_SNIPPET:
+    if line is not None and len(line) <= MAX_SNIPPET_LENGTH:
         region["snippet"] = {"text": line}
     return region
 
 
-def _location(path: str) -> dict[str, str]:
+def _file_uri(path: str) -> dict[str, str]:
     """Return a file as a URI, relative if its path is."""
     pure = PurePath(path)
     if pure.is_absolute():
@@ -118,7 +118,7 @@ def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
     return {"animtool/v1": digest[:32]}
 
 
-def _number_equal(results: Sequence[dict[str, Any]]) -> None:
+def _number_duplicates(results: Sequence[dict[str, Any]]) -> None:
     """Number results with equal fingerprints."""
     counts: dict[str, int] = {}
     for result in results:

@@ -42,8 +42,8 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
     if not rig.roots:
         return ()
     feet = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
-    steps = _totals(rig.parents, feet)
-    joints = _totals(rig.parents, np.ones(len(feet), bool))
+    steps = _subtree_counts(rig.parents, feet)
+    joints = _subtree_counts(rig.parents, np.ones(len(feet), bool))
     chain, size = [int(rig.roots[0])], 1
     moving_joints = set(subject.moving.tolist())
     while True:
@@ -66,10 +66,11 @@ def hips_of(subject: MotionSubject) -> int:
     return (carriers(subject) or (0,))[-1]
 
 
-def _totals(parents: IntArray, values: BoolArray) -> IntArray:
+def _subtree_counts(parents: IntArray, values: BoolArray) -> IntArray:
     """Return the number of true values per subtree ``(J,)``.
 
-    >>> _totals(np.array([-1, 0, 1, 0]), np.array([True, False, True, True])).tolist()
+    >>> values = np.array([True, False, True, True])
+    >>> _subtree_counts(np.array([-1, 0, 1, 0]), values).tolist()
     [3, 1, 1, 1]
     """
     counts = values.astype(np.int64)
@@ -85,7 +86,7 @@ def limbs_of(parents: IntArray) -> IntArray:
     >>> limbs_of(np.array([-1, 0, 1, 0, 3])).tolist()
     [-1, 1, 1, 3, 3]
     """
-    counts = _totals(parents, np.ones(len(parents), bool))
+    counts = _subtree_counts(parents, np.ones(len(parents), bool))
     limbs = np.full(len(parents), -1)
     for joint in range(len(parents)):
         if counts[joint] <= TRUNK_FRACTION * len(parents):
@@ -95,7 +96,7 @@ def limbs_of(parents: IntArray) -> IntArray:
     return limbs
 
 
-def placed(subject: MotionSubject) -> BoolArray:
+def positioned_joints(subject: MotionSubject) -> BoolArray:
     """Return the joints whose translation is a position, not a bone offset ``(J,)``.
 
     These are roots, joints that carry the body, and the children of these.

@@ -21,10 +21,10 @@ PLANTED_HEIGHT = 0.025
 STATIC_SECONDS, STATIC_MOVE = 0.1, 0.012
 # Fewer static frames, or a smaller fraction of all frames, do not show the ground: feet
 # also pause in the air [1].
-MIN_CONTACTS, RARE_FRACTION = 4, 0.1
+MIN_CONTACTS, MIN_CONTACT_FRACTION = 4, 0.1
 # A foot that is rarely static slides throughout: it is planted at the height that it is
 # near in this fraction of the frames [1].
-MOSTLY_LOW = 0.25
+MIN_LOW_FRACTION = 0.25
 # A foot carries the body if no other joint is lower by more than this [size].
 CARRYING_HEIGHT = 0.05
 # A body crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk is
@@ -49,7 +49,7 @@ class FootStances:
         partners: Column of the opposite foot, or the foot's own ``(E,)``.
         ground: Contact height of each foot ``(E,)`` [m].
         level: Whether most contacts of a foot are at that height ``(E,)``.
-        flat: Whether a foot and its opposite have the same contact height ``(E,)``.
+        same_height: Whether a foot has the contact height of its opposite ``(E,)``.
         floor: The lower of two common contact heights, else the ground; infinite for
             more than two ``(E,)`` [m].
         carries: Whether no other joint is much lower ``(F, E)``.
@@ -61,7 +61,7 @@ class FootStances:
     partners: IntArray
     ground: FloatArray
     level: BoolArray
-    flat: BoolArray
+    same_height: BoolArray
     floor: FloatArray
     carries: BoolArray
     near: BoolArray
@@ -76,36 +76,38 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
     heights = subject.heights[:, feet]
     lowest = subject.heights[:, body(subject)].min(axis=1, keepdims=True)
     carries = heights < lowest + CARRYING_HEIGHT * subject.size
-    carries &= ~_lies(subject, feet)[:, None]
-    static = carries & _static(subject, subject.positions[:, feet])
+    carries &= ~_is_lying(subject, feet)[:, None]
+    static = carries & _is_static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
     is_flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
         is_static = heights[static[:, e], e]
-        if len(is_static) >= max(MIN_CONTACTS, RARE_FRACTION * subject.frames):
-            ground[e], fraction = _level(is_static, PLANTED_HEIGHT * subject.size)
+        if len(is_static) >= max(MIN_CONTACTS, MIN_CONTACT_FRACTION * subject.frames):
+            ground[e], fraction = _common_height(
+                is_static, PLANTED_HEIGHT * subject.size
+            )
             is_flat[e] = fraction > AT_ONE_HEIGHT
-            floor[e] = _floor(is_static, PLANTED_HEIGHT * subject.size)
+            floor[e] = _lower_height(is_static, PLANTED_HEIGHT * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
             is_low = np.abs(heights[:, e] - ground[e]) < PLANTED_HEIGHT * subject.size
-            is_flat[e] = is_low.mean() > MOSTLY_LOW
+            is_flat[e] = is_low.mean() > MIN_LOW_FRACTION
             floor[e] = ground[e] if is_flat[e] else np.inf
-    partners = _partners(subject, feet)
+    partners = _opposite_feet(subject, feet)
     level, tolerance = is_flat, PLANTED_HEIGHT * subject.size
-    is_flat = level & _agrees(ground, partners, tolerance)
-    floor[~_agrees(floor, partners, tolerance)] = np.inf
+    is_flat = level & _is_at_opposite_height(ground, partners, tolerance)
+    floor[~_is_at_opposite_height(floor, partners, tolerance)] = np.inf
     is_near = carries & is_flat & (np.abs(heights - ground) < tolerance)
     return FootStances(
         feet, partners, ground, level, is_flat, floor, carries, is_near, static
     )
 
 
-def _level(heights: FloatArray, tolerance: float) -> tuple[float, float]:
+def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]:
     """Return the most common height, and the fraction of values near it.
 
-    >>> _level(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
+    >>> _common_height(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
     """
     sorted_heights = np.sort(heights)
@@ -120,17 +122,17 @@ def _level(heights: FloatArray, tolerance: float) -> tuple[float, float]:
     return float(np.median(values_near)), len(values_near) / len(sorted_heights)
 
 
-def _floor(heights: FloatArray, tolerance: float) -> float:
+def _lower_height(heights: FloatArray, tolerance: float) -> float:
     """Return the lower of two heights near nearly all values; else infinity.
 
-    >>> _floor(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
+    >>> _lower_height(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
     """
-    first_height, fraction = _level(heights, tolerance)
+    first_height, fraction = _common_height(heights, tolerance)
     other_heights = heights[np.abs(heights - first_height) > 2.0 * tolerance]
     if len(other_heights) < AT_EACH * len(heights):
         return first_height if fraction > AT_ONE_HEIGHT else np.inf
-    second_height, second_fraction = _level(other_heights, tolerance)
+    second_height, second_fraction = _common_height(other_heights, tolerance)
     second_fraction *= len(other_heights) / len(heights)
     if second_fraction < AT_EACH:
         return first_height if fraction > AT_ONE_HEIGHT else np.inf
@@ -141,7 +143,7 @@ def _floor(heights: FloatArray, tolerance: float) -> float:
     )
 
 
-def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
+def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
     """Return frames in which joints other than feet are near the ground ``(F,)``."""
     parents = subject.take.rig.parents
     other_joints = body(subject)
@@ -159,32 +161,36 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
         return np.zeros(subject.frames, bool)
     lowest = subject.heights[:, feet].min(axis=1)
     trunk = subject.heights[:, other_joints].min(axis=1)
-    ground = _windows(lowest, STRIDE_SECONDS / subject.interval).min(axis=1)
+    ground = _frame_windows(lowest, STRIDE_SECONDS / subject.interval).min(axis=1)
     lies = trunk < ground + LYING_HEIGHT * subject.size
-    return np.asarray(_windows(lies, TRANSITION_SECONDS / subject.interval).any(axis=1))
+    return np.asarray(
+        _frame_windows(lies, TRANSITION_SECONDS / subject.interval).any(axis=1)
+    )
 
 
-def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
+def _frame_windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
     """Return sliding windows over frames, padded at the ends ``(F, W)``."""
     frames = round(reach)
     padded_values = np.pad(values, frames, mode="edge")
     return sliding_window_view(padded_values, 2 * frames + 1)
 
 
-def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
+def _opposite_feet(subject: MotionSubject, feet: IntArray) -> IntArray:
     """Return the opposite foot of each foot, or itself ``(E,)``."""
     columns = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
     return np.array([columns.get(joint, e) for e, joint in enumerate(partners)])
 
 
-def _agrees(ground: FloatArray, partners: IntArray, tolerance: float) -> BoolArray:
+def _is_at_opposite_height(
+    ground: FloatArray, partners: IntArray, tolerance: float
+) -> BoolArray:
     """Return whether each foot's contact height equals its opposite's ``(E,)``."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(ground - ground[partners]) < tolerance)
 
 
-def moves_over(
+def displacements_around(
     subject: MotionSubject, points: FloatArray, span: float
 ) -> tuple[FloatArray, IntArray]:
     """Return displacements of points ``(F, E, 3)`` around each frame, and their spans.
@@ -198,9 +204,9 @@ def moves_over(
     return points[frames_after] - points[frames_before], frames_after - frames_before
 
 
-def _static(subject: MotionSubject, points: FloatArray) -> BoolArray:
+def _is_static(subject: MotionSubject, points: FloatArray) -> BoolArray:
     """Return where points ``(F, E, 3)`` are nearly static ``(F, E)``."""
-    moves, frames = moves_over(subject, points, STATIC_SECONDS)
+    moves, frames = displacements_around(subject, points, STATIC_SECONDS)
     # At low rates a frame is longer than that interval.
     max_lengths = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS
     lengths = np.linalg.norm(moves, axis=2)

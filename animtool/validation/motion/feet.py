@@ -14,7 +14,7 @@ from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (
     FootStances,
     contacts_of,
-    moves_over,
+    displacements_around,
 )
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
@@ -41,7 +41,7 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
 
     Above 1 the feet are dragged along; below 1 they slip back.
     """
-    ratios, weights = _ratios(subject, contacts)
+    ratios, weights = _velocity_ratios(subject, contacts)
     path = float(weights.sum()) * subject.interval / subject.size
     if len(ratios) * subject.interval < MIN_SECONDS:
         return None
@@ -59,7 +59,7 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
     return float(1.0 / (1.0 - middle))
 
 
-def _ratios(
+def _velocity_ratios(
     subject: MotionSubject, contacts: FootStances
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocities of the stance foot relative to the hips ``(N,)``.
@@ -68,7 +68,7 @@ def _ratios(
     the feet near the ground, the slowest one counts.
     """
     points = subject.level(np.append(contacts.feet, hips_of(subject)))
-    travels, steps = moves_over(subject, points, VELOCITY_SECONDS)
+    travels, steps = displacements_around(subject, points, VELOCITY_SECONDS)
     velocities = travels / (steps * subject.interval)[:, None, None]
     feet, hips = velocities[:, :-1], velocities[:, -1]
     speeds = np.where(contacts.near, np.linalg.norm(feet, axis=2), np.inf)
@@ -109,15 +109,15 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     The slowest foot on the ground counts: one foot may drag while the other is planted,
     and a heel rotates about its toes.
     """
-    subject = subject.main
+    subject = subject.without_first_pose
     contacts = contacts_of(subject)
     if (
         contacts is None
         or body_axis(subject)
-        or _travel(subject) < MIN_TRAVEL * subject.size
+        or _travel_size(subject) < MIN_TRAVEL * subject.size
     ):
         return
-    speeds, slides = _speeds(subject, contacts.feet)
+    speeds, slides = _foot_speeds(subject, contacts.feet)
     speeds = np.where(contacts.carries, speeds, np.inf)
     slowest = speeds.min(axis=1)
     slides = _slowest_slides(subject, contacts, speeds, slides)
@@ -127,9 +127,9 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     long_slides = []
     for first, end in runs(is_sliding):
         last_frame, seconds = end - 1, (end - first) * subject.interval
-        if _lands(slowest[first:end], lowest_heights[first:end]):
+        if _is_landing(slowest[first:end], lowest_heights[first:end]):
             continue
-        if seconds <= MAX_SKID and _skids(
+        if seconds <= MAX_SKID and _is_skid(
             subject, contacts, slowest, first, last_frame
         ):
             continue
@@ -139,7 +139,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     if len(long_slides) < MIN_SLIDES and not any(
         weight >= SLIDE_LENGTH * subject.size for weight, *_ in long_slides
     ):
-        yield from _scaled_travel(subject, contacts)
+        yield from _travel_scale_fault(subject, contacts)
         return
     length, first, last_frame = max(long_slides)
     joint = int(
@@ -186,14 +186,14 @@ def _slowest_slides(
     return is_resting
 
 
-def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
+def _is_landing(speeds: FloatArray, heights: FloatArray) -> bool:
     """Return whether a foot decelerates while landing, or accelerates while lifting.
 
     ``speeds`` [m/s] and ``heights`` [size], ``(N,)`` each.
 
-    >>> _lands(np.array([3.0, 2.0, 1.0]), np.array([0.02, 0.01, 0.0]))
+    >>> _is_landing(np.array([3.0, 2.0, 1.0]), np.array([0.02, 0.01, 0.0]))
     True
-    >>> _lands(np.array([3.0, 2.0, 1.0]), np.array([0.01, 0.01, 0.01]))
+    >>> _is_landing(np.array([3.0, 2.0, 1.0]), np.array([0.01, 0.01, 0.01]))
     False
     """
     rises = float(heights[-1] - heights[0])
@@ -202,7 +202,7 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
     return abs(rises) > LANDING_HEIGHT and slows and bool((changes >= 0.0).all())
 
 
-def _skids(
+def _is_skid(
     subject: MotionSubject,
     contacts: FootStances,
     speeds: FloatArray,
@@ -241,7 +241,9 @@ def _slide_length(
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
 
-def _scaled_travel(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _travel_scale_fault(
+    subject: MotionSubject, contacts: FootStances
+) -> Iterator[Fault]:
     """Yield a fault if root travel does not match the feet throughout."""
     scale = travel_scale(subject, contacts)
     if scale is None:
@@ -257,13 +259,15 @@ def _scaled_travel(subject: MotionSubject, contacts: FootStances) -> Iterator[Fa
     yield subject.fault("MOT208", joint, frame, message, hint)
 
 
-def _travel(subject: MotionSubject) -> float:
+def _travel_size(subject: MotionSubject) -> float:
     """Return the diagonal of the hips' path along the ground [m]."""
     points = subject.level(np.array([hips_of(subject)]))[:, 0]
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
-def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
+def _foot_speeds(
+    subject: MotionSubject, feet: IntArray
+) -> tuple[FloatArray, FloatArray]:
     """Return ground speeds and slide speeds of feet, ``(F, E)`` each [m/s].
 
     The lower of the distances a short time before and after each frame counts, since a

@@ -24,7 +24,7 @@ from animtool.validation.motion.subject import MotionSubject
 SUNK_DEPTH, SUNK_SECONDS = 0.04, 0.05
 # Longest jump [s] of a person-sized character (2.2 m); for others it scales with the
 # square root of their size.
-LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
+MAX_JUMP_SECONDS, PERSON_SIZE = 1.2, 2.2
 # Minimum height of all joints in the air [size].
 AIR_HEIGHT = 0.05
 # On stairs, one foot is on a step within this interval of the other on the ground [s],
@@ -51,25 +51,25 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     The ground is 0 of the up axis if the rig rests on it, else the most common height
     of planted feet.
     """
-    subject = subject.main
+    subject = subject.without_first_pose
     contacts = contacts_of(subject)
     if contacts is None or body_axis(subject):
         return
-    of_take = list(_full_take(subject, contacts))
+    of_take = list(_constant_offset(subject, contacts))
     yield from of_take or [
-        *_sunk(subject, contacts),
+        *_deepest_foot(subject, contacts),
         *_floating_fault(subject, contacts),
     ]
 
 
-def _full_take(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if all contacts are offset from the ground at 0."""
     if not subject.has_rest:
         return
     contact_counts = contacts.static.sum(axis=0)
     min_contacts = max(MIN_CONTACTS, round(MIN_CONTACT_SECONDS / subject.interval))
     feet_with_contacts = np.flatnonzero(
-        (contact_counts >= min_contacts) & contacts.flat
+        (contact_counts >= min_contacts) & contacts.same_height
     )
     if not len(feet_with_contacts):
         return
@@ -126,8 +126,10 @@ def _clearances(
     for e, joint in enumerate(feet.tolist()):
         is_toe = int(parents[joint]) in foot_joints
         max_clearance[e] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size
-        if _hangs(
-            rest_positions, heights, _leg(parents.tolist(), foot_joints, hips, joint)
+        if _is_hanging(
+            rest_positions,
+            heights,
+            _leg_joints(parents.tolist(), foot_joints, hips, joint),
         ):
             min_clearance[e] = heights[joint] - lowest
         else:
@@ -143,10 +145,10 @@ def _clearances(
     return min_clearance * scale, max_clearance * scale, on_zero
 
 
-def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
+def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
     """Return the joints of a foot's leg, from ankle up to thigh.
 
-    >>> _leg([-1, 0, 1, 2, 3], {3, 4}, 0, 4)
+    >>> _leg_joints([-1, 0, 1, 2, 3], {3, 4}, 0, 4)
     [3, 2, 1]
     """
     joint = foot
@@ -159,7 +161,7 @@ def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
     return chain
 
 
-def _hangs(rest_heights: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
+def _is_hanging(rest_heights: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
     """Return whether a leg hangs straight down at rest."""
     bones = np.linalg.norm(np.diff(rest_heights[leg], axis=0), axis=1)
     return bool(
@@ -167,7 +169,7 @@ def _hangs(rest_heights: FloatArray, heights: FloatArray, leg: list[int]) -> boo
     )
 
 
-def _sunk(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, has_ground = _ground_of_pairs(subject, contacts)
@@ -184,7 +186,7 @@ def _sunk(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
         return
     depth, e, first, deepest = max(sunk)
     joint = int(contacts.feet[e])
-    foot_text = "it" if contacts.flat[e] else "the other one"
+    foot_text = "it" if contacts.same_height[e] else "the other one"
     message = (
         f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
         f"ground from frame {subject.at(first)} to {subject.at(deepest)}; the ground "
@@ -202,7 +204,7 @@ def _ground_of_pairs(
     If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
     is the ground of both.
     """
-    ground, has_ground = contacts.ground.copy(), contacts.flat.copy()
+    ground, has_ground = contacts.ground.copy(), contacts.same_height.copy()
     if not subject.has_rest or has_ground.all():
         return ground, has_ground
     _, shared_ground, rests_at_zero = _clearances(subject, contacts.feet)
@@ -228,10 +230,10 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
     static = contacts.static[:, has_floor]
     # A file without units may contain a person, whatever its numbers.
     body_size = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
-    max_frames = LONGEST_JUMP * np.sqrt(body_size / PERSON_SIZE)
+    max_frames = MAX_JUMP_SECONDS * np.sqrt(body_size / PERSON_SIZE)
     for first, end in runs(is_airborne):
         last_frame, seconds = end - 1, (end - first) * subject.interval
-        if seconds <= max_frames or _climbs(
+        if seconds <= max_frames or _is_climbing(
             subject, static, clearance, first, last_frame
         ):
             continue
@@ -247,7 +249,7 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
         return
 
 
-def _climbs(
+def _is_climbing(
     subject: MotionSubject,
     static: BoolArray,
     clearance: FloatArray,

@@ -16,13 +16,13 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Visible displacement of joints against their parents, where rigs may slide and stretch
 # intentionally, and of a root, which is visible sooner [size].
-MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
+MIN_POP_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
 # Displacement of joints by capture noise [size].
 SHIFT_NOISE = 0.002
 
 
 @dataclass(frozen=True, slots=True)
-class _Pops:
+class _PopSteps:
     """Steps with pops."""
 
     joints: IntArray  # joints of the columns ``(N,)``
@@ -36,7 +36,7 @@ class _Pops:
         step, column = np.unravel_index(int(amounts.argmax()), amounts.shape)
         return int(step), int(column)
 
-    def much(self, step: int, column: int) -> str:
+    def size_text(self, step: int, column: int) -> str:
         """Return the size of a pop as text with unit."""
         amount = float(self.amounts[step, column])
         if self.unit == "m":
@@ -47,18 +47,20 @@ class _Pops:
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield non-root joints that pop in one frame (MOT202)."""
     hint = "correct the frames around it; for an intended cut, write interp: step"
-    pops = _pops(subject, MIN_SHIFT, roots=False)
+    pops = _find_pops(subject, MIN_POP_SHIFT, roots=False)
     yield from _pop_fault(subject, "MOT202", pops, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield roots that pop in one frame, moving the complete character (MOT203)."""
     hint = "correct the frames around it, or cut the take there"
-    pops = _pops(subject, MIN_ROOT_SHIFT, roots=True)
+    pops = _find_pops(subject, MIN_ROOT_SHIFT, roots=True)
     yield from _pop_fault(subject, "MOT203", pops, hint)
 
 
-def _pops(subject: MotionSubject, min_shift: float, *, roots: bool) -> list[_Pops]:
+def _find_pops(
+    subject: MotionSubject, min_shift: float, *, roots: bool
+) -> list[_PopSteps]:
     """Return rotation and translation pops, of roots or of all other joints."""
     moving_joints = [*subject.take.rig.roots, *carriers(subject)]
     rotating_joints, translating_joints = (
@@ -72,7 +74,7 @@ def _pops(subject: MotionSubject, min_shift: float, *, roots: bool) -> list[_Pop
 
 
 def _pop_fault(
-    subject: MotionSubject, code: str, all_pops: list[_Pops], hint: str
+    subject: MotionSubject, code: str, all_pops: list[_PopSteps], hint: str
 ) -> Iterator[Fault]:
     """Yield one fault for all pops of a kind, which names the largest."""
     all_pops = [pops for pops in all_pops if pops.flags.any()]
@@ -90,7 +92,8 @@ def _pop_fault(
     steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in all_pops])
     often = len(np.unique(steps))
     message = (
-        f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
+        f"{name!r} jumps by {pops.size_text(step, column)} "
+        f"from frame {subject.at(step)} "
         f"to {subject.at(step + 1)}, unlike the motion around it"
     )
     other_names = [other_name for other_name in names if other_name != name]
@@ -101,14 +104,16 @@ def _pop_fault(
     yield subject.fault(code, joint, step, message, hint)
 
 
-def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
+def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _PopSteps:
     flags, amounts = rotation_pops(
         subject.rotation_steps[:, columns], subject.interval, _ignored_steps(subject)
     )
-    return _Pops(subject.turning[columns], flags, amounts, "rad")
+    return _PopSteps(subject.turning[columns], flags, amounts, "rad")
 
 
-def _shift_pops(subject: MotionSubject, columns: IntArray, min_shift: float) -> _Pops:
+def _shift_pops(
+    subject: MotionSubject, columns: IntArray, min_shift: float
+) -> _PopSteps:
     size = subject.size
     flags, amounts = translation_pops(
         subject.shifts[:, columns],
@@ -117,7 +122,7 @@ def _shift_pops(subject: MotionSubject, columns: IntArray, min_shift: float) -> 
         min_shift * size,
         SHIFT_NOISE * size,
     )
-    return _Pops(subject.moving[columns], flags, amounts, "m")
+    return _PopSteps(subject.moving[columns], flags, amounts, "m")
 
 
 def _ignored_steps(subject: MotionSubject) -> BoolArray:
@@ -129,7 +134,7 @@ def _ignored_steps(subject: MotionSubject) -> BoolArray:
 
 def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the first frame is a reference pose (MOT204)."""
-    pose = subject.posing
+    pose = subject.joints_leaving_pose
     if not len(pose):
         return
     first_code, second_code = subject.at(0), subject.at(1)

@@ -21,9 +21,9 @@ CODE_ROUNDING = 1e-6
 REGULAR_SAMPLE = 0.05
 # Fraction of unevenly spaced samples that may be off the frames; more of them form a
 # separate grid [1].
-ASTRAY_FRACTION = 0.25
+MIN_OFF_FRAME_FRACTION = 0.25
 # The stated range may begin and end this far from the samples [time codes].
-RANGE_SLACK = 1.0
+RANGE_TOLERANCE = 1.0
 # Largest extension of the range before and after the samples, as a fraction of their
 # span: poses are often held [1].
 EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
@@ -39,7 +39,7 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
         np.abs(offsets) < REGULAR_SAMPLE
     )
     astray = np.abs(offsets) > CODE_ROUNDING
-    if float(astray.mean()) < ASTRAY_FRACTION:
+    if float(astray.mean()) < MIN_OFF_FRAME_FRACTION:
         is_misaligned = astray
     if is_misaligned.any():
         farthest = int(np.where(is_misaligned, np.abs(offsets), 0.0).argmax())
@@ -70,8 +70,8 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     first_code, last_code = float(subject.codes[0]), float(subject.codes[-1])
     lead, tail = first_code - range_start, range_end - last_code
     sample_span = last_code - first_code
-    is_early = lead > max(RANGE_SLACK, EARLY_FRACTION * sample_span)
-    is_late = tail > max(RANGE_SLACK, LATE_FRACTION * sample_span)
+    is_early = lead > max(RANGE_TOLERANCE, EARLY_FRACTION * sample_span)
+    is_late = tail > max(RANGE_TOLERANCE, LATE_FRACTION * sample_span)
     if range_start > last_code or range_end < first_code or not (is_early or is_late):
         return
     message = (
@@ -90,9 +90,9 @@ MIN_JOINTS = 4
 # A step over lost frames is as long as theirs together; up to this many are tested,
 # more are a cut [1]. At most this fraction of the squared difference to a single step
 # may remain: in captures, steps with consistent joints leave .45 or more [1].
-MAX_LOST, MAX_REMAINDER = 6, 0.35
+MAX_LOST_FRAMES, MAX_REMAINDER = 6, 0.35
 # If few joints move, all of them must agree, with at most this remainder [1].
-MAX_FEW_REMAINDER, MIN_FEW = 0.06, 2
+MAX_FEW_REMAINDER, MIN_FEW_STEPS = 0.06, 2
 # A loss must be this many times farther from its prediction than most steps in blocks
 # of this many frames [1]. Joints are not assumed smoother than this fraction of a
 # typical step (text with few digits), or than this [rad].
@@ -105,7 +105,7 @@ GAP_RATIO = 1.6
 REPEAT_WINDOW = 3
 # Minimum speed relative to the typical one: below, there is no loss, and no motion that
 # stops [1].
-MIN_PACE = 0.3
+MIN_LOSS_PACE = 0.3
 # Minimum fraction of the joints that must show a loss, since a single joint may pop
 # [1].
 MIN_JOINT_FRACTION = 0.5
@@ -139,8 +139,8 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
     In a file with time codes a lost frame is a gap between them.
     """
-    yield from _holes(subject)
-    if subject.frames < MIN_FRAMES or len(_columns(subject)) < MIN_JOINTS:
+    yield from _sample_gaps(subject)
+    if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < MIN_JOINTS:
         return
     ratios, is_lost = _double_steps(subject)
     frames = np.flatnonzero(is_lost)
@@ -158,7 +158,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT205", None, step, message, hint)
 
 
-def _holes(subject: MotionSubject) -> Iterator[Fault]:
+def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     """Yield gaps between the time codes of samples."""
     if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
@@ -184,12 +184,12 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT205", None, gap_index, message, hint)
 
 
-def _columns(subject: MotionSubject) -> IntArray:
+def _animated_columns(subject: MotionSubject) -> IntArray:
     """Return the animated joints, twice if they both rotate and translate."""
     return np.concatenate([subject.turning, subject.moving])
 
 
-def _vectors(subject: MotionSubject) -> FloatArray:
+def _step_vectors(subject: MotionSubject) -> FloatArray:
     """Return rotation and translation steps ``(F - 1, N, 3)``, scaled to one unit."""
     shifts = subject.shifts * (2.0 / subject.size)
     return np.concatenate([subject.rotation_steps, shifts], axis=1)
@@ -201,16 +201,16 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     A loss is a step that is far from the prediction of a single step by its two
     neighbours on either side, and near their prediction of several steps.
     """
-    steps = _vectors(subject)
+    steps = _step_vectors(subject)
     count = len(steps)
     ratios, is_lost = np.ones(count), np.zeros(count, bool)
     a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
     near_steps, far_steps = 0.5 * (b + d), 0.5 * (a + e)
     predicted_step = _predicted_step(near_steps, far_steps, 0)
-    deviations = _squares(c - predicted_step)
-    pace = _squares(predicted_step)
+    deviations = _squared_lengths(c - predicted_step)
+    pace = _squared_lengths(predicted_step)
     noise = (
-        _typical_around(deviations)
+        _typical_squares(deviations)
         + (MIN_ROUGHNESS**2) * np.median(pace, axis=0)
         + MIN_NOISE**2
     )
@@ -219,18 +219,20 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     showing_count = shows_loss.sum(axis=1)
     weighted_deviation = (shows_loss * deviations / noise).sum(axis=1)
     paces = np.sqrt(pace.sum(axis=1))
-    is_possible = (showing_count >= MIN_FEW) & (
+    is_possible = (showing_count >= MIN_FEW_STEPS) & (
         weighted_deviation > OUTLIER_RATIO**2 * showing_count
     )
-    is_possible &= paces > MIN_PACE * np.median(paces)
+    is_possible &= paces > MIN_LOSS_PACE * np.median(paces)
     is_possible &= ~(subject.cuts() | _next_to_static(subject))[2:-2]
     goes_on = np.einsum("snc,snc->sn", c, predicted_step) < CONTRADICTING_STEPS * pace
     contradicting_weight = (shows_loss * goes_on * pace).sum(axis=1) / np.maximum(
         (shows_loss * pace).sum(axis=1), np.finfo(float).tiny
     )
     is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
-    for frames in range(1, MAX_LOST + 1):
-        remaining_squares = _squares(c - _predicted_step(near_steps, far_steps, frames))
+    for frames in range(1, MAX_LOST_FRAMES + 1):
+        remaining_squares = _squared_lengths(
+            c - _predicted_step(near_steps, far_steps, frames)
+        )
         weighted_remaining = (shows_loss * remaining_squares / noise).sum(axis=1)
         is_better = shows_loss & (remaining_squares < 0.5 * deviations)
         joints = is_better.sum(axis=1)
@@ -254,7 +256,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
             joints == showing_count
         )
         is_few_loss &= (is_better * pace).sum(axis=1) > MIN_FEW_PACE * pace.sum(axis=1)
-        is_few_loss &= _of_two_limbs(subject, is_better)
+        is_few_loss &= _in_two_limbs(subject, is_better)
         is_loss = is_possible & np.where(
             showing_count >= MIN_JOINTS, is_loss, is_few_loss
         )
@@ -263,16 +265,16 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     return ratios, is_lost
 
 
-def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
+def _in_two_limbs(subject: MotionSubject, flagged: BoolArray) -> BoolArray:
     """Return rows in which joints of more than one limb are flagged ``(S,)``.
 
     A finger that jumps with its hand is no loss. A trunk that both rotates and moves as
-    far as in several steps counts as two limbs. ``flags``: per column ``(S, N)``.
+    far as in several steps counts as two limbs. ``flagged``: per column ``(S, N)``.
     """
-    limbs = limbs_of(subject.take.rig.parents)[_columns(subject)]
+    limbs = limbs_of(subject.take.rig.parents)[_animated_columns(subject)]
     moves = np.arange(len(limbs)) >= len(subject.turning)
     limbs = np.where(moves & (limbs < 0), -2, limbs)
-    flags_by_limb = [flags[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
+    flags_by_limb = [flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
     return np.asarray(np.sum(flags_by_limb, axis=0) > 1)
 
 
@@ -291,12 +293,12 @@ def _predicted_step(
     return np.asarray((lost_count + 1) * level + bend * float((offsets**2).sum()))
 
 
-def _squares(vectors: FloatArray) -> FloatArray:
+def _squared_lengths(vectors: FloatArray) -> FloatArray:
     """Return the squared lengths of vectors ``(S, N, 3)``."""
     return np.asarray(np.einsum("snc,snc->sn", vectors, vectors))
 
 
-def _typical_around(squares: FloatArray) -> FloatArray:
+def _typical_squares(squares: FloatArray) -> FloatArray:
     """Return the typical value around each row, per column ``(S, N)``.
 
     This is the largest median of its block of rows and the two neighbouring blocks.
@@ -323,7 +325,7 @@ def _next_to_static(subject: MotionSubject) -> BoolArray:
 
 def _static_steps(subject: MotionSubject) -> BoolArray | None:
     """Return steps that repeat a frame within motion; None if that is common."""
-    if subject.frames < MIN_FRAMES or len(_columns(subject)) < 2:
+    if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < 2:
         return None
     speeds = subject.speeds
     moving_speeds = speeds[speeds > STATIC_SPEED * speeds.max()]
@@ -332,14 +334,14 @@ def _static_steps(subject: MotionSubject) -> BoolArray | None:
     return np.asarray(speeds < STATIC_SPEED * np.median(moving_speeds))
 
 
-def _abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:
+def _is_abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:
     """Return whether motion stops abruptly before a run of steps and resumes."""
     if first == 0 or last == len(speeds) - 1:
         return False
-    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * typical)
+    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_LOSS_PACE * typical)
 
 
-def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
+def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     """Return the repeated frames within motion, and whether they are regular."""
     static = _static_steps(subject)
     if static is None:
@@ -349,7 +351,7 @@ def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
     is_repeat = np.zeros(len(static), bool)
     starts = []
     for first, end in runs(static):
-        if _abrupt(speeds, typical_speed, first, end - 1):
+        if _is_abrupt(speeds, typical_speed, first, end - 1):
             is_repeat[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)
@@ -362,7 +364,7 @@ def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     """Yield frames at which all motion stops abruptly and resumes (MOT206)."""
-    is_repeat, is_regular = _repeats(subject)
+    is_repeat, is_regular = _repeated_frames(subject)
     if (
         is_regular
         or not is_repeat.any()
@@ -386,7 +388,7 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if frames are repeated to reach a rate (MOT207)."""
-    is_repeat, is_regular = _repeats(subject)
+    is_repeat, is_regular = _repeated_frames(subject)
     if is_regular:
         rate = float(subject.take.clock.rate)
         actual_rate = rate * (1.0 - float(is_repeat.mean()))

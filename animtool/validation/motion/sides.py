@@ -18,12 +18,12 @@ POSE_FRAMES = 2
 # A smaller scale makes geometry invisible [1].
 MIN_SCALE = 1e-4
 # Weights beyond 1 exaggerate; larger ones are in percent, or wrong [1].
-LARGEST_WEIGHT, SMALLEST_WEIGHT = 2.0, -1.0
+MAX_WEIGHT, MIN_WEIGHT = 2.0, -1.0
 PERCENT_WEIGHT = 10.0
 # Largest length ratio of bones between bind and rest pose, and the fraction of bones
 # that may exceed it; and the largest distance of the bind pose [size].
 MAX_LENGTH_RATIO, MAX_BONES, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
-SHORT_BONE = 0.02
+MIN_BONE_LENGTH = 0.02
 
 
 def motionless(subject: MotionSubject) -> Iterator[Fault]:
@@ -66,7 +66,7 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     if weights is None:
         return
     values = weights.dense()[..., 0]
-    is_large = (values > LARGEST_WEIGHT) | (values < SMALLEST_WEIGHT)
+    is_large = (values > MAX_WEIGHT) | (values < MIN_WEIGHT)
     if not is_large.any():
         return
     frame, shape = np.unravel_index(int(np.where(is_large, np.abs(values), 0).argmax()),
@@ -102,7 +102,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     lengths = np.linalg.norm(
         rest_positions[bones] - rest_positions[parents[bones]], axis=1
     )
-    is_measured = lengths > SHORT_BONE * subject.size
+    is_measured = lengths > MIN_BONE_LENGTH * subject.size
     bones, lengths = bones[is_measured], lengths[is_measured]
     ratios = (
         np.linalg.norm(bind_positions[bones] - bind_positions[parents[bones]], axis=1)
@@ -166,7 +166,7 @@ MIN_UPRIGHT, MIN_UPRIGHT_FRACTION = 0.9, 0.3
 # Toes must point forward, and knees bend, by at least this distance [size].
 MIN_FACING = 0.01
 # Minimum rotation of each swapped joint, and of all of them together [rad].
-MIN_EXCHANGE, MIN_TOTAL_EXCHANGE = math.radians(8.0), math.radians(30.0)
+MIN_SWAP_ANGLE, MIN_TOTAL_SWAP_ANGLE = math.radians(8.0), math.radians(30.0)
 # Minimum number of steps, so that both sides move before and after a swap.
 MIN_STEPS = 5
 # Fewer pairs that swap simultaneously are just a pose.
@@ -178,7 +178,7 @@ MAX_SWAP_RATIO = 0.35
 MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_EXCHANGE = 0.1, math.radians(20.0)
 
 
-def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
+def _side_pairs(subject: MotionSubject) -> list[tuple[int, int]]:
     """Return the joints with an opposite side, left first."""
     partners = subject.sides.partners
     return [(left, int(partners[left])) for left in subject.sides.left]
@@ -186,18 +186,20 @@ def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if left and right are swapped, in all or some frames (MOT210)."""
-    subject = subject.main
-    pairs = _pairs(subject)
+    subject = subject.without_first_pose
+    pairs = _side_pairs(subject)
     if not pairs:
         return
-    of_take = list(_full_take(subject, pairs))
+    of_take = list(_full_take_swap(subject, pairs))
     yield from of_take or _side_swaps(subject, pairs)
 
 
-def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
+def _full_take_swap(
+    subject: MotionSubject, pairs: list[tuple[int, int]]
+) -> Iterator[Fault]:
     """Yield a fault if left joints are on the right of a body facing forward."""
     facing_direction = _facing_direction(subject)
-    hips = _hips(subject, pairs)
+    hips = _hip_pair(subject, pairs)
     if facing_direction is None or hips is None:
         return
     left_hip, right_hip = hips
@@ -247,7 +249,7 @@ def _facing_direction(subject: MotionSubject) -> FloatArray | None:
     return np.asarray(np.where(lies[..., None], level, 0.0).mean(axis=1))
 
 
-def _hips(
+def _hip_pair(
     subject: MotionSubject, pairs: list[tuple[int, int]]
 ) -> tuple[int, int] | None:
     """Return the pair of joints above the feet that is nearest to the root."""
@@ -284,22 +286,22 @@ def _side_swaps(
     steps = np.minimum(
         steps, so3.angle_between(right_rotations[1:], right_rotations[:-1])
     )
-    from_same_side, from_other_side = _deviations(left_rotations, right_rotations)
+    from_same_side, from_other_side = _side_deviations(left_rotations, right_rotations)
     same_side_back, across_back = (
         reverse_deviation[::-1]
-        for reverse_deviation in _deviations(
+        for reverse_deviation in _side_deviations(
             left_rotations[::-1], right_rotations[::-1]
         )
     )
     from_other_side = np.minimum(from_other_side, across_back)
-    swaps = (from_same_side > MIN_EXCHANGE) & (
+    swaps = (from_same_side > MIN_SWAP_ANGLE) & (
         from_other_side < MAX_SWAP_RATIO * from_same_side
     )
     swaps &= (
         _neighbor_moves(steps, from_same_side, same_side_back)
         & ~subject.cuts()[:, None]
     )
-    is_far = np.where(swaps, from_same_side, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
+    is_far = np.where(swaps, from_same_side, 0.0).sum(axis=1) > MIN_TOTAL_SWAP_ANGLE
     are_many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
     is_certain = (from_same_side > MIN_SINGLE_EXCHANGE) & (
         from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
@@ -323,7 +325,9 @@ def _side_swaps(
     yield subject.fault("MOT210", joint, step, message, hint)
 
 
-def _deviations(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _side_deviations(
+    left: FloatArray, right: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the deviation of sides from their own motion, and from each other's."""
     same_side = np.minimum(
         _extrapolation_error(left, left), _extrapolation_error(right, right)
@@ -383,7 +387,7 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
         np.minimum(angles.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
     )
     pairs: list[tuple[int, int]] = []
-    for left, right in _pairs(subject):
+    for left, right in _side_pairs(subject):
         for joint_index, opposite in ((left, right), (right, left)):
             if ranges[joint_index] <= STATIC_ANGLE and ranges[opposite] >= ACTIVE_ANGLE:
                 pairs.append((joint_index, opposite))

@@ -13,21 +13,21 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.motion.quaternion_order import ORDER_HINT, swapped_order
-from animtool.retarget.anatomy import anatomy
-from animtool.retarget.standing import Stance, stance
+from animtool.retarget.anatomy import find_anatomy
+from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
-from animtool.validation.motion.body import body, feet_of, hips_of, placed
+from animtool.validation.motion.body import body, feet_of, hips_of, positioned_joints
 from animtool.validation.motion.subject import MotionSubject
 
 # Fraction by which a bone's length may change, and length below which a bone counts as
 # zero [size].
-MAX_STRETCH, SHORT_BONE = 0.5, 0.02
+MAX_STRETCH, MIN_BONE_LENGTH = 0.5, 0.02
 # Ratios of units that are often confused: m, cm, mm, in; and the tolerance [1].
 UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
 FACTOR_TOLERANCE = 0.15
 # Range of ratios of a root's height to its rest height that mean another unit [1].
-HIGH_RATIOS = (25.0, 4000.0)
+HIGH_RATIO_RANGE = (25.0, 4000.0)
 # Otherwise, in the correct unit, the lowest joint is this close to 0 of the up axis in
 # most frames [size], [1]; or sometimes, as on stairs, and is then static in this
 # fraction of frames [size], [size/s], [1].
@@ -40,7 +40,7 @@ CHARACTER_SIZE = (0.1, 25.0)
 # Size of people and most animals [m]; a corrected unit must give such a size.
 LIKELY_SIZE = (0.3, 5.0)
 # A rig with a larger fraction of finger joints is a hand, not a body [1].
-DIGITS = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
+DIGIT_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
 HAND_FRACTION = 0.8
 # Plausible extent of any skeleton, with or without feet, from an insect to a ship [m].
 SKELETON_SIZE = (0.004, 400.0)
@@ -50,12 +50,12 @@ MIN_JOINTS = 10
 MIN_FRAMES = 8
 
 
-def stretched(subject: MotionSubject) -> Iterator[Fault]:
+def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
     """Yield bones whose length changes by more than half (MOT212)."""
-    subject = subject.main
+    subject = subject.without_first_pose
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
-    locations = placed(subject)
+    locations = positioned_joints(subject)
     largest: tuple[float, int, int, float, float] | None = None
     count = 0
     channel = subject.take.motion.translations
@@ -63,7 +63,7 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
         joint = subject.take.rig.joints[j]
         rest_length = math.hypot(*joint.translation)
         slides = joint.type is JointType.PRISMATIC
-        if slides or locations[j] or rest_length <= SHORT_BONE * subject.rest_size:
+        if slides or locations[j] or rest_length <= MIN_BONE_LENGTH * subject.rest_size:
             continue
         lengths = np.linalg.norm(channel.values[:, a], axis=1)
         strains = np.abs(lengths / rest_length - 1.0)
@@ -93,9 +93,9 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
 def _bone_factor(subject: MotionSubject) -> float | None:
     """Return the ratio of animated to rest bones, if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
-    bones = np.flatnonzero(~placed(subject))
+    bones = np.flatnonzero(~positioned_joints(subject))
     rest_lengths = np.linalg.norm(rig.rest_translations[bones], axis=1)
-    is_measured = rest_lengths > SHORT_BONE * subject.rest_size
+    is_measured = rest_lengths > MIN_BONE_LENGTH * subject.rest_size
     bones, rest_lengths = bones[is_measured], rest_lengths[is_measured]
     if not len(bones):
         return None
@@ -117,11 +117,11 @@ def _unit_factor(ratios: FloatArray) -> float | None:
 
 def other_units(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if motion, or all of the character, uses another unit (MOT213)."""
-    subject = subject.main
+    subject = subject.without_first_pose
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
         message = (
-            f"the bones are {_times(factor)} as long as those of the rig at rest: "
+            f"the bones are {_factor(factor)} as long as those of the rig at rest: "
             "the animation uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
@@ -131,7 +131,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
     if root_and_factor is not None:
         root, factor = root_and_factor
         message = (
-            f"the root {subject.take.rig.joints[root].name!r} is {_times(factor)} as "
+            f"the root {subject.take.rig.joints[root].name!r} is {_factor(factor)} as "
             "high as at rest: its translation uses another unit"
         )
         hint = "convert the root's translations to the unit of the rig"
@@ -156,9 +156,9 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
     if not fitting_units:
         return
     message = (
-        f"the character spans {_length(size)}; "
-        f"{_times(fitting_units[0])} the size it would "
-        f"span {_length(size * fitting_units[0])}"
+        f"the character spans {_length_text(size)}; "
+        f"{_factor(fitting_units[0])} the size it would "
+        f"span {_length_text(size * fitting_units[0])}"
     )
     unit = subject.take.rig.meters_per_unit
     hint = f"its unit is {unit:g} m; probably {unit * fitting_units[0]:g} m is meant"
@@ -235,7 +235,7 @@ def _height_factor(ratio: float) -> float | None:
     >>> [_height_factor(ratio) for ratio in (45.0, 1700.0, 12.0, 1e6)]
     [39.37, 1000.0, None, None]
     """
-    if not HIGH_RATIOS[0] < ratio < HIGH_RATIOS[1]:
+    if not HIGH_RATIO_RANGE[0] < ratio < HIGH_RATIO_RANGE[1]:
         return None
     return min(UNIT_FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
 
@@ -246,19 +246,19 @@ def _is_character(subject: MotionSubject) -> bool:
     return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
 
 
-def _times(factor: float) -> str:
+def _factor(factor: float) -> str:
     """Return a factor as text.
 
-    >>> _times(100.0), _times(0.01)
+    >>> _factor(100.0), _factor(0.01)
     ('100 times', '1/100')
     """
     return f"{factor:.3g} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"
 
 
-def _length(meters: float) -> str:
+def _length_text(meters: float) -> str:
     """Return a length as text in a fitting unit.
 
-    >>> _length(0.0012), _length(158.0)
+    >>> _length_text(0.0012), _length_text(158.0)
     ('1.2 mm', '158 m')
     """
     if meters < 0.01:
@@ -268,7 +268,7 @@ def _length(meters: float) -> str:
     return f"{meters:.4g} m"
 
 
-def strange_size(subject: MotionSubject) -> Iterator[Fault]:
+def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a skeleton of implausible size (MOT215)."""
     smallest, largest = SKELETON_SIZE
     if not subject.has_units:
@@ -282,7 +282,7 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     if subject.size * 1e3 < smallest * 1e-3:
         # All joints are at one position: a rig of controls, or a single joint.
         return
-    message = f"the skeleton spans {_length(subject.size)}"
+    message = f"the skeleton spans {_length_text(subject.size)}"
     unit = subject.take.rig.meters_per_unit
     hint = f"check its unit, {unit:g} m"
     yield subject.fault("MOT215", None, None, message, hint)
@@ -293,10 +293,14 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
-    if sum(map(bool, map(DIGITS.search, rig.names))) > HAND_FRACTION * len(rig.joints):
+    if sum(map(bool, map(DIGIT_NAMES.search, rig.names))) > HAND_FRACTION * len(
+        rig.joints
+    ):
         return None
     rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
-    body_stance = stance(anatomy(rig).roles, subject.positions, rig.up, rest_positions)
+    body_stance = measure_stance(
+        find_anatomy(rig).roles, subject.positions, rig.up, rest_positions
+    )
     return (
         None
         if body_stance.axis is None and not body_stance.upside_down

@@ -29,7 +29,7 @@ SHORT_BONE, SCALE_FRAMES = 0.02, 32
 SCALE_RATIO = 1.5
 # A first frame is a reference pose if this many joints leave it, each by this angle
 # [rad] and by this multiple of the following steps, of which so many are used [1].
-POSE_JOINTS, POSE_ANGLE, POSE_RATIO, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
+POSE_JOINTS, POSE_ANGLE, POSE_STEP_RATIO, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ class MotionSubject:
         return np.asarray(np.sqrt(rotation_steps + moves * (2.0 / self.size) ** 2))
 
     @cached_property
-    def posing(self) -> IntArray:
+    def joints_leaving_pose(self) -> IntArray:
         """Indices of the joints that leave a first frame that is a reference pose.
 
         Empty if that frame is part of the motion.
@@ -139,14 +139,16 @@ class MotionSubject:
             return np.zeros(0, np.int64)
         sizes = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
         largest_after = sizes[1:].max(axis=0)
-        leaves_pose = (sizes[0] > POSE_ANGLE) & (sizes[0] > POSE_RATIO * largest_after)
+        leaves_pose = (sizes[0] > POSE_ANGLE) & (
+            sizes[0] > POSE_STEP_RATIO * largest_after
+        )
         joints = np.asarray(self.turning[leaves_pose])
         return joints if len(joints) >= POSE_JOINTS else joints[:0]
 
     @cached_property
-    def main(self) -> MotionSubject:
+    def without_first_pose(self) -> MotionSubject:
         """The take, without a first frame that is a reference pose."""
-        if not len(self.posing):
+        if not len(self.joints_leaving_pose):
             return self
         clock = self.take.clock
         clock = replace(clock, start=clock.start + clock.step, count=clock.count - 1)

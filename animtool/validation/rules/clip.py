@@ -45,7 +45,7 @@ def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
 
 
 # Maps values to their excess over a limit, signed or unsigned.
-Excess = Callable[[FloatArray], FloatArray]
+ExcessFunction = Callable[[FloatArray], FloatArray]
 
 # A smaller excess over a limit is rounding in the file [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-6
@@ -55,14 +55,14 @@ MAX_SAMPLE_SPACING = 2.0
 # Angles that change by more between keys, although the rotations are closer than the
 # second value, take a detour of 360 degrees, or of 180 degrees in two of three angles
 # [rad].
-FAR_ANGLE, NEAR_ROTATION = math.radians(150.0), math.radians(90.0)
+MIN_FAR_ANGLE, NEAR_ROTATION = math.radians(150.0), math.radians(90.0)
 # Keys farther apart in time wrap if angles change by more than the first value and the
 # short path is below 60 degrees [rad]; two angles flip by 180 degrees if the third is
 # as close.
 WRAP_ANGLE, WRAP_SHORT_PATH = math.radians(300.0), math.radians(60.0)
 # A speed that continues at this fraction before or after is a spin [1].
 SPIN_RATIO = 0.5
-DEG = "\N{DEGREE SIGN}"
+DEGREE = "\N{DEGREE SIGN}"
 # Ends of a cycle that differ by less look equal [rad]; of the value range [1].
 CYCLE_TOLERANCE = 1e-3
 
@@ -71,11 +71,13 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
     """Yield curves that exceed limits between keys within them (CLIP205)."""
     times = np.array(subject.frames)
     for i, channel in enumerate(subject.clip.channels):
-        excess = _excess(channel, subject.rig)
+        excess = _excess_function(channel, subject.rig)
         if excess is None or len(channel.times) < 2:
             continue
-        is_inside = np.abs(excess(_at(channel, channel.times))) <= LIMIT_TOLERANCE
-        excess_at_times = np.abs(excess(_at(channel, times)))
+        is_inside = (
+            np.abs(excess(_channel_values(channel, channel.times))) <= LIMIT_TOLERANCE
+        )
+        excess_at_times = np.abs(excess(_channel_values(channel, times)))
         segments = np.searchsorted(channel.times, times, "right") - 1
         for k in np.flatnonzero(is_inside[:-1] & is_inside[1:]).tolist():
             frames = np.flatnonzero(
@@ -110,7 +112,7 @@ def _excess_text(
     )
 
 
-def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
+def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
     """Return a function of how far a channel's values exceed its target's limits."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
@@ -132,7 +134,7 @@ def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
             return None
 
 
-def _at(channel: ClipChannel, times: FloatArray) -> FloatArray:
+def _channel_values(channel: ClipChannel, times: FloatArray) -> FloatArray:
     """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
     values = evaluate_channels([channel], times)[channel.target]
     return np.broadcast_to(values, (len(times), values.shape[1]))
@@ -143,7 +145,7 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
     for i, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
-        flips = np.union1d(_flips(channel), _wraps(channel, subject.rig))
+        flips = np.union1d(_flip_keys(channel), _wrap_keys(channel, subject.rig))
         if not len(flips):
             continue
         k = int(flips[0])
@@ -168,11 +170,12 @@ def _round_text(channel: ClipChannel, k: int) -> str:
     angle = abs(float(second_angles[axis] - first_angles[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
-        f"{channel.target!r}{name} rotates by {angle:.4g}{DEG}, from "
-        f"{first_angles[axis]:.5g}{DEG} at frame {channel.times[k]:g} to "
-        f"{second_angles[axis]:.5g}{DEG} "
-        f"at frame {channel.times[k + 1]:g}, {angle / frames:.3g}{DEG} per frame; the "
-        f"shortest path is {math.degrees(_shortest(channel, k)):.3g}{DEG}"
+        f"{channel.target!r}{name} rotates by {angle:.4g}{DEGREE}, from "
+        f"{first_angles[axis]:.5g}{DEGREE} at frame {channel.times[k]:g} to "
+        f"{second_angles[axis]:.5g}{DEGREE} "
+        f"at frame {channel.times[k + 1]:g}, {angle / frames:.3g}{DEGREE} per frame; "
+        "the "
+        f"shortest path is {math.degrees(_shortest_rotation(channel, k)):.3g}{DEGREE}"
     )
 
 
@@ -184,7 +187,7 @@ def _unwrapping_hint(channel: ClipChannel, k: int, unit: float) -> str:
     first, second = channel.values[k], channel.values[k + 1]
     nearer_angles = first + np.remainder(second - first + math.pi, math.tau) - math.pi
     equivalent = _nearer_angles(channel, first, second)
-    if equivalent is not None and _distance(first, equivalent) < _distance(
+    if equivalent is not None and _value_distance(first, equivalent) < _value_distance(
         first, nearer_angles
     ):
         nearer_angles = equivalent
@@ -197,16 +200,18 @@ def _unwrapping_hint(channel: ClipChannel, k: int, unit: float) -> str:
     return f"write {current_text} as {nearer_text}, the same pose"
 
 
-def _distance(first: FloatArray, second: FloatArray) -> float:
+def _value_distance(first: FloatArray, second: FloatArray) -> float:
     return float(np.abs(second - first).max())
 
 
-def _flips(channel: ClipChannel) -> IntArray:
+def _flip_keys(channel: ClipChannel) -> IntArray:
     """Return the keys of a sampled curve after which angles wrap."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
-    is_far = (np.abs(np.diff(channel.values, axis=0)) > FAR_ANGLE).any(axis=1)
+    is_far = (np.abs(np.diff(channel.values, axis=0)) > MIN_FAR_ANGLE).any(axis=1)
     flips = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
-    return flips[[_shortest(channel, k) < NEAR_ROTATION for k in flips.tolist()]]
+    return flips[
+        [_shortest_rotation(channel, k) < NEAR_ROTATION for k in flips.tolist()]
+    ]
 
 
 def _interpolated_keys(channel: ClipChannel) -> BoolArray:
@@ -217,7 +222,7 @@ def _interpolated_keys(channel: ClipChannel) -> BoolArray:
     return np.array([interp is not Interp.STEP for interp in interps], bool)
 
 
-def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
+def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
     """Return the keys after which an angle wraps, whatever the key spacing.
 
     Intended rotations continue over full circles, or end on one; a spin keeps its speed
@@ -238,7 +243,7 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
         if _wraps_after(channel, k, axis, float(short_path[k, axis]), limits)
     ]
     # Necessary condition of `_nearer_angles`, which is too slow for every key.
-    is_twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR_ANGLE
+    is_twisted = np.abs(steps[:, ::2]).min(axis=1) > MIN_FAR_ANGLE
     flipping_axes = [
         k
         for k in np.flatnonzero(is_moving & is_twisted).tolist()
@@ -299,20 +304,20 @@ def _nearer_angles(
     )
     equivalent = first + np.remainder(equivalent - first + math.pi, math.tau) - math.pi
     steps = np.abs(second - first)
-    is_twisted = steps[[0, 2]].min() > FAR_ANGLE
+    is_twisted = steps[[0, 2]].min() > MIN_FAR_ANGLE
     return (
         equivalent
-        if is_twisted and _distance(first, equivalent) < WRAP_SHORT_PATH
+        if is_twisted and _value_distance(first, equivalent) < WRAP_SHORT_PATH
         else None
     )
 
 
-def _shortest(channel: ClipChannel, k: int) -> float:
+def _shortest_rotation(channel: ClipChannel, k: int) -> float:
     """Return the rotation angle between two keys [rad]."""
     if not channel.euler:
         angle_step = float(channel.values[k + 1, 0] - channel.values[k, 0])
         return abs(math.remainder(angle_step, math.tau))
-    first, second = _at(channel, channel.times[k : k + 2])
+    first, second = _channel_values(channel, channel.times[k : k + 2])
     return float(so3.angle_between(first[None], second[None])[0])
 
 
@@ -347,14 +352,14 @@ def _is_closed(channel: ClipChannel) -> bool:
     first_value, last_value = channel.values[0], channel.values[-1]
     if (
         channel.target.endswith(".angle")
-        and abs(last_value[0] - first_value[0]) > FAR_ANGLE
+        and abs(last_value[0] - first_value[0]) > MIN_FAR_ANGLE
     ):
         return (
             abs(math.remainder(float(last_value[0] - first_value[0]), math.tau))
             <= CYCLE_TOLERANCE
         )
     if channel.euler or channel.values.shape[1] == 4:
-        end_rotations = _at(channel, channel.times[[0, -1]])
+        end_rotations = _channel_values(channel, channel.times[[0, -1]])
         return (
             float(so3.angle_between(end_rotations[:1], end_rotations[1:])[0])
             <= CYCLE_TOLERANCE

@@ -18,13 +18,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint
-from animtool.validation.rules.rig_joints import shown
+from animtool.validation.rules.rig_joints import value_text
 from animtool.validation.subjects.rig import RigSubject
 
 # Sampled values of each control, in addition to the points of its curves.
-SAMPLES = 17
+SWEEP_SAMPLES = 17
 # Number of sampled poses of all controls, some of which must activate a corrective.
-POSES = 2048
+MAX_POSES = 2048
 # Fraction of the poses in which a control is at an end of its range.
 END_FRACTION = 0.8
 # Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
@@ -33,7 +33,7 @@ _ZERO: FloatArray = np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True)
-class _Sweep:
+class _ControlSweep:
     """Every control swept over its range, one after the other."""
 
     moving_control: list[Control]  # the moving control of each frame ``(F,)``
@@ -63,25 +63,27 @@ class _Sweep:
             yield self.moving_control[frame], frame
 
 
-def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
+def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive a joint beyond its limits (RIG204)."""
-    sweep = _sweep(rig)
+    sweep = _sweep_controls(rig)
     for joint in rig.rig.joints:
-        excess = _excess(joint, sweep.driven.targets)
+        excess = _limit_excess(joint, sweep.driven.targets)
         for control, frame in sweep.worst(excess):
-            excess_text = shown(rig, joint, abs(float(sweep.spread(excess)[frame])))
+            excess_text = value_text(
+                rig, joint, abs(float(sweep.spread(excess)[frame]))
+            )
             message = (
                 f"{sweep.keys(frame)} drives {joint.name!r} {excess_text} beyond its "
             )
             message += "limits"
-            location = _drive(rig, control, f"joint/{joint.name}.")
+            location = _affecting_drive(rig, control, f"joint/{joint.name}.")
             hint = "widen the limits, or reduce the drive"
             yield rig.fault("RIG204", location, message, hint)
 
 
-def beyond_range(rig: RigSubject) -> Iterator[Fault]:
+def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive another beyond its range (RIG206)."""
-    sweep = _sweep(rig)
+    sweep = _sweep_controls(rig)
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
@@ -96,14 +98,14 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
                 f"{float(sweep.spread(unclamped_values)[frame]):.4g}; its range is "
                 f"{control.low:g} to {control.high:g}"
             )
-            location = _drive(rig, driving_control, f"control/{control.name}")
+            location = _affecting_drive(rig, driving_control, f"control/{control.name}")
             hint = "use clamp(…) in the expression, or a wider range"
             yield rig.fault("RIG206", location, message, hint)
 
 
-def undefined(rig: RigSubject) -> Iterator[Fault]:
+def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
     """Yield drives without a value somewhere in a control's range (RIG207)."""
-    sweep = _sweep(rig)
+    sweep = _sweep_controls(rig)
     values = sweep.driven.controls
     for control in rig.rig.controls:
         for k, drive in enumerate(control.drives):
@@ -134,7 +136,7 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG207", location, message, hint)
 
 
-def never_acts(rig: RigSubject) -> Iterator[Fault]:
+def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
     """Yield correctives that no control pose activates (RIG208)."""
     # Shapes driven by joint coordinates move without controls.
     moving_control = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
@@ -151,7 +153,7 @@ def never_acts(rig: RigSubject) -> Iterator[Fault]:
     }
     if not correctives or not driven_shapes:
         return
-    weights = _weights(rig, driven_shapes)
+    weights = _shape_weights(rig, driven_shapes)
     for shape in correctives:
         undriven = [name for name in shape.combine if name not in weights]
         location = (*rig.at("shapes", shape.name), "combine")
@@ -162,13 +164,13 @@ def never_acts(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault(
                 "RIG208", location, message, "drive it, or remove the shape"
             )
-        elif not _product(shape, weights).any():
+        elif not _combined_weight(shape, weights).any():
             message = f"{shape.name!r} is 0 in every pose of the controls"
             hint = f"{' and '.join(shape.combine)} are never both above 0"
             yield rig.fault("RIG208", location, message, hint)
 
 
-def idle(rig: RigSubject) -> Iterator[Fault]:
+def idle_controls(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive nothing and that no expression reads (RIG220)."""
     read_names = {
         name
@@ -195,10 +197,10 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
 
 
 @lru_cache(maxsize=1)
-def _sweep(rig: RigSubject) -> _Sweep:
+def _sweep_controls(rig: RigSubject) -> _ControlSweep:
     """Return a sweep of each control with the others at their defaults."""
     controls = rig.rig.controls
-    ranges = {control.name: _values(control) for control in controls}
+    ranges = {control.name: _sampled_values(control) for control in controls}
     count = sum(map(len, ranges.values()))
     keyed_values: dict[str, FloatArray] = {}
     moving_control: list[Control] = []
@@ -210,20 +212,20 @@ def _sweep(rig: RigSubject) -> _Sweep:
         keyed_values[control.name] = values
     with np.errstate(all="ignore"):
         driven_values = evaluate_controls(controls, keyed_values)
-    return _Sweep(moving_control, keyed_values, driven_values)
+    return _ControlSweep(moving_control, keyed_values, driven_values)
 
 
-def _values(control: Control) -> FloatArray:
+def _sampled_values(control: Control) -> FloatArray:
     if control.low is None or control.high is None:
         return np.zeros(0)
     corners = [x for drive in control.drives for x, _ in drive.curve]
-    samples = np.linspace(control.low, control.high, SAMPLES)
+    samples = np.linspace(control.low, control.high, SWEEP_SAMPLES)
     values = np.concatenate([samples, np.array(corners, np.float64)])
     # `numpy.unique` would import numpy.ma.
     return np.array(sorted(set(np.clip(values, control.low, control.high).tolist())))
 
 
-def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
+def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
     """Return how far controls drive a joint beyond its limits ``(F,)`` or ``(1,)``."""
     if isinstance(joint.limits, RangeLimit):
         part = "slide" if joint.type == "prismatic" else "angle"
@@ -255,7 +257,7 @@ def _well_within(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
     )
 
 
-def _drive(rig: RigSubject, control: Control, target: str) -> Location:
+def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location:
     """Return the drive of a control that affects a target, or the control."""
     location = rig.at("controls", control.name)
     for k, drive in enumerate(control.drives):
@@ -264,17 +266,17 @@ def _drive(rig: RigSubject, control: Control, target: str) -> Location:
     return location
 
 
-def _weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatArray]:
+def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatArray]:
     """Return weights of driven and combined shapes, in poses of all controls."""
     rng = np.random.default_rng(0)
     keyed_values = {}
     for control in rig.rig.controls:
         range_low = -1.0 if control.low is None else control.low
         range_high = 1.0 if control.high is None else control.high
-        end_values = np.where(rng.random(POSES) < 0.5, range_low, range_high)
-        inner_values = rng.uniform(range_low, range_high, POSES)
+        end_values = np.where(rng.random(MAX_POSES) < 0.5, range_low, range_high)
+        inner_values = rng.uniform(range_low, range_high, MAX_POSES)
         keyed_values[control.name] = np.where(
-            rng.random(POSES) < END_FRACTION, end_values, inner_values
+            rng.random(MAX_POSES) < END_FRACTION, end_values, inner_values
         )
     with np.errstate(all="ignore"):
         targets = evaluate_controls(rig.rig.controls, keyed_values).targets
@@ -282,11 +284,11 @@ def _weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatArray]:
     for shape in combination_order(rig.rig.shapes):
         if shape.combine and all(name in weights for name in shape.combine):
             weight = weights.get(shape.name, np.zeros(1))
-            weights[shape.name] = weight + _product(shape, weights)
+            weights[shape.name] = weight + _combined_weight(shape, weights)
     return weights
 
 
-def _product(shape: Shape, weights: dict[str, FloatArray]) -> FloatArray:
+def _combined_weight(shape: Shape, weights: dict[str, FloatArray]) -> FloatArray:
     product = np.ones(1)
     for name in shape.combine:
         product = product * weights[name]

@@ -11,24 +11,24 @@ from animtool.core.errors import Fault
 from animtool.rig.drivers import SLIDE, SWING, TWIST, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
-from animtool.validation.rules.rig_joints import LIMIT_TOLERANCE, shown
+from animtool.validation.rules.rig_joints import LIMIT_TOLERANCE, value_text
 from animtool.validation.subjects.rig import RigSubject
 
 # Number of sampled values of each coordinate, with the others at rest, and of samples
 # of all at once.
-SAMPLES, POSES = 33, 512
+INPUT_SAMPLES, MAX_POSES = 33, 512
 # Range of unlimited coordinates [rad], [m].
 UNLIMITED_ANGLE, UNLIMITED_LENGTH = np.pi, 1.0
 
 
-def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
+def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield drivers that move a joint beyond its limits (RIG223)."""
     for joint in rig.rig.joints:
         if joint.driven is None or not isinstance(joint.limits, RangeLimit):
             continue
         if joint.name in rig.mirrored:
             continue
-        values = _values(rig, joint.driven)
+        values = _driver_values(rig, joint.driven)
         excess = joint.limits.excess(np.where(np.isfinite(values), values, 0.0))
         worst_sample = int(np.argmax(np.abs(excess)))
         if abs(excess[worst_sample]) <= LIMIT_TOLERANCE:
@@ -36,9 +36,10 @@ def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
         lower, upper = joint.limits.low, joint.limits.high
         message = (
             f"the driver of {joint.name!r} reaches "
-            f"{shown(rig, joint, float(values[worst_sample]))} within the limits of "
-            f"its inputs; its limits are {shown(rig, joint, lower)} to "
-            f"{shown(rig, joint, upper)}"
+            f"{value_text(rig, joint, float(values[worst_sample]))} within the limits "
+            "of "
+            f"its inputs; its limits are {value_text(rig, joint, lower)} to "
+            f"{value_text(rig, joint, upper)}"
         )
         location = (*rig.at("joints", joint.name), "driven")
         yield rig.fault(
@@ -46,7 +47,7 @@ def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
         )
 
 
-def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
+def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
     """Yield drivers without a value for some inputs (RIG224)."""
     for key, kind, rig_parts in (
         ("joints", "joint", rig.rig.joints),
@@ -56,12 +57,16 @@ def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
         for part in rig_parts:
             if part.driven is None or part.name in rig.mirrored:
                 continue
-            inputs = _ranges(rig, part.driven)
+            inputs = _input_samples(rig, part.driven)
             is_undefined = ~np.isfinite(part.driven.evaluate(inputs))
             if not is_undefined.any():
                 continue
             frame = int(
-                np.argmax(np.broadcast_to(is_undefined, POSES + SAMPLES * len(inputs)))
+                np.argmax(
+                    np.broadcast_to(
+                        is_undefined, MAX_POSES + INPUT_SAMPLES * len(inputs)
+                    )
+                )
             )
             sample_count = [
                 f"{name} is {values[frame] / part.driven.unit_of(name):.4g}"
@@ -75,28 +80,30 @@ def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
             )
 
 
-def _values(rig: RigSubject, driver: Driver) -> FloatArray:
-    count = POSES + SAMPLES * len(driver.names)
-    values = driver.evaluate(_ranges(rig, driver))
+def _driver_values(rig: RigSubject, driver: Driver) -> FloatArray:
+    count = MAX_POSES + INPUT_SAMPLES * len(driver.names)
+    values = driver.evaluate(_input_samples(rig, driver))
     return np.broadcast_to(values, count)
 
 
-def _ranges(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
+def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
     """Return sampled values of a driver's inputs: each over its range, then all."""
     random = np.random.default_rng(0)
     names = driver.names
     ranges = {}
     for i, name in enumerate(names):
-        lower, upper = _range(rig.rig, name)
+        lower, upper = _input_range(rig.rig, name)
         rest_value = min(max(0.0, lower), upper)
-        values = np.full(POSES + SAMPLES * len(names), rest_value)
-        values[SAMPLES * i : SAMPLES * (i + 1)] = np.linspace(lower, upper, SAMPLES)
-        values[SAMPLES * len(names) :] = random.uniform(lower, upper, POSES)
+        values = np.full(MAX_POSES + INPUT_SAMPLES * len(names), rest_value)
+        values[INPUT_SAMPLES * i : INPUT_SAMPLES * (i + 1)] = np.linspace(
+            lower, upper, INPUT_SAMPLES
+        )
+        values[INPUT_SAMPLES * len(names) :] = random.uniform(lower, upper, MAX_POSES)
         ranges[name] = values
     return ranges
 
 
-def _range(rig: Rig, name: str) -> tuple[float, float]:
+def _input_range(rig: Rig, name: str) -> tuple[float, float]:
     """Return the range of a driver input [rad], [m], [1]."""
     joint_name, part = split_coordinate(name)
     if not joint_name:

@@ -24,7 +24,7 @@ LIMIT_TOLERANCE = 1e-6
 PERPENDICULAR_COSINE = 0.1
 
 
-def rest_outside(rig: RigSubject) -> Iterator[Fault]:
+def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints whose limits exclude their rest pose (RIG201)."""
     for joint in rig.rig.joints:
         location = (*rig.at("joints", joint.name), "limits")
@@ -34,7 +34,8 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
                 value = 0.0 if joint.mimic is None else joint.mimic.offset
                 if lower - LIMIT_TOLERANCE <= value <= upper + LIMIT_TOLERANCE:
                     continue
-                range_text = f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
+                ends = [value_text(rig, joint, end) for end in (lower, upper)]
+                range_text = " to ".join(ends)
                 message = (
                     f"the limits of {joint.name!r} are {range_text}, which exclude its "
                     "rest pose"
@@ -42,7 +43,8 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
             case BallLimit(twist=(lower, upper)) if (
                 not lower <= LIMIT_TOLERANCE or not upper >= -LIMIT_TOLERANCE
             ):
-                range_text = f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
+                ends = [value_text(rig, joint, end) for end in (lower, upper)]
+                range_text = " to ".join(ends)
                 message = (
                     f"the twist limits of {joint.name!r} are {range_text}, which "
                     "exclude its rest pose"
@@ -54,7 +56,7 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
         yield rig.fault("RIG201", location, message, hint)
 
 
-def motionless(rig: RigSubject) -> Iterator[Fault]:
+def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints whose limits allow no motion (RIG202)."""
     for joint in rig.rig.joints:
         match joint.limits:
@@ -70,11 +72,11 @@ def motionless(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG202", location, message, "write type: fixed")
 
 
-def across(rig: RigSubject) -> Iterator[Fault]:
+def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
     """Yield ball joints whose twist axis is across their bone (RIG203)."""
     for i, joint in enumerate(rig.rig.joints):
         limits = joint.limits
-        bone = _bone(rig, i)
+        bone = _bone_direction(rig, i)
         if not isinstance(limits, BallLimit) or limits.twist is None or bone is None:
             continue
         if abs(float(bone @ np.array(limits.twist_axis))) < PERPENDICULAR_COSINE:
@@ -90,7 +92,7 @@ def across(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG203", location, message, hint)
 
 
-def follower(rig: RigSubject) -> Iterator[Fault]:
+def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield mimic joints that their source moves beyond their limits (RIG205)."""
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
@@ -104,16 +106,17 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
                 continue
             lower, upper = joint.limits.low, joint.limits.high
             message = (
-                f"{joint.name!r} reaches {shown(rig, joint, value)} where "
-                f"{leader.name!r} is at {shown(rig, leader, leader_limit)}; its limits "
-                f"are {shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
+                f"{joint.name!r} reaches {value_text(rig, joint, value)} where "
+                f"{leader.name!r} is at {value_text(rig, leader, leader_limit)}; its "
+                f"limits are {value_text(rig, joint, lower)} to "
+                f"{value_text(rig, joint, upper)}"
             )
             location = (*rig.at("joints", joint.name), "limits")
             yield rig.fault("RIG205", location, message, "widen them, or reduce gain")
             break
 
 
-def shown(rig: RigSubject, joint: Joint, value: float) -> str:
+def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
     """Return a joint coordinate in the rig's unit."""
     if joint.type is JointType.PRISMATIC:
         unit = rig.rig.meters_per_unit
@@ -123,7 +126,7 @@ def shown(rig: RigSubject, joint: Joint, value: float) -> str:
     return f"{value / unit:.4g}{name}"
 
 
-def _bone(rig: RigSubject, i: int) -> FloatArray | None:
+def _bone_direction(rig: RigSubject, i: int) -> FloatArray | None:
     """Return the direction of a joint's only bone in its rest frame, if it has one."""
     child_offsets = [rig.rig.joints[child].translation for child in rig.children[i]]
     child_offsets += rig.rig.joints[i].tips
@@ -143,7 +146,7 @@ SLIP_FRACTION = 1e-3
 SLIP_ANGLE = math.radians(0.5)
 
 
-def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
+def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
     """Yield bind poses that differ from rest only by rounding (RIG216)."""
     for name in rig.document.value.get("bind", {}):
         if name not in rig.rig.bind or not rig.size:
@@ -166,7 +169,7 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG216", ("bind", name), message, hint)
 
 
-def without_rest(rig: RigSubject) -> Iterator[Fault]:
+def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints that have a bind pose but no rest pose (RIG222)."""
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
@@ -186,13 +189,13 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
 # Positions that differ by a smaller fraction of the rig's size are equal [1].
 POSITION_TOLERANCE = 1e-4
 # Limits that differ by less are equal [rad], [m].
-LIMIT_EQUALITY = 1e-6
+EQUAL_LIMIT_TOLERANCE = 1e-6
 
 
-def other_position(rig: RigSubject) -> Iterator[Fault]:
+def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
     """Yield paired bones that are not mirror images at rest (RIG212)."""
     pairs, are_mirrored = _mirror_pairs(rig)
-    if not _symmetric(are_mirrored):
+    if not _is_symmetric(are_mirrored):
         return
     for (left, right), is_mirrored in zip(pairs, are_mirrored.tolist(), strict=True):
         if not is_mirrored:
@@ -202,10 +205,10 @@ def other_position(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG212", location, message, hint)
 
 
-def other_limits(rig: RigSubject) -> Iterator[Fault]:
+def asymmetric_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield paired joints with different types or limits (RIG213)."""
     pairs, are_mirrored = _mirror_pairs(rig)
-    if not _symmetric(are_mirrored):
+    if not _is_symmetric(are_mirrored):
         return
     for left, right in pairs:
         key = "limits"
@@ -224,11 +227,11 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
 @lru_cache(maxsize=1)
 def _mirror_pairs(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
     """Return the left/right pairs of a rig, and a mask of mirror images."""
-    pairs = _pairs(rig)
+    pairs = _stated_pairs(rig)
     return pairs, _are_mirror_images(rig, pairs)
 
 
-def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
+def _stated_pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     """Return joints and their counterparts that were written separately."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
     return [
@@ -261,7 +264,7 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
     return is_mirrored_best
 
 
-def _symmetric(are_mirrored: BoolArray) -> bool:
+def _is_symmetric(are_mirrored: BoolArray) -> bool:
     """Return whether a rig is intended to be symmetric."""
     return len(are_mirrored) > 1 and 2 * int(np.count_nonzero(are_mirrored)) >= len(
         are_mirrored
@@ -278,7 +281,7 @@ def _same_limits(left: Joint, right: Joint) -> bool:
         case BallLimit() as left_limits, BallLimit() as right_limits:
             swings = (left_limits.swing or (), right_limits.swing or ())
             are_equal = len(swings[0]) == len(swings[1]) and np.allclose(
-                sorted(swings[0]), sorted(swings[1]), rtol=0, atol=LIMIT_EQUALITY
+                sorted(swings[0]), sorted(swings[1]), rtol=0, atol=EQUAL_LIMIT_TOLERANCE
             )
             if left_limits.twist is None or right_limits.twist is None:
                 return bool(are_equal) and left_limits.twist == right_limits.twist
@@ -292,6 +295,6 @@ def _same_limits(left: Joint, right: Joint) -> bool:
 def _same_range(first: tuple[float, float], second: tuple[float, float]) -> bool:
     """Return whether two ranges are equal or mirrored."""
     return any(
-        np.allclose(first, candidate, rtol=0, atol=LIMIT_EQUALITY)
+        np.allclose(first, candidate, rtol=0, atol=EQUAL_LIMIT_TOLERANCE)
         for candidate in (second, (-second[1], -second[0]))
     )

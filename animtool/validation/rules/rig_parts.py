@@ -24,27 +24,29 @@ if TYPE_CHECKING:
 
 
 # Lists of a rig file whose names become USD names.
-GROUPS = ("joints", "meshes", "shapes")
-HINT = "the second gets a number there; rename one"
+NAME_GROUPS = ("joints", "meshes", "shapes")
+COLLISION_HINT = "the second gets a number there; rename one"
 
 
 def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
     """Yield names of a rig or a capture that are equal in USD (RIG219)."""
     if isinstance(subject, RigSubject):
-        for key in GROUPS:
-            for name, message in _collisions(names_in(subject, key)):
-                yield subject.fault("RIG219", subject.at(key, name), message, HINT)
+        for key in NAME_GROUPS:
+            for name, message in _name_collisions(group_names(subject, key)):
+                yield subject.fault(
+                    "RIG219", subject.at(key, name), message, COLLISION_HINT
+                )
         return
-    for name, message in _collisions(subject.take.rig.names):
-        yield subject.fault("RIG219", name, message, HINT)
+    for name, message in _name_collisions(subject.take.rig.names):
+        yield subject.fault("RIG219", name, message, COLLISION_HINT)
 
 
-def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
+def names_changed_by_usd(rig: RigSubject) -> Iterator[Fault]:
     """Yield lists with names that USD changes (RIG221)."""
     if "from" in rig.document.value:
         return
-    for key in GROUPS:
-        names = [name for name in names_in(rig, key) if legal(name) != name]
+    for key in NAME_GROUPS:
+        names = [name for name in group_names(rig, key) if legal_usd_name(name) != name]
         if key == "joints":  # RIG109 warns of these.
             names = [name for name in names if not any(map(str.isspace, name))]
         if names:
@@ -52,22 +54,22 @@ def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
             message = (
                 f"{counted(len(names), 'name')} of {key} "
                 f"{'changes' if is_single else 'change'} in USD: {names[0]!r} to "
-                f"{legal(names[0])!r}"
+                f"{legal_usd_name(names[0])!r}"
             )
             hint = "letters, digits and underscores are kept"
             yield rig.fault("RIG221", rig.at(key, names[0]), message, hint)
 
 
-def names_in(rig: RigSubject, key: str) -> list[str]:
-    """Return the names of one of `GROUPS`."""
+def group_names(rig: RigSubject, key: str) -> list[str]:
+    """Return the names of one of `NAME_GROUPS`."""
     return [entry.name for entry in getattr(rig.rig, key)]
 
 
-def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _name_collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield each name equal to an earlier one in USD, with text on it."""
     first_by_usd_name: dict[str, str] = {}
     for name in names:
-        usd_name = legal(name)
+        usd_name = legal_usd_name(name)
         if usd_name in first_by_usd_name:
             yield (
                 name,
@@ -77,7 +79,7 @@ def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
         first_by_usd_name.setdefault(usd_name, name)
 
 
-def legal(name: str) -> str:
+def legal_usd_name(name: str) -> str:
     """Return a name with `_` for characters illegal in a prim name."""
     identifier = re.sub(r"\W", "_", name)
     return f"_{identifier}" if identifier[:1].isdigit() else identifier
@@ -93,13 +95,13 @@ SIZE_RATIO = 30.0
 MIN_JOINTS = 3
 
 
-def no_effect(rig: RigSubject) -> Iterator[Fault]:
+def ineffective_shapes(rig: RigSubject) -> Iterator[Fault]:
     """Yield shapes that move no point (RIG209)."""
     combined_names = {name for shape in rig.rig.shapes for name in shape.combine}
     with Archives() as archives:
         for shape in rig.rig.shapes:
             # Without a mesh it is a weight that something else reads.
-            if not shape.mesh or _acts(shape, archives):
+            if not shape.mesh or _has_effect(shape, archives):
                 continue
             if shape.deltas is None and shape.name in combined_names:
                 continue
@@ -108,7 +110,7 @@ def no_effect(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG209", location, message, "give it deltas, or remove it")
 
 
-def _acts(shape: Shape, archives: Archives) -> bool:
+def _has_effect(shape: Shape, archives: Archives) -> bool:
     inbetweens = (
         (inbetween.deltas, inbetween.normals) for inbetween in shape.inbetweens
     )
@@ -117,7 +119,7 @@ def _acts(shape: Shape, archives: Archives) -> bool:
     return any(array.load(archives).any() for array in arrays if array is not None)
 
 
-def _skins(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
+def _skinned_meshes(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
     """Yield skinned meshes, their weights ``(V, I)``, and their locations."""
     with Archives() as archives:
         for mesh in rig.rig.meshes:
@@ -128,7 +130,7 @@ def _skins(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
 
 def weight_sums(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins whose weights do not sum to 1 (RIG210)."""
-    for mesh, weights, location in _skins(rig):
+    for mesh, weights, location in _skinned_meshes(rig):
         sum_errors = np.abs(weights.sum(axis=1) - 1.0)
         wrong_points = np.flatnonzero(sum_errors > WEIGHT_TOLERANCE)
         if not len(wrong_points):
@@ -145,7 +147,7 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
 
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins with more influences per point than engines allow (RIG211)."""
-    for mesh, weights, location in _skins(rig):
+    for mesh, weights, location in _skinned_meshes(rig):
         counts = np.count_nonzero(weights, axis=1)
         points_above = np.flatnonzero(counts > MAX_INFLUENCES)
         if not len(points_above):
@@ -194,15 +196,15 @@ FIXED_SPAN = 1e-3
 PARALLEL_SINE = 0.01
 
 
-def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
+def unbendable_chains(rig: RigSubject) -> Iterator[Fault]:
     """Yield chains in which only the root can move the tip (RIG214)."""
     for chain in rig.rig.chains:
-        joints = _joints(rig, chain)
+        joints = _chain_joints(rig, chain)
         inner_joints = joints[1:-1]
-        if not inner_joints or any(_bends(rig, i, joints[-1]) for i in inner_joints):
+        if not inner_joints or any(_can_bend(rig, i, joints[-1]) for i in inner_joints):
             continue
         location = rig.at("ik", chain.name)
-        reasons = sorted({_reason(rig.rig.joints[i]) for i in inner_joints})
+        reasons = sorted({_no_bend_reason(rig.rig.joints[i]) for i in inner_joints})
         message = (
             f"{chain.name!r} cannot bend: no joint between {chain.root!r} and "
             f"{chain.tip!r} moves the tip ({', '.join(reasons)})"
@@ -211,11 +213,11 @@ def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
         yield rig.fault("RIG214", location, message, hint)
 
 
-def open_bend(rig: RigSubject) -> Iterator[Fault]:
+def straight_chains(rig: RigSubject) -> Iterator[Fault]:
     """Yield chains that are straight at rest and can bend in any direction (RIG215)."""
     positions, rotations = rig.rest
     for chain in rig.rig.chains:
-        joints = _joints(rig, chain)
+        joints = _chain_joints(rig, chain)
         inner_joints = [rig.rig.joints[i] for i in joints[1:-1]]
         root_to_tip = positions[joints[-1]] - positions[joints[0]]
         length = float(np.linalg.norm(root_to_tip))
@@ -245,23 +247,23 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG215", (*location, "pole_dir"), message, hint)
 
 
-def _joints(rig: RigSubject, chain: IkChain) -> list[int]:
+def _chain_joints(rig: RigSubject, chain: IkChain) -> list[int]:
     """Return the joints of a chain, from root to tip."""
     upwards = rig.rig.upwards(rig.rig.index(chain.tip))
     return upwards[upwards.index(rig.rig.index(chain.root)) :: -1]
 
 
-def _bends(rig: RigSubject, i: int, tip: int) -> bool:
+def _can_bend(rig: RigSubject, i: int, tip: int) -> bool:
     """Return whether a joint can bring the tip nearer to the chain's root."""
     joint = rig.rig.joints[i]
     if joint.type is JointType.FIXED:
         return False
-    tip_offset = _to_tip(rig, i, tip)
+    tip_offset = _tip_in_joint_frame(rig, i, tip)
     match joint.type, joint.limits:
         case JointType.PRISMATIC, limits:
-            return not isinstance(limits, RangeLimit) or _has_range(limits)
+            return not isinstance(limits, RangeLimit) or _allows_motion(limits)
         case JointType.PIN, limits:
-            is_fixed = isinstance(limits, RangeLimit) and not _has_range(limits)
+            is_fixed = isinstance(limits, RangeLimit) and not _allows_motion(limits)
             return not is_fixed and not _is_parallel(tip_offset, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
             twists = twist is None or twist[1] - twist[0] > FIXED_SPAN
@@ -271,7 +273,7 @@ def _bends(rig: RigSubject, i: int, tip: int) -> bool:
             return True
 
 
-def _to_tip(rig: RigSubject, i: int, tip: int) -> FloatArray:
+def _tip_in_joint_frame(rig: RigSubject, i: int, tip: int) -> FloatArray:
     """Return the tip position at rest, in a joint's frame."""
     positions, rotations = rig.rest
     tip_offset = positions[tip] - positions[i]
@@ -283,14 +285,14 @@ def _is_parallel(vector: FloatArray, axis: FloatArray) -> bool:
     return float(np.linalg.norm(np.cross(vector, axis))) <= PARALLEL_SINE * length
 
 
-def _has_range(limits: RangeLimit) -> bool:
+def _allows_motion(limits: RangeLimit) -> bool:
     return limits.high - limits.low > FIXED_SPAN
 
 
-def _reason(joint: Joint) -> str:
+def _no_bend_reason(joint: Joint) -> str:
     if joint.type is JointType.FIXED:
         return f"{joint.name} is fixed"
-    if isinstance(joint.limits, RangeLimit) and not _has_range(joint.limits):
+    if isinstance(joint.limits, RangeLimit) and not _allows_motion(joint.limits):
         return f"{joint.name} has limits of zero width"
     if joint.type is JointType.PIN:
         return f"{joint.name} rotates about its own bone"

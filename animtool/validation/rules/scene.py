@@ -23,7 +23,7 @@ from animtool.scene.file.schema import model_for
 from animtool.validation.subjects.scene import SceneSubject
 
 
-def over_input(subject: SceneSubject) -> Iterator[Fault]:
+def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that are also inputs (OUT003)."""
     scene = subject.scene
     read = {*subject.read, *scene.inputs, scene.path}
@@ -39,14 +39,17 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
             yield subject.fault("OUT003", (*location, "file"), message, "name another")
 
 
-def over_other(subject: SceneSubject) -> Iterator[Fault]:
+def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that another scene of the folder also writes (SCN204).
 
     Several takes of one library are no conflict.
     """
     scene_path = subject.scene.path.resolve()
     written = [
-        (location, (output.path.resolve(), _take(subject.scene.path, output.bake)))
+        (
+            location,
+            (output.path.resolve(), _library_take(subject.scene.path, output.bake)),
+        )
         for location, output in subject.outputs
         if output.path is not None
     ]
@@ -54,7 +57,7 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
         if path == scene_path or not has_kind_suffix(path, "scene"):
             continue
         stat = path.stat()
-        written_by_other = _outputs(path, stat.st_mtime_ns, stat.st_size)
+        written_by_other = _scene_outputs(path, stat.st_mtime_ns, stat.st_size)
         for location, output in written:
             if output in written_by_other:
                 message = f"{path.name!r} also writes {output[0].name!r}"
@@ -62,13 +65,15 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
                 yield subject.fault("SCN204", (*location, "file"), message, hint)
 
 
-def _take(scene: Path, bake: BakeOptions) -> str:
+def _library_take(scene: Path, bake: BakeOptions) -> str:
     """Return the library take that is written; empty for a complete file."""
     return take_name(bake, scene) if bake.form == "library" else ""
 
 
 @lru_cache(maxsize=4096)
-def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], ...]:
+def _scene_outputs(
+    path: Path, _changed: int, _size: int
+) -> tuple[tuple[Path, str], ...]:
     """Return the files and takes a scene writes, cached by scene version."""
     try:
         document = read_document(path)
@@ -79,7 +84,7 @@ def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], .
     written = document.value.get("output")
     entries = written if isinstance(written, list) else [written]
     return tuple(
-        ((path.parent / name).resolve(), _take(path, _named_take(entry)))
+        ((path.parent / name).resolve(), _library_take(path, _named_take(entry)))
         for entry in entries
         if isinstance(entry, dict) and isinstance(name := entry.get("file"), str)
     )
@@ -94,7 +99,7 @@ def _named_take(entry: dict[str, Any]) -> BakeOptions:
     )
 
 
-def homeless(subject: SceneSubject) -> Iterator[Fault]:
+def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs whose folder does not exist (SCN212)."""
     for location, output in subject.outputs:
         folder = None if output.path is None else output.path.parent
@@ -106,7 +111,7 @@ def homeless(subject: SceneSubject) -> Iterator[Fault]:
         yield subject.fault("SCN212", (*location, "file"), message, hint)
 
 
-def refused(subject: SceneSubject) -> Iterator[Fault]:
+def unknown_tolerance_joints(subject: SceneSubject) -> Iterator[Fault]:
     """Yield tolerances of unknown joints (SCN207)."""
     for location, output in subject.outputs:
         bounds = dict(output.bake.reduce_at)
@@ -118,7 +123,7 @@ def refused(subject: SceneSubject) -> Iterator[Fault]:
                 yield subject.fault("SCN207", pointer, fault.message, fault.hint)
 
 
-def without_curves(subject: SceneSubject) -> Iterator[Fault]:
+def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
     """Yield curves to keep that do not exist (SCN208)."""
     for location, output in subject.outputs:
         if output.bake.keep_curves and not subject.curves:
@@ -139,7 +144,7 @@ _DEFINES_RESULT = frozenset({"ik", "resample"})
 _KEEPS_POSE = frozenset({"root_motion"})
 
 
-def idle(subject: SceneSubject) -> Iterator[Fault]:
+def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
     """Yield passes that change nothing (SCN201)."""
     for i in subject.idle:
         name = subject.scene.passes[i].pass_.name
@@ -147,17 +152,17 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
             continue
         message = f"the pass {name} changes nothing"
         hint = "remove it, or set options that have an effect"
-        yield subject.fault("SCN201", subject.at_pass(i), message, hint)
+        yield subject.fault("SCN201", subject.pass_location(i), message, hint)
 
 
-def outside_take(subject: SceneSubject) -> Iterator[Fault]:
+def range_outside_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range that extends beyond the take (SCN202)."""
     yield from _range_faults(
         subject, "SCN202", "extends beyond the take", completely=False
     )
 
 
-def without_frames(subject: SceneSubject) -> Iterator[Fault]:
+def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range without any frame to write (SCN211)."""
     yield from _range_faults(
         subject, "SCN211", "contains no frame of the take", completely=True
@@ -169,7 +174,7 @@ def _range_faults(
 ) -> Iterator[Fault]:
     """Yield a range that is completely or partly outside the take."""
     scene, clock = subject.scene, subject.take.clock
-    frame_range, start_code = scene.bake.frame_range, _start(subject)
+    frame_range, start_code = scene.bake.frame_range, _output_start(subject)
     if frame_range is None or start_code is None:
         return
     last_code = start_code + clock.duration * (scene.bake.fps or clock.fps)
@@ -188,7 +193,7 @@ def _range_faults(
     yield subject.fault(code, location, message, hint)
 
 
-def _start(subject: SceneSubject) -> Fraction | None:
+def _output_start(subject: SceneSubject) -> Fraction | None:
     """Return the first output time code; None if a rig layer decides."""
     bake = subject.scene.bake
     if bake.start is not None or bake.rig_layer is not None:
@@ -198,7 +203,7 @@ def _start(subject: SceneSubject) -> Fraction | None:
     return find_config(subject.scene.path).start or Fraction(1)
 
 
-def near_rate(subject: SceneSubject) -> Iterator[Fault]:
+def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a rate slightly different from the take's (SCN205)."""
     output, source = subject.scene.bake.fps, subject.take.clock.rate
     if output is None or output == source or abs(output - source) > NEAR_RATES * source:
@@ -214,15 +219,15 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
     for i, entry in enumerate(subject.scene.passes):
         if i in subject.solved:
             ik_pass = entry.location.where
-        elif ik_pass and _moves(entry.pass_) and i not in subject.idle:
+        elif ik_pass and _changes_poses(entry.pass_) and i not in subject.idle:
             message = (
                 f"the pass {entry.pass_.name} moves what {ik_pass} solved for targets"
             )
             hint = "put ik after it"
-            yield subject.fault("SCN210", subject.at_pass(i), message, hint)
+            yield subject.fault("SCN210", subject.pass_location(i), message, hint)
 
 
-def _moves(pass_: Pass) -> bool:
+def _changes_poses(pass_: Pass) -> bool:
     """Return whether a pass changes poses, not only their timing."""
     retimes = TakePart.CLOCK in pass_.changes
     return (
@@ -232,7 +237,7 @@ def _moves(pass_: Pass) -> bool:
     )
 
 
-def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
+def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     """Yield props whose files have no frame of the take (SCN213)."""
     take = subject.take
     if take.motion.track_times is None:
@@ -253,7 +258,7 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
         yield subject.fault("SCN213", location, message, hint)
 
 
-def idle_variables(subject: SceneSubject) -> Iterator[Fault]:
+def unused_variables(subject: SceneSubject) -> Iterator[Fault]:
     """Yield unused variables (SCN209)."""
     for name in sorted(subject.scene.idle_variables):
         message = f"no text of the scene uses ${{{name}}}"

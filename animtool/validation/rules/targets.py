@@ -31,7 +31,7 @@ from animtool.validation.subjects.scene import SceneSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Largest number of pairs of equal goals that are reported.
-MAX_PAIRS = 1000
+MAX_COMPARED_PAIRS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def open_targets(document: Document) -> CheckedFile:
     return CheckedFile(Kind.TARGETS, list(targets.notices), subject)
 
 
-def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
+def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield keys and spans outside the range of the file (TGT201)."""
     range_first, range_last = subject.targets.first, subject.targets.last
     if range_first is None or range_last is None:
@@ -87,7 +87,7 @@ def _keys_outside(
                 yield key, span, False
 
 
-def twice(subject: TargetsSubject) -> Iterator[Fault]:
+def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goals that request the same of an effector as another (TGT202)."""
     goals = subject.targets.goals
     by_effector: dict[tuple[object, ...], list[int]] = {}
@@ -97,16 +97,17 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
     equal_candidates = [
         pair for group in by_effector.values() for pair in combinations(group, 2)
     ]
-    for earlier, i in sorted(equal_candidates)[:MAX_PAIRS]:
+    for earlier, i in sorted(equal_candidates)[:MAX_COMPARED_PAIRS]:
         first_goal, second_goal = goals[earlier], goals[i]
         common_kinds = [
             kind for kind in first_goal.goal.kinds if kind in second_goal.goal.kinds
         ]
         part_names = [kind.name for kind in common_kinds]
-        if not part_names or not _overlap(first_goal.during, second_goal.during):
+        if not part_names or not _spans_overlap(first_goal.during, second_goal.during):
             continue
         if all(
-            _equal(first_goal.values, second_goal.values, part) for part in part_names
+            _equal_parts(first_goal.values, second_goal.values, part)
+            for part in part_names
         ):
             message = (
                 f"targets the {listed(part_names)} of {second_goal.name!r} a second "
@@ -123,14 +124,14 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
 
 
-def _overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
+def _spans_overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
     """Return whether spans have common frames; no spans means all frames."""
     if not first or not second:
         return True
     return any(a <= d and c <= b for a, b in first for c, d in second)
 
 
-def _equal(
+def _equal_parts(
     first: Mapping[str, Value | None], second: Mapping[str, Value | None], part: str
 ) -> bool:
     match first[part], second[part]:
@@ -146,7 +147,7 @@ def _equal(
             return a is None and b is None
 
 
-def weightless(subject: TargetsSubject) -> Iterator[Fault]:
+def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goal parts whose weight is 0 in all frames (TGT203)."""
     for i, goal in enumerate(subject.targets.goals):
         for part, weight in goal.weights.items():
@@ -168,7 +169,7 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield hold spans without an active goal (TGT204)."""
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
-            if not _overlap([span], goal.during):
+            if not _spans_overlap([span], goal.during):
                 span_first, span_last = span
                 message = (
                     f"{goal.name!r} is held from {span_first:g} to {span_last:g}, when "
@@ -214,7 +215,7 @@ class _SampledTargets:
 
 
 @lru_cache(maxsize=1)
-def _all_sampled(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
+def _sampled_targets(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
     goals = []
     for take, tracks in subject.sampled_targets:
         world = take.world()
@@ -224,17 +225,17 @@ def _all_sampled(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
     return tuple(goals)
 
 
-def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
+def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
     """Yield goals beyond the reach of the fully extended chain (TGT205)."""
-    for sampled_targets in _all_sampled(subject):
+    for sampled_targets in _sampled_targets(subject):
         rig, times = sampled_targets.take.rig, sampled_targets.take.clock.times
         goal_joints = _goal_joints(rig, sampled_targets.tracks.goals)
         for e, track in enumerate(sampled_targets.tracks.goals):
             points, is_active = sampled_targets.points(e)
-            chain = _chain(rig, track.goal, goal_joints)
+            chain = _chain_joints(rig, track.goal, goal_joints)
             if chain is None or not is_active.any():
                 continue
-            base, lengths = _reach(rig, sampled_targets.world, track.goal, chain)
+            base, lengths = _chain_reach(rig, sampled_targets.world, track.goal, chain)
             distances = np.linalg.norm(points - base, axis=1)
             excess = np.where(
                 is_active, distances - lengths * (1.0 + REACH_TOLERANCE), 0.0
@@ -273,7 +274,9 @@ def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
     )
 
 
-def _chain(rig: Rig, goal: Goal, goal_joints: frozenset[int]) -> list[int] | None:
+def _chain_joints(
+    rig: Rig, goal: Goal, goal_joints: frozenset[int]
+) -> list[int] | None:
     """Return the joints from the topmost moving one to the effector.
 
     None where its length has no bound, or nothing moves.
@@ -297,7 +300,7 @@ def _slides_freely(joint: Joint) -> bool:
     return is_unlimited or joint.type is JointType.FREE
 
 
-def _reach(
+def _chain_reach(
     rig: Rig, world: WorldTransforms, goal: Goal, chain: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Return a chain's root positions ``(F, 3)``, and its maximum length ``(F,)``.
@@ -317,7 +320,7 @@ def _reach(
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points fit the rig in another unit (TGT206)."""
-    for sampled_targets in _all_sampled(subject):
+    for sampled_targets in _sampled_targets(subject):
         size = rest_size(sampled_targets.take.rig)
         file_unit = sampled_targets.unit
         # Goals whose points are numbers of the file, not a prim's.
@@ -353,9 +356,9 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
             )
 
 
-def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
+def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets in frames outside the take (TGT207)."""
-    for sampled_targets in _all_sampled(subject):
+    for sampled_targets in _sampled_targets(subject):
         times = sampled_targets.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])
         for e, track in enumerate(sampled_targets.tracks.goals):

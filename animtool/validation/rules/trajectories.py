@@ -24,12 +24,12 @@ MAX_EXTENT, MIN_EXTENT = 30.0, 0.03
 # Two markers that are nearer than this in most frames are the same point [m].
 SAME_POINT = 1e-4
 SAME_FRACTION = 0.5
-MAX_LISTED = 12
+MAX_LISTED_MARKERS = 12
 # Frames per block of the comparison of all marker pairs.
 BLOCK_FRAMES = 64
 
 
-def gaps(subject: MarkersSubject) -> Iterator[Fault]:
+def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield labelled markers missing from many frames (MKR201)."""
     markers = subject.markers
     missing_fractions = 1.0 - markers.visible.mean(axis=0)
@@ -44,13 +44,13 @@ def gaps(subject: MarkersSubject) -> Iterator[Fault]:
         message = (
             f"{counted(len(often_missing), 'marker')} missing from more than "
             f"{percent_text(MISSING_FRACTION)} of frames: "
-            f"{listed(often_missing, MAX_LISTED)}"
+            f"{listed(often_missing, MAX_LISTED_MARKERS)}"
         )
         hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
         yield subject.fault("MKR201", message, hint)
 
 
-def spikes(subject: MarkersSubject) -> Iterator[Fault]:
+def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers with spikes of a few frames (MKR202)."""
     outliers = find_spikes(subject.markers)
     if outliers:
@@ -59,7 +59,8 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
         frame = int(subject.markers.clock.start) + largest.first
         names = list(dict.fromkeys(spike.marker for spike in outliers))
         message = (
-            f"{counted(len(outliers), 'spike')} of {listed(names, MAX_LISTED)}; the "
+            f"{counted(len(outliers), 'spike')} of "
+            f"{listed(names, MAX_LISTED_MARKERS)}; the "
             f"largest, {1000 * largest.size:.3g} mm, of {largest.marker} at frame "
             f"{frame}"
         )
@@ -67,7 +68,7 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
 
 
-def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
+def unlabelled_points(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if many points have no label (MKR203)."""
     names, visible = subject.markers.names, subject.markers.visible
     nameless = np.array([name.startswith("*") for name in names], np.bool_)
@@ -79,9 +80,9 @@ def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
         yield subject.fault("MKR203", message, hint)
 
 
-def sizes(subject: MarkersSubject) -> Iterator[Fault]:
+def implausible_extent(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if markers are too far apart or too close (MKR204)."""
-    extents = _extents(subject.markers.positions, subject.markers.visible)
+    extents = _frame_extents(subject.markers.positions, subject.markers.visible)
     if not len(extents):
         return
     median = float(np.median(extents))
@@ -98,7 +99,7 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
     )
 
 
-def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
+def _frame_extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
     """Return the bounds diagonals of frames with three points or more."""
     has_several = visible.sum(axis=1) >= 3
     if not has_several.any():
@@ -110,7 +111,7 @@ def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
     return np.asarray(np.linalg.norm(highest - lowest, axis=-1))
 
 
-def same_points(subject: MarkersSubject) -> Iterator[Fault]:
+def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
     labelled_points = [
@@ -142,12 +143,14 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
     if len(pairs):
         names = [markers.names[i] for i in labelled_points]
         pair_texts = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
-        message = f"markers at the same position: {listed(pair_texts, MAX_LISTED)}"
+        message = (
+            f"markers at the same position: {listed(pair_texts, MAX_LISTED_MARKERS)}"
+        )
         hint = "remove one of them, or label them again"
         yield subject.fault("MKR205", message, hint)
 
 
-def unseen(subject: MarkersSubject) -> Iterator[Fault]:
+def invisible_markers(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers without any frame (MKR206)."""
     markers = subject.markers
     counts = markers.visible.sum(axis=0).tolist()
@@ -157,5 +160,7 @@ def unseen(subject: MarkersSubject) -> Iterator[Fault]:
         if not count and not name.startswith("*")
     ]
     if never_visible:
-        message = f"markers that no frame has: {listed(never_visible, MAX_LISTED)}"
+        message = (
+            f"markers that no frame has: {listed(never_visible, MAX_LISTED_MARKERS)}"
+        )
         yield subject.fault("MKR206", message, "remove them")

@@ -67,12 +67,12 @@ def open_bvh(path: Path) -> CheckedFile:
 
 def open_livelink(path: Path) -> CheckedFile:
     """Return the faults of a face recording."""
-    return _read(Kind.LIVELINK, path)[0]
+    return _read_take(Kind.LIVELINK, path)[0]
 
 
 def open_take(path: Path) -> CheckedFile:
     """Return a take of a format without format rules; motion rules apply."""
-    checked_file, stream, take = _read(Kind.TAKE, path)
+    checked_file, stream, take = _read_take(Kind.TAKE, path)
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
@@ -84,7 +84,7 @@ def open_take(path: Path) -> CheckedFile:
     return replace(checked_file, takes=(motion,))
 
 
-def _read(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
+def _read_take(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
     stream = open_source(path)
     take = stream.collect()
     faults = [notice.in_file(path) for notice in stream.notices]
@@ -96,12 +96,12 @@ def open_usd(path: Path) -> CheckedFile:
     from animtool.usd.checks import inspect_layer
 
     layer = inspect_layer(path)
-    takes = tuple(_subject(path, take) for take in layer.takes)
+    takes = tuple(_layer_subject(path, take) for take in layer.takes)
     profile = "layer" if layer.alone else None
     return CheckedFile(Kind.USD, layer.faults, takes=takes, profile=profile)
 
 
-def _subject(path: Path, take: AnimationTake) -> MotionSubject:
+def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
     """Return a take of a layer; its faults are located at its prim."""
 
     def fault_at(

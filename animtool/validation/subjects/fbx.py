@@ -32,12 +32,12 @@ def open_fbx(path: Path) -> CheckedFile:
         for character in characters(scene):
             built_rig = build_rig(scene, character, scene.path.stem)
             faults += built_rig.notices
-            take_subjects += _takes(scene, built_rig, faults)
+            take_subjects += _take_subjects(scene, built_rig, faults)
     notices = [*scene.file.notes.notices, *faults]
     return CheckedFile(Kind.FBX, notices, takes=tuple(take_subjects))
 
 
-def _takes(
+def _take_subjects(
     scene: FbxScene, built_rig: FbxRig, faults: list[Fault]
 ) -> list[MotionSubject]:
     subjects = []

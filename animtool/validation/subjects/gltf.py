@@ -25,7 +25,12 @@ from animtool.formats.gltf.sampling import (
     clip_stream,
     sampler_of,
 )
-from animtool.formats.gltf.timing import ON_FRAME, GltfFrames, frames_of, key_times
+from animtool.formats.gltf.timing import (
+    FRAME_TOLERANCE,
+    GltfFrames,
+    frames_of,
+    key_times,
+)
 from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
 from animtool.rig.parts import Skin
@@ -46,7 +51,7 @@ def open_gltf(path: Path) -> CheckedFile:
     if gltf.nodes:
         for character in characters(gltf):
             built_rig = _build_rig(gltf, character, faults)
-            take_subjects += _takes(gltf, built_rig, faults)
+            take_subjects += _clip_subjects(gltf, built_rig, faults)
     return CheckedFile(
         Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(take_subjects)
     )
@@ -58,7 +63,9 @@ def _build_rig(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> Gl
     return rig_and_skins
 
 
-def _takes(gltf: Gltf, built_rig: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
+def _clip_subjects(
+    gltf: Gltf, built_rig: GltfRig, faults: list[Fault]
+) -> list[MotionSubject]:
     subjects = []
     for animation in gltf.animations:
         if not animates_rig(built_rig, animation):
@@ -71,11 +78,11 @@ def _takes(gltf: Gltf, built_rig: GltfRig, faults: list[Fault]) -> list[MotionSu
             continue
         take = clip_stream(built_rig, sampler, frames).collect()
         subject = clip_subject(gltf.path, built_rig.rig, take, animation.where)
-        subjects.append(_at_keys(subject, sampler, animation, frames))
+        subjects.append(_trim_to_keys(subject, sampler, animation, frames))
     return subjects
 
 
-def _at_keys(
+def _trim_to_keys(
     subject: MotionSubject,
     sampler: GltfSampler,
     animation: Animation,
@@ -89,7 +96,9 @@ def _at_keys(
     seconds = key_times(animation)
     codes = key_frames(seconds, frames)
     nearest_frames = np.round(codes)
-    codes = np.where(np.abs(codes - nearest_frames) <= ON_FRAME, nearest_frames, codes)
+    codes = np.where(
+        np.abs(codes - nearest_frames) <= FRAME_TOLERANCE, nearest_frames, codes
+    )
     last_time = float(clock.times[-1])
     range_ = (float(min(clock.start, frames.start)), last_time)
     if (
@@ -128,7 +137,7 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
         replace(take, curve=None),
         fault_at,
         influencing=_influencing_joints(rig, skins) if skins else None,
-        bind=_bound(rig, skins),
+        bind=_bind_positions(rig, skins),
     )
 
 
@@ -147,7 +156,7 @@ def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
     return frozenset(names)
 
 
-def _bound(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
+def _bind_positions(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
     """Return the bind positions of the joints ``(J, 3)`` [m].
 
     A glTF does not state the mesh's position at bind time: the topmost bound joint is

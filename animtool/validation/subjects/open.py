@@ -32,7 +32,7 @@ from animtool.core.readers import (
 )
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, read_document
-from animtool.documents.versions import STEPS, version_of
+from animtool.documents.versions import MIGRATION_STEPS, version_of
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.subject import CheckedFile
 
@@ -72,16 +72,16 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
 
 def open_map(document: Document) -> CheckedFile:
     """Return the subject of a map file; its skeletons are unknown."""
-    from animtool.retarget.file import map_of_document  # loads the kernels
+    from animtool.retarget.file import parse_map  # loads the kernels
 
-    return CheckedFile(Kind.MAP, [], map_of_document(document))
+    return CheckedFile(Kind.MAP, [], parse_map(document))
 
 
 def open_markers(document: Document) -> CheckedFile:
     """Return a marker template, checked against the rig that it names."""
-    from animtool.capture.templates.file import template_of_document
+    from animtool.capture.templates.file import parse_template
 
-    template = template_of_document(document)
+    template = parse_template(document)
     faults = list(document.notices)
     if template.rig is not None:
         try:
@@ -93,9 +93,9 @@ def open_markers(document: Document) -> CheckedFile:
 
 def open_landmarks(document: Document) -> CheckedFile:
     """Return a landmarks file, checked against its rig if it names one."""
-    from animtool.capture.face.file import face_model, landmarks_of_document
+    from animtool.capture.face.file import face_model, parse_landmarks
 
-    file = landmarks_of_document(document)
+    file = parse_landmarks(document)
     if file.rig is not None:
         face_model(file, Rig.load(file.rig))
     return CheckedFile(Kind.LANDMARKS, [], file)
@@ -103,19 +103,19 @@ def open_landmarks(document: Document) -> CheckedFile:
 
 def open_remap(document: Document) -> CheckedFile:
     """Return the subject of a remap file; its faces are unknown."""
-    from animtool.rig.remap import remap_of_document
+    from animtool.rig.remap import parse_remap
 
-    return CheckedFile(Kind.REMAP, [], remap_of_document(document))
+    return CheckedFile(Kind.REMAP, [], parse_remap(document))
 
 
 def open_cameras(document: Document) -> CheckedFile:
     """Return the subject of a camera file."""
-    from animtool.capture.cameras.file import cameras_of_document
+    from animtool.capture.cameras.file import parse_cameras
 
-    return CheckedFile(Kind.CAMERAS, [], cameras_of_document(document))
+    return CheckedFile(Kind.CAMERAS, [], parse_cameras(document))
 
 
-_DOCUMENTS = {kind for kind in Kind if kind in STEPS}
+_DOCUMENTS = {kind for kind in Kind if kind in MIGRATION_STEPS}
 # Suffixes of the documents that are found in a folder.
 DOCUMENT_SUFFIXES = tuple(
     f".{kind}{suffix}"
@@ -152,7 +152,7 @@ _OPENERS = {
     Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
 }
 # Kinds of files that are not written by hand.
-_READ_AS = {
+_KINDS_BY_READER = {
     BVH: Kind.BVH,
     USD: Kind.USD,
     GLTF: Kind.GLTF,
@@ -174,12 +174,12 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     ``given`` are values of variables, of a scene.
     """
     reader = reader_of(path)
-    if reader in _READ_AS:
-        return _open(_READ_AS[reader], path)
+    if reader in _KINDS_BY_READER:
+        return _call_opener(_KINDS_BY_READER[reader], path)
     if reader is None and not path.exists():
         raise unreadable_error(path, "does not exist")
     if reader is not None and reader is not DOCUMENT:
-        return _open(Kind.TAKE, path)
+        return _call_opener(Kind.TAKE, path)
     if reader is None and path.suffix.lower() in EXPORT_HINTS:
         raise OptionError(export_fault(path))
     if reader is None:
@@ -191,16 +191,16 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
 
 def open_document(document: Document, values: SceneValues | None = None) -> CheckedFile:
     """Return the subject of a text document, like `open_file`."""
-    kind = Kind(version_of(document, STEPS)[0])
+    kind = Kind(version_of(document, MIGRATION_STEPS)[0])
     if kind is Kind.SCENE and values is not None:
-        checked_file = _open(kind, document, values)
+        checked_file = _call_opener(kind, document, values)
     else:
-        checked_file = _open(kind, document)
+        checked_file = _call_opener(kind, document)
     checked_file.document = document
     return checked_file
 
 
-def _open(kind: Kind, *arguments: object) -> CheckedFile:
+def _call_opener(kind: Kind, *arguments: object) -> CheckedFile:
     opener = cast(Callable[..., CheckedFile], load_object(_OPENERS[kind]))
     try:
         return opener(*arguments)

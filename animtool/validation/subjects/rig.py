@@ -13,7 +13,7 @@ from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.rig.suspicious_shape import rest_pose
+from animtool.rig.suspicious_shape import source_rest_pose
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 
@@ -59,7 +59,7 @@ class RigSubject(DocumentSubject):
     @cached_property
     def rest(self) -> tuple[FloatArray, FloatArray]:
         """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest."""
-        return rest_pose(self.rig)
+        return source_rest_pose(self.rig)
 
     @cached_property
     def size(self) -> float:
@@ -87,7 +87,7 @@ class RigSubject(DocumentSubject):
 
 def open_rig(document: Document) -> CheckedFile:
     """Return the subject of a rig file."""
-    from animtool.rig.file import rig_of_document  # loads the models of a rig
+    from animtool.rig.file import parse_rig  # loads the models of a rig
 
-    rig = rig_of_document(document)
+    rig = parse_rig(document)
     return CheckedFile(Kind.RIG, list(rig.notices), RigSubject(document, rig))

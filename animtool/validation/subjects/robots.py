@@ -12,14 +12,14 @@ from animtool.validation.subjects.subject import CheckedFile
 
 def open_urdf(path: Path) -> CheckedFile:
     """Return the faults of a URDF file."""
-    return _open(Kind.URDF, path)
+    return _read_faults(Kind.URDF, path)
 
 
 def open_mjcf(path: Path) -> CheckedFile:
     """Return the faults of an MJCF file."""
-    return _open(Kind.MJCF, path)
+    return _read_faults(Kind.MJCF, path)
 
 
-def _open(kind: Kind, path: Path) -> CheckedFile:
+def _read_faults(kind: Kind, path: Path) -> CheckedFile:
     note_input(path)
     return CheckedFile(kind, list(Rig.load(path).notices))

@@ -71,7 +71,7 @@ class SceneSubject(DocumentSubject):
             for i, output in enumerate(self.scene.outputs)
         ]
 
-    def at_pass(self, i: int) -> Location:
+    def pass_location(self, i: int) -> Location:
         """Return the location of a pass."""
         return ("passes", i, self.scene.passes[i].pass_.name)
 
@@ -128,14 +128,16 @@ def _system_errors(scene: Scene, take: Take | None) -> list[Fault]:
     motion = None if take is None else motion_of(scene.path, take)
     rig = None if take is None else take.rig
     try:
-        run = SystemRun(scene.systems, _seconds(scene, take), motion, main_rig=rig)
+        run = SystemRun(
+            scene.systems, _simulated_seconds(scene, take), motion, main_rig=rig
+        )
     except AnimtoolError as error:
         return list(error.faults)
     # Notes are about how it will be simulated.
     return [notice for notice in run.notices if notice.severity is not Severity.NOTE]
 
 
-def _seconds(scene: Scene, take: Take | None) -> float:
+def _simulated_seconds(scene: Scene, take: Take | None) -> float:
     """Return the duration of the simulation [s]."""
     if take is not None:
         return float(take.clock.duration)

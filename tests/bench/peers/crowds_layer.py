@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Vt
 
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.usd.props.characters import Characters
+from animtool.usd.props.characters import CharactersWriter
 
 
 def main(scene: str, runs: str, output: str) -> None:
@@ -26,7 +26,7 @@ def main(scene: str, runs: str, output: str) -> None:
     def write() -> None:
         layer = Sdf.Layer.CreateNew(output + "/crowd.usdc")
         layer.Clear()
-        made = Characters("/square/people", 1.0, 24.0)
+        made = CharactersWriter("/square/people", 1.0, 24.0)
         made.begin(layer, frames[0])
         for k, frame in enumerate(frames):
             made.add(float(k + 1), frame)

@@ -12,7 +12,7 @@ from ik_serve import Asked, Solved, Solver, serve
 from animtool.ik import IkOptions, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 
 class Animtool:
@@ -31,7 +31,7 @@ class Animtool:
     def places(self, pose: Array) -> tuple[Array, Array]:
         rig = self.problem.rig
         local = local_from_coordinates(rig, from_file(self.case.model, pose))
-        world = forward(rig, local.translations, local.rotations)
+        world = forward_kinematics(rig, local.translations, local.rotations)
         owners = self.case.owners
         turns, points = world.linear[0, owners], world.positions[0, owners]
         offsets = np.array([e["offset"] for e in self.case.effectors])

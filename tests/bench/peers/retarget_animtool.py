@@ -10,7 +10,7 @@ from animtool import open_source
 from animtool.retarget import map_joints
 from animtool.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 
 def main(path: str, target: str, out: str) -> None:
@@ -22,7 +22,9 @@ def main(path: str, target: str, out: str) -> None:
     # A first call loads what later ones use.
     motion = retarget_take(take, rig, joints).take.motion
     taken = timed(lambda: retarget_take(take, rig, joints))
-    world = forward(rig, motion.translations.dense(), motion.rotations.dense())
+    world = forward_kinematics(
+        rig, motion.translations.dense(), motion.rotations.dense()
+    )
     Path(out).write_text(json.dumps(world.positions.tolist()), "utf-8")
     print("\n" + json.dumps({"taken": [taken]}), flush=True)
 

@@ -24,7 +24,7 @@ from measuring import ROOT, begin, parser  # noqa: E402
 from readers import MAX_POINTS, animtool, apart, peer  # noqa: E402
 
 from animtool.formats.gltf.read import take_names  # noqa: E402
-from animtool.rig.kinematics import bind_matrices, forward  # noqa: E402
+from animtool.rig.kinematics import bind_matrices, forward_kinematics  # noqa: E402
 from animtool.rig.surfaces import surfaces_of  # noqa: E402
 from animtool.scene.sources.open import SourceOptions, open_source  # noqa: E402
 from animtool.skin.character import character_meshes  # noqa: E402
@@ -59,7 +59,7 @@ def reference(source: Path, clip: str) -> dict[str, Any]:
     rig, clock = take.rig, take.clock
     chosen = np.unique(np.linspace(0, clock.count - 1, TIMES).astype(int))
     poses = [channel[chosen] for channel in take.motion.dense() if channel is not None]
-    world = forward(rig, *poses, *[None] * (3 - len(poses)))
+    world = forward_kinematics(rig, *poses, *[None] * (3 - len(poses)))
     places = world.positions
     joints = {name: places[:, j] for j, name in enumerate(rig.names)}
     shapes = [shape.name for shape in rig.shapes]

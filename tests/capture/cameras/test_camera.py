@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.capture.cameras.camera import Camera, project, rays
+from animtool.capture.cameras.camera import Camera, pixel_rays, project
 
 NONE, LENS = (0.0,) * 8, (0.1, 0.01, 0.001, 0.001, 0.01, 0.0, 0.0, 0.0)
 
@@ -27,6 +27,6 @@ def test_a_point_whose_pixel_overflows_is_on_no_image(lens: tuple[float, ...]) -
 
 def test_a_pixel_that_overflows_has_no_ray() -> None:
     pixels = np.array([[50.0, 40.0], [1e308, 1e308], [-1e300, 40.0]])
-    found = rays(camera(LENS), pixels)
+    found = pixel_rays(camera(LENS), pixels)
     assert np.isfinite(found).all(axis=1).tolist() == [True, False, False]
     assert np.isnan(found[1:]).all()

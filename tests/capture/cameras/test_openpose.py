@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from support.stage import ring
 
 from animtool.capture.cameras.camera import project
-from animtool.capture.cameras.openpose import _people, follow_people
+from animtool.capture.cameras.openpose import _read_people, follow_people
 
 CAMERAS = ring(3).cameras
 POINTS, FRAMES, RATE = 15, 30, 30.0
@@ -101,7 +101,7 @@ def test_keypoints_without_confidence_or_number_are_missing(tmp_path: Path) -> N
     path.write_text(
         json.dumps({"people": [{"pose_keypoints_2d": one} for one in people]})
     )
-    first, last = _people(path)
+    first, last = _read_people(path)
     missing = [np.nan, np.nan, 0]
     assert_array_equal(first, [[1, 2, 0.5], missing, missing, missing, [8, 9, 1]])
     assert_array_equal(last, [[8, 9, 1]])

@@ -17,7 +17,7 @@ from animtool.capture.cameras import (
     project,
     triangulate,
 )
-from animtool.capture.cameras.camera import Cameras, camera_numbers, rays
+from animtool.capture.cameras.camera import Cameras, camera_numbers, pixel_rays
 from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.stale import PoseShift
 from animtool.capture.cameras.triangulate import _TriangulationRun
@@ -45,7 +45,9 @@ def test_without_noise_the_points_are_exact() -> None:
 def test_rays_lead_back_to_pixels() -> None:
     camera = ring(3).cameras[1]
     pixels = project(camera, POINTS)
-    directions = np.concatenate([rays(camera, pixels), np.ones((90, 12, 1))], axis=-1)
+    directions = np.concatenate(
+        [pixel_rays(camera, pixels), np.ones((90, 12, 1))], axis=-1
+    )
     there = camera.position + 3 * directions @ camera.rotation
     np.testing.assert_allclose(project(camera, there), pixels, atol=1e-8)
 

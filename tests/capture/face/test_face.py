@@ -14,7 +14,7 @@ from support.faults import raises
 
 from animtool.capture.face import FaceModel, fit_face, transfer_weights
 from animtool.capture.face import solve as solving
-from animtool.capture.face.capture import FaceCapture, in_order, read_capture
+from animtool.capture.face.capture import FaceCapture, order_landmarks, read_capture
 from animtool.capture.face.file import face_model, load_landmarks
 from animtool.capture.face.poses import interpolate_poses
 from animtool.core.array_types import FloatArray
@@ -172,7 +172,7 @@ def test_the_proportions_of_an_actor() -> None:
     seen = placed(actor.points(weights))
     off = [
         np.abs(fit_face(m, seen, 60).weights - weights).max()
-        for m in (model, model.of_actor(seen[0]))
+        for m in (model, model.with_proportions(seen[0]))
     ]
     assert off[1] < 0.02 < off[0]
 
@@ -226,14 +226,16 @@ def test_landmarks_are_found_by_name() -> None:
     clock = read_clock()
     names = (*reversed(model.names[1:]), "spare")
     points = np.arange(LANDMARKS * 3.0).reshape(1, LANDMARKS, 3)
-    found, notices = in_order(FaceCapture(Path("x"), names, clock, points), model)
+    found, notices = order_landmarks(
+        FaceCapture(Path("x"), names, clock, points), model
+    )
     assert np.isnan(found[0, 0]).all()
     assert found[0, 1].tolist() == points[0, LANDMARKS - 2].tolist()
     assert [n.code for n in notices] == ["FAC107", "FAC107"]
     with raises(OptionError, "FAC004"):
-        in_order(FaceCapture(Path("x"), ("q",), clock, points[:, :1]), model)
+        order_landmarks(FaceCapture(Path("x"), ("q",), clock, points[:, :1]), model)
     with raises(OptionError, "FAC004"):
-        in_order(FaceCapture(Path("x"), None, clock, points[:, :3]), model)
+        order_landmarks(FaceCapture(Path("x"), None, clock, points[:, :3]), model)
 
 
 def read_clock():  # type: ignore[no-untyped-def]
@@ -351,7 +353,7 @@ def test_remap_files(tmp_path: Path) -> None:
         (0, 0, 0.5),
         (2, 1, 1.0),
     ]
-    assert (links.lost, links.resting) == (("brow",), ())
+    assert (links.lost, links.unlinked_targets) == (("brow",), ())
     with raises(FormatError, "FAC001"):
         link_shapes(["a"], ["b"], load_remap(written("[{source: a, target: c}]")))
     for wrong in (

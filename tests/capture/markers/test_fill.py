@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animtool.capture.markers.fill import fill
+from animtool.capture.markers.fill import fill_markers
 from animtool.capture.markers.label import label
 from animtool.capture.options import FillOptions
 from animtool.core.array_types import FloatArray
@@ -42,7 +42,7 @@ def made(positions: FloatArray) -> Markers:
 
 def test_nothing_is_changed_where_nothing_is_wrong() -> None:
     markers = made(paths())
-    whole, report = fill(markers)
+    whole, report = fill_markers(markers)
     np.testing.assert_array_equal(whole.positions, markers.positions)
     assert whole.filled is None
     assert not [*report.gaps, *report.spikes, *report.swaps, *report.notices]
@@ -52,7 +52,7 @@ def test_a_short_and_a_long_gap() -> None:
     truth = paths(0.0)
     positions = paths()
     positions[100:105, 2] = positions[150:200, 7] = np.nan
-    whole, report = fill(made(positions))
+    whole, report = fill_markers(made(positions))
     assert [(g.marker, g.first, g.last, g.method) for g in report.gaps] == [
         ("M2", 100, 104, "curve"),
         ("M7", 150, 199, "markers"),
@@ -69,7 +69,7 @@ def test_a_spike_and_a_swap() -> None:
     positions = paths()
     positions[50:52, 3] += (0.03, 0.0, 0.02)
     positions[120:170, [1, 8]] = positions[120:170, [8, 1]]
-    whole, report = fill(made(positions))
+    whole, report = fill_markers(made(positions))
     assert [(s.marker, s.first, s.last) for s in report.spikes] == [("M3", 50, 51)]
     assert [(s.markers, s.first, s.last) for s in report.swaps] == [
         (("M1", "M8"), 120, 169)
@@ -82,7 +82,7 @@ def test_what_is_kept() -> None:
     positions[50:52, 3] += 0.05
     positions[100:103, 2] = np.nan
     options = FillOptions(keep_gaps=True, keep_spikes=True, keep_swaps=True)
-    whole, report = fill(made(positions), options)
+    whole, report = fill_markers(made(positions), options)
     np.testing.assert_array_equal(whole.positions, positions)
     assert report.left == 3
 
@@ -91,7 +91,7 @@ def test_a_last_value_is_never_held() -> None:
     """A gap that nothing says anything about is left, and reported."""
     positions = paths()[:, :2]
     positions[100:, 0] = np.nan
-    whole, report = fill(made(positions))
+    whole, report = fill_markers(made(positions))
     assert np.isnan(whole.positions[100:, 0]).all()
     assert [notice.code for notice in report.notices] == ["MKR111"]
 
@@ -100,8 +100,8 @@ def test_the_rest_of_a_take_does_not_matter() -> None:
     """A curve over a gap is the same bytes in a part of the take."""
     positions = paths()
     positions[100:104, 2] = np.nan
-    whole, _ = fill(made(positions))
-    part, _ = fill(made(positions[60:160]))
+    whole, _ = fill_markers(made(positions))
+    part, _ = fill_markers(made(positions[60:160]))
     np.testing.assert_array_equal(whole.positions[100:104, 2], part.positions[40:44, 2])
 
 
@@ -110,7 +110,7 @@ def test_the_rest_of_a_take_does_not_matter() -> None:
 def test_hardly_anything_is_seen(count: int, seen: int) -> None:
     positions = np.full((5, count, 3), np.nan)
     positions[:seen] = paths()[:seen, :count]
-    whole, report = fill(made(positions))
+    whole, report = fill_markers(made(positions))
     np.testing.assert_array_equal(whole.positions, positions)
     assert report.left == (5 - seen) * count
 
@@ -147,7 +147,7 @@ def test_a_wild_sample_that_is_kept_keeps_numbers_finite(size: float) -> None:
     wild[100, 2, 0] = size
     wild[120:150, 2] = np.nan
     wild[120:150, 7] = np.nan
-    filled, report = fill(made(wild), FillOptions(keep_spikes=True))
+    filled, report = fill_markers(made(wild), FillOptions(keep_spikes=True))
     assert report.left == 0
     others = np.delete(filled.positions, 2, axis=1)
     assert np.abs(others).max() < 5.0
@@ -159,5 +159,5 @@ def test_the_longest_gap_is_filled_and_no_longer_one(length: int, left: int) -> 
     """At 120 frames a second 50 ms are 6 frames."""
     positions = paths()
     positions[100 : 100 + length, 2] = np.nan
-    _, report = fill(made(positions), FillOptions(longest=0.05))
+    _, report = fill_markers(made(positions), FillOptions(longest=0.05))
     assert (report.left, bool(report.gaps[0].method)) == (left, left == 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.capture.markers.geometry import distances, fitted, mean_shape
+from animtool.capture.markers.geometry import fit_shape, marker_distances, mean_shape
 from animtool.maths import so3
 
 SHAPE = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
@@ -17,7 +17,7 @@ def test_a_spread_is_one_standard_deviation() -> None:
     path[:, 1, 0] = 1 + np.arange(101) / 100
     path[:, 2, 1] = 3.0
     path[5:, 2] = np.nan  # seen too seldom to say anything
-    found = distances(path)
+    found = marker_distances(path)
     assert_allclose(found.mean[0, 1], 1.5)
     assert_allclose(found.spread[0, 1], 0.3413)
     assert np.isnan(found.mean[2]).all()
@@ -29,7 +29,7 @@ def test_a_shape_is_turned_and_never_mirrored() -> None:
     turn, shift = so3.exp(np.array([0.4, -1.0, 0.3])), np.array([1.0, 2.0, -3.0])
     points = so3.rotate(turn, SHAPE) + shift
     mirrored = points * [-1.0, 1.0, 1.0]
-    rotations, shifts = fitted(np.stack([points, mirrored]), SHAPE)
+    rotations, shifts = fit_shape(np.stack([points, mirrored]), SHAPE)
     assert_allclose(np.linalg.det(rotations), 1.0)
     assert_allclose(rotations[0], so3.to_matrix(turn), atol=1e-12)
     assert_allclose(shifts[0], shift, atol=1e-12)
@@ -41,7 +41,7 @@ def test_weights_choose_which_points_a_shape_is_fitted_to() -> None:
     """The fourth is off by a metre, and does not count."""
     points = SHAPE[None] + [0.5, 0.0, 0.0]
     points[0, 3] += 1.0
-    rotations, shifts = fitted(points, SHAPE, np.array([[1.0, 2.0, 3.0, 0.0]]))
+    rotations, shifts = fit_shape(points, SHAPE, np.array([[1.0, 2.0, 3.0, 0.0]]))
     assert_allclose(rotations[0], np.eye(3), atol=1e-12)
     assert_allclose(shifts[0], [0.5, 0.0, 0.0], atol=1e-12)
 

@@ -15,20 +15,20 @@ from support.suite import is_full
 
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.label import (
+    MAX_RIGID_SPREAD,
     PARTNERS,
-    RIGID,
-    _base,
+    _base_frames,
     _exchange_parts,
-    _fours,
-    _matches,
+    _matching_markers,
     _merge_seeds,
+    _rigid_fours,
+    _run_positions,
     _shape_error,
-    _window,
     label,
 )
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.tracklets import Tracklets
-from animtool.capture.markers.twins import distinguish_twins, exchanged_in
+from animtool.capture.markers.twins import distinguish_twins, is_exchanged
 from animtool.core.errors import OptionError
 from animtool.maths import so3
 
@@ -115,9 +115,9 @@ def test_twins_are_told_apart_by_shapes_that_are_off_by_more_than_noise(
     rng = np.random.default_rng(2)
     turns = so3.exp(rng.standard_normal((40, 3)))
     seen = so3.rotate(turns[:, None], shape) + rng.standard_normal((40, 1, 3))
-    assert not exchanged_in(seen, shape, (0, 1))
+    assert not is_exchanged(seen, shape, (0, 1))
     wrong = seen[:, [1, 0, 2, 3, 4, 5, 6]]
-    assert exchanged_in(wrong, shape, (0, 1)) == told
+    assert is_exchanged(wrong, shape, (0, 1)) == told
 
 
 def test_exchanged_twins_are_put_right() -> None:
@@ -138,9 +138,9 @@ def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     """In a row each goes with the seven nearest, of equals the first."""
     count = PARTNERS + 2
     spread = 1e-4 * np.abs(np.arange(count)[:, None] - np.arange(count)) * 1.0
-    spread[3, 5] = spread[5, 3] = RIGID
+    spread[3, 5] = spread[5, 3] = MAX_RIGID_SPREAD
     spread[6, 7] = spread[7, 6] = np.nan
-    found = _fours(MarkerDistances(spread, spread))
+    found = _rigid_fours(MarkerDistances(spread, spread))
     worst = [max(spread[a, b] for a in g for b in g) for g in map(list, found)]
     assert worst == sorted(worst)
     assert found[0] == (0, 1, 2, 3)  # the worst 3e-4, as of others that come later
@@ -156,9 +156,9 @@ def test_groups_are_matched_by_all_their_distances() -> None:
     rest = np.linalg.norm(shape[:, None] - shape, axis=-1)
     order = [3, 0, 4, 1, 2]  # the marker of each run
     apart = rest[np.ix_(order, order)]
-    assert _matches((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
-    assert _matches((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
-    assert _matches((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
+    assert _matching_markers((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
+    assert _matching_markers((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
+    assert _matching_markers((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
 
 
 def test_a_shape_is_off_by_the_median_of_what_frames_leave() -> None:
@@ -191,17 +191,17 @@ def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:
     tracklets = Tracklets(np.zeros((300, 1), int), first, last)
     # From 0 on 55 + 50, from 25 on 75 (30 of the first), from 50 on 100, 75 to 174:
     # 100 + 55, from 100 on 81 + 100, from 125 on 56 + 95.
-    window, runs = _base(tracklets, 300, 10.0)
+    window, runs = _base_frames(tracklets, 300, 10.0)
     assert (window, runs.tolist()) == (slice(100, 200), [1, 2, 4])
-    short, runs = _base(tracklets, 20, 10.0)
+    short, runs = _base_frames(tracklets, 20, 10.0)
     assert (short, runs.tolist()) == (slice(0, 20), [0])
     # Of 40 frames 31 of a run count, and two of 30 do not; one of 30 is named too.
     first, last = np.array([0, 20, 20, 0]), np.array([30, 49, 49, 29])
-    window, runs = _base(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
+    window, runs = _base_frames(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
     assert (window, runs.tolist()) == (slice(0, 40), [0, 3])
     # The last frame of a window counts: 31 to the end of the first, before 31 later.
     first, last = np.array([9, 21]), np.array([39, 51])
-    window, runs = _base(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
+    window, runs = _base_frames(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
     assert (window, runs.tolist()) == (slice(0, 40), [0])
 
 
@@ -209,7 +209,7 @@ def test_a_window_holds_the_runs_that_are_asked_for() -> None:
     ids = np.array([[0, 1], [1, 0], [2, -1], [0, 2]])
     tracklets = Tracklets(ids, np.array([0, 0, 2]), np.array([3, 1, 3]))
     positions = np.arange(24.0).reshape(4, 2, 3)
-    found = _window(positions, tracklets, np.array([2, 0]), slice(1, 4))
+    found = _run_positions(positions, tracklets, np.array([2, 0]), slice(1, 4))
     wanted = np.full((3, 2, 3), np.nan)
     wanted[0, 1], wanted[1, 0] = positions[1, 1], positions[2, 0]
     wanted[2] = positions[3, [1, 0]]
@@ -233,7 +233,7 @@ def test_names_are_exchanged_in_parts(
         seen.append((len(points), points[0, 0, 0], pair))
         return said[len(seen) - 1]
 
-    monkeypatch.setattr("animtool.capture.markers.label.exchanged_in", exchanged)
+    monkeypatch.setattr("animtool.capture.markers.label.is_exchanged", exchanged)
     _exchange_parts(work, np.zeros((3, 3)), (0, 2))
     assert seen == [(4, 0.0, (0, 2)), (3, 45.0, (0, 2))]
     swapped = [[0, 2], [2, 0]]

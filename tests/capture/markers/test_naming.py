@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from animtool.capture.markers.geometry import MarkerDistances
-from animtool.capture.markers.naming import Naming
+from animtool.capture.markers.naming import PointNaming
 
 SHAPE = np.random.default_rng(6).uniform(-0.15, 0.15, (7, 3))
 REST = np.linalg.norm(SHAPE[:, None] - SHAPE, axis=-1)
 
 
-def naming(order: list[int], seen: float = 100.0) -> Naming:
+def naming(order: list[int], seen: float = 100.0) -> PointNaming:
     """Return the naming of points that are these markers of one rigid shape."""
     mean = REST[np.ix_(order, order)] + 1e-4
     spread = np.full_like(mean, 5e-4)
     np.fill_diagonal(mean, np.nan)
-    return Naming(MarkerDistances(mean, spread), np.full(mean.shape, seen), REST)
+    return PointNaming(MarkerDistances(mean, spread), np.full(mean.shape, seen), REST)
 
 
 ORDER = [4, 0, 6, 2, 1, 5, 3]
@@ -66,16 +66,16 @@ def test_names_in_doubt_and_markers_that_lack_points() -> None:
     own = naming(ORDER)
     for point, marker in enumerate(ORDER):
         own.assign(point, marker)
-    assert own.doubt(set()) is None
-    assert not len(own.lacking())
+    assert own.most_doubtful(set()) is None
+    assert not len(own.scarce_markers())
     wrong = naming(ORDER)
     for point, marker in enumerate([0, 4, *ORDER[2:]]):
         wrong.assign(point, marker)
-    found = wrong.doubt(set())
+    found = wrong.most_doubtful(set())
     assert found in {(0, 4), (1, 0)}
-    assert wrong.doubt({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
+    assert wrong.most_doubtful({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
     own.assign(3, -1)
-    assert own.lacking().tolist() == [2]
+    assert own.scarce_markers().tolist() == [2]
 
 
 def test_who_gets_a_name_takes_it_from_those_who_are_seen_with_him() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.marked import FIGURE, TEMPLATE, captured, column, moving
 
-from animtool.capture.markers.fill import fill
+from animtool.capture.markers.fill import fill_markers
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.options import FillOptions
 from animtool.capture.templates import MarkerTemplate
@@ -39,7 +39,7 @@ def off(whole: Markers, name: str, truth: Markers = TRUTH) -> FloatArray:
 
 
 def test_all_but_one_marker_of_a_segment() -> None:
-    whole, report = fill(without("LWRA", "LELB"), options=KEEP, subject=SUBJECT)
+    whole, report = fill_markers(without("LWRA", "LELB"), options=KEEP, subject=SUBJECT)
     assert [gap.method for gap in report.gaps] == ["skeleton"] * 2
     for name in ("LWRA", "LELB"):
         assert off(whole, name)[GONE].max() < 0.003
@@ -52,7 +52,9 @@ def test_z_up() -> None:
     turned = np.stack([TRUTH.positions[..., k] for k in (0, 2, 1)], axis=-1)
     turned[..., 1] *= -1.0
     truth = replace(TRUTH, positions=turned, up=UpAxis.Z)
-    whole, report = fill(without("LWRA", given=truth), options=KEEP, subject=SUBJECT)
+    whole, report = fill_markers(
+        without("LWRA", given=truth), options=KEEP, subject=SUBJECT
+    )
     assert report.gaps[0].method == "skeleton"
     assert off(whole, "LWRA", truth)[GONE].max() < 0.003
 
@@ -64,14 +66,16 @@ def test_what_a_marker_is_off_goes_on_over_the_gap() -> None:
     positions[:, column("RBAK"), 1] += slides
     truth = replace(TRUTH, positions=positions)
     gapped = without("RBAK", frames=slice(70, 90), given=truth)
-    whole, _ = fill(gapped, options=KEEP, subject=SUBJECT)
+    whole, _ = fill_markers(gapped, options=KEEP, subject=SUBJECT)
     assert off(whole, "RBAK", truth)[70:90].max() < 0.0025
 
 
 def test_markers_that_the_template_lacks_go_by_the_others() -> None:
     fewer = MarkerTemplate(tuple(m for m in TEMPLATE.markers if m.name != "LWRA"))
     gapped = without("LWRA", "LWRB")
-    _, report = fill(gapped, options=KEEP, subject=replace(SUBJECT, template=fewer))
+    _, report = fill_markers(
+        gapped, options=KEEP, subject=replace(SUBJECT, template=fewer)
+    )
     methods = {gap.marker: gap.method for gap in report.gaps}
     assert methods == {"LWRA": "markers", "LWRB": "skeleton"}
 
@@ -79,7 +83,7 @@ def test_markers_that_the_template_lacks_go_by_the_others() -> None:
 def test_a_pose_that_nothing_shows_is_not_made_up() -> None:
     """Frames with two markers are no pose, and their gaps are left."""
     gapped = without(*TEMPLATE.names[2:])
-    whole, report = fill(gapped, options=KEEP, subject=SUBJECT)
+    whole, report = fill_markers(gapped, options=KEEP, subject=SUBJECT)
     assert not whole.visible[GONE, 2:].any()
     assert {gap.method for gap in report.gaps} == {""}
     assert [n.code for n in report.notices] == ["SOL101", "MKR111"]
@@ -88,7 +92,7 @@ def test_a_pose_that_nothing_shows_is_not_made_up() -> None:
 def test_a_take_without_gaps_needs_no_skeleton() -> None:
     """Not even one that would be refused."""
     part = _part(slice(0, 6))
-    whole, report = fill(part, options=KEEP, subject=SUBJECT)
+    whole, report = fill_markers(part, options=KEEP, subject=SUBJECT)
     np.testing.assert_array_equal(whole.positions, part.positions)
     assert not report.gaps
 
@@ -97,7 +101,7 @@ def test_a_take_that_is_too_short() -> None:
     part = _part(slice(0, 6))
     part.positions[2, 0] = np.nan
     with pytest.raises(OptionError) as caught:
-        fill(part, options=KEEP, subject=SUBJECT)
+        fill_markers(part, options=KEEP, subject=SUBJECT)
     assert caught.value.code == "SOL006"
 
 

@@ -19,8 +19,8 @@ from animtool.capture.solve.calibration import (
     OVERALL_DEVIATION,
     SIDE_DEVIATION,
     _CalibrationState,
+    scale_rig_bones,
     unlimited_rig,
-    with_bones,
 )
 from animtool.capture.solve.model import marker_model
 from animtool.capture.templates import MarkerTemplate
@@ -41,7 +41,7 @@ def subject() -> tuple[Rig, MarkerTemplate]:
         replace(m, offset=tuple(np.add(m.offset, rng.normal(scale=0.008, size=3))))
         for m in TEMPLATE.markers
     )
-    return with_bones(FIGURE, SCALES), replace(TEMPLATE, markers=markers)
+    return scale_rig_bones(FIGURE, SCALES), replace(TEMPLATE, markers=markers)
 
 
 def takes() -> tuple[Captured, Captured]:
@@ -123,17 +123,17 @@ def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
     """Covariance of bones without sides: 0.07^2, and 0.25^2 that all of them share."""
     work = unsettled(LWRA=True)
     bones, size = len(work.bones), len(work.bones) + work.offsets.size
-    assert (bones, work._pairs()) == (5, [(1, 3), (2, 4)])
+    assert (bones, work._side_pairs()) == (5, [(1, 3), (2, 4)])
     work.scales = np.array([1.1, 0.9, 1.2, 1.0, 1.2])
     work.offsets = 1.05 * work.offsets0
-    matrix, drawn = work._prior()
+    matrix, drawn = work._prior_equations()
     own = np.linalg.inv(BONE_DEVIATION**2 * np.eye(bones) + OVERALL_DEVIATION**2)
     sides = np.zeros((bones, bones))
     for a, b in ((1, 3), (2, 4)):
         row = np.eye(bones)[a] - np.eye(bones)[b]
         sides += np.outer(row, row) / SIDE_DEVIATION**2
     # Each marker but the held one about its place, as large as the bones it is on.
-    of_bones = work._carriers()[:, None, :] * work.offsets0[:, :, None]
+    of_bones = work._bone_weights()[:, None, :] * work.offsets0[:, :, None]
     names = [m.name for m in work.model.template.markers]
     of_bones[names.index("LWRA")] = 0.0
     of_bones = of_bones.reshape(-1, bones)
@@ -153,7 +153,7 @@ def test_markers_are_as_large_as_the_bones_that_begin_at_their_joint() -> None:
     """Of the hips the chest's bone, of the chest both arms', of a wrist its own."""
     work = unsettled()
     joints = [FIGURE.joints[j].name for j in work.model.joints.tolist()]
-    rows = dict(zip(joints, work._carriers().tolist(), strict=True))
+    rows = dict(zip(joints, work._bone_weights().tolist(), strict=True))
     assert rows["hips"] == [1, 0, 0, 0, 0]
     assert rows["chest"] == [0, 0.5, 0, 0.5, 0]
     assert rows["arm_l"] == [0, 0, 1, 0, 0]
@@ -194,7 +194,7 @@ def test_a_marker_on_a_landmark_stays() -> None:
 
 def test_surfaces_stay_bound_as_they_were() -> None:
     body = replace(FIGURE, meshes=(Mesh("body", None, None),))  # type: ignore[arg-type]
-    found = with_bones(body, SCALES)
+    found = scale_rig_bones(body, SCALES)
     assert found.bind["chest"].translation == FIGURE.joints[1].translation
     assert "hips" not in found.bind
 

@@ -73,8 +73,8 @@ def test_limits_are_kept() -> None:
 def test_windows_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = spoiled(11)
     whole = solve_markers(truth.markers, FIGURE, TEMPLATE).take()
-    monkeypatch.setattr(run_module, "WINDOW", 70)
-    monkeypatch.setattr(run_module, "LOOKAHEAD", 40)
+    monkeypatch.setattr(run_module, "WINDOW_FRAMES", 70)
+    monkeypatch.setattr(run_module, "LOOKAHEAD_FRAMES", 40)
     solve = solve_markers(truth.markers, FIGURE, TEMPLATE)
     assert len(list(solve.blocks())) == 4
     parts = solve_markers(truth.markers, FIGURE, TEMPLATE).take()
@@ -83,7 +83,7 @@ def test_windows_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_start_of_a_take_is_that_of_the_whole() -> None:
-    frames = run_module.WINDOW + run_module.LOOKAHEAD
+    frames = run_module.WINDOW_FRAMES + run_module.LOOKAHEAD_FRAMES
     truth = captured(moving(frames + 60, FPS, 2), FPS)
     cut = replace(
         truth.markers,

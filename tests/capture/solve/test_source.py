@@ -11,7 +11,7 @@ from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool.capture.options import SolveOptions
 from animtool.capture.solve import solve_markers
-from animtool.capture.solve.source import named_rig, solve_scores, solve_stream
+from animtool.capture.solve.source import rig_of_template, solve_scores, solve_stream
 from animtool.core.errors import Fault, OptionError
 
 PATH = Path("take.c3d")
@@ -20,10 +20,10 @@ PATH = Path("take.c3d")
 def test_a_rig_that_is_given_goes_before_that_of_the_template() -> None:
     own, other = Path("own.rig.yaml"), Path("other.rig.yaml")
     template = replace(TEMPLATE, rig=own)
-    assert named_rig(template, other, PATH) == other
-    assert named_rig(template, None, PATH) == own
+    assert rig_of_template(template, other, PATH) == other
+    assert rig_of_template(template, None, PATH) == own
     with pytest.raises(OptionError) as caught:
-        named_rig(replace(TEMPLATE, rig=None), None, PATH)
+        rig_of_template(replace(TEMPLATE, rig=None), None, PATH)
     (fault,) = caught.value.faults
     assert (fault.code, fault.path) == ("SOL008", str(PATH))
 

@@ -24,7 +24,7 @@ from animtool.formats.bvh import lines as lines_module
 from animtool.formats.bvh.read import read_bvh
 from animtool.formats.bvh.write import bvh_text
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import JointType
 from animtool.validation.run import validate
 
@@ -57,7 +57,7 @@ def fault(path: Path) -> FormatError:
 def test_positions_against_the_reference(write) -> None:  # type: ignore[no-untyped-def]
     path = write(small_bvh(random_rows(50)))
     _, take = read(path)
-    world = forward(
+    world = forward_kinematics(
         take.rig, take.motion.translations.dense(), take.motion.rotations.dense()
     )
     truth = read_reference(path).positions(np.arange(50))

@@ -16,7 +16,7 @@ from animtool.formats.fbx.read import read_fbx
 from animtool.formats.gltf.clip_keys import keys_of_clip
 from animtool.maths.curves import Interp
 from animtool.motion.take import TakeStream
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 
 USER = 0x408
 
@@ -72,9 +72,13 @@ def off(stream: TakeStream, clip: Clip) -> float:
     """Return how far a clip is from the curves, at many times between frames."""
     times = np.linspace(float(clip.first), float(clip.last), 173)
     assert stream.curve is not None
-    exact = forward(stream.rig, *stream.curve(times).dense())
+    exact = forward_kinematics(stream.rig, *stream.curve(times).dense())
     ours = sample_channels(clip.channels, stream.rig, times).motion
-    return float(np.abs(forward(stream.rig, *ours.dense()).linear - exact.linear).max())
+    return float(
+        np.abs(
+            forward_kinematics(stream.rig, *ours.dense()).linear - exact.linear
+        ).max()
+    )
 
 
 WEIGHTED = USER | 0x3000000
@@ -152,9 +156,9 @@ def test_what_a_clip_cannot_say_is_sampled_and_named(tmp_path: Path) -> None:
         assert set(turning.interps) == {Interp.SLERP}
         at = np.arange(float(clip.first), float(clip.last) + 1)
         assert stream.curve is not None
-        exact = forward(stream.rig, *stream.curve(at).dense()).linear
+        exact = forward_kinematics(stream.rig, *stream.curve(at).dense()).linear
         ours = sample_channels(clip.channels, stream.rig, at).motion
-        found = forward(stream.rig, *ours.dense()).linear
+        found = forward_kinematics(stream.rig, *ours.dense()).linear
         np.testing.assert_allclose(found, exact, atol=1e-9)
 
 

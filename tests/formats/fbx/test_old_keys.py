@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from animtool.core.errors import FormatError
-from animtool.formats.fbx.curves import CONSTANT, CUBIC, LINEAR, NEXT, THIRD, FbxCurve
+from animtool.formats.fbx.curves import (
+    CONSTANT,
+    CUBIC,
+    LINEAR,
+    NEXT,
+    ONE_THIRD,
+    FbxCurve,
+)
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.old_keys import curve_of_channel
-from animtool.formats.fbx.settings import TICKS
+from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.file_notices import FileNotices
 
 
@@ -25,7 +32,7 @@ def read(keys: list[Any], version: int = 4005) -> tuple[FbxCurve, list[str]]:
     return curve, [fault.code for fault in notes.notices]
 
 
-END = [TICKS, 3.0, "L"]
+END = [TICKS_PER_SECOND, 3.0, "L"]
 
 
 def test_kinds_of_segments() -> None:
@@ -38,11 +45,11 @@ def test_kinds_of_segments() -> None:
 @pytest.mark.parametrize(
     ("weights", "expected"),
     [
-        (["n"], (THIRD, THIRD)),
-        (["c"], (THIRD, THIRD)),
+        (["n"], (ONE_THIRD, ONE_THIRD)),
+        (["c"], (ONE_THIRD, ONE_THIRD)),
         (["a", 0.1, 0.2], (0.1, 0.2)),
-        (["r", 0.1], (0.1, THIRD)),
-        (["l", 0.2], (THIRD, 0.2)),
+        (["r", 0.1], (0.1, ONE_THIRD)),
+        (["l", 0.2], (ONE_THIRD, 0.2)),
     ],
 )
 def test_weights_of_handles(weights: list[Any], expected: tuple[float, float]) -> None:
@@ -69,7 +76,18 @@ def test_layouts_have_weights_and_letters_or_none() -> None:
 def test_tangents_that_nobody_documents_are_automatic_and_named(
     kind: list[Any],
 ) -> None:
-    keys = [0, 0.0, "L", TICKS, 1.0, "U", *kind, 2 * TICKS, 2.0, "L"]
+    keys = [
+        0,
+        0.0,
+        "L",
+        TICKS_PER_SECOND,
+        1.0,
+        "U",
+        *kind,
+        2 * TICKS_PER_SECOND,
+        2.0,
+        "L",
+    ]
     curve, codes = read(keys)
     assert codes == ["FBX120"]
     # Half way up, from one neighbour to the other.

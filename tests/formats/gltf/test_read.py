@@ -27,7 +27,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.edit.resample import resampled
 from animtool.formats.gltf.document import open_gltf
 from animtool.formats.gltf.read import read_gltf, read_gltf_rig
-from animtool.retarget.anatomy import anatomy
+from animtool.retarget.anatomy import find_anatomy
 from animtool.rig.kinematics import rest_world
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, open_source
@@ -401,6 +401,6 @@ def test_humanoid_bones_say_which_joint_is_which(tmp_path: Path) -> None:
     path.write_bytes(as_glb(*made.done()))
     rig = read_gltf_rig(path)
     assert [joint.humanoid for joint in rig.joints] == bones
-    found = anatomy(rig)
+    found = find_anatomy(rig)
     assert found.preset == "vrm1"
     assert [found.roles[k] for k in (0, 4, 5)] == ["hips", "neck", "head"]

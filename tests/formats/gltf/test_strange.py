@@ -20,7 +20,7 @@ from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.sampling import sampler_of
 from animtool.formats.gltf.timing import distinct_clip_names
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.scene.convert.takes import convert
 from animtool.scene.sources.open import SourceOptions
 from animtool.skin.deform import deform
@@ -79,7 +79,7 @@ def places(
     """Return positions of joints and points of meshes by name ``(F, N, 3)``."""
     animation = character.gltf.animations[clip]
     motion = sampler_of(character.gltf, character.made, animation).at(times)
-    world = forward(character.made.rig, *motion.dense())
+    world = forward_kinematics(character.made.rig, *motion.dense())
     weights = None if motion.weights is None else motion.weights.dense()[:, :, 0]
     joints = enumerate(character.made.rig.names)
     found = {f"joint {name}": world.positions[:, j : j + 1] for j, name in joints}

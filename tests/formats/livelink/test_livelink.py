@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from support.faults import raises
 
 from animtool.core.errors import FormatError, OptionError
-from animtool.formats.livelink.columns import ANGLES, APP_SHAPES
+from animtool.formats.livelink.columns import ANGLE_COLUMNS, APP_SHAPES
 from animtool.formats.livelink.read import read_livelink
 from animtool.formats.livelink.timecodes import row_frames
 from animtool.formats.livelink.write import timecode, write_livelink
@@ -197,7 +197,7 @@ def test_drop_frame() -> None:
 def test_it_comes_back_as_it_was_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     cells = rng.random((150, 61)) * ([1.0] * 52 + [0.6] * 9)
-    text = ",".join(("Timecode", "BlendShapeCount", *APP_SHAPES, *ANGLES)) + "\n"
+    text = ",".join(("Timecode", "BlendShapeCount", *APP_SHAPES, *ANGLE_COLUMNS)) + "\n"
     for label, values in zip(labels(150, 60), cells, strict=True):
         text += f"{label}.000,61," + ",".join(f"{v:.10f}" for v in values) + "\n"
     path = tmp_path / "a.csv"

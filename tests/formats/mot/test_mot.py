@@ -16,7 +16,11 @@ from support.faults import raises
 
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
-from animtool.formats.mot.coordinates import column_names, coordinates_of, spellings
+from animtool.formats.mot.coordinates import (
+    accepted_names,
+    column_names,
+    coordinates_of,
+)
 from animtool.formats.mot.read import read_mot, read_mot_rig
 from animtool.formats.mot.write import write_mot
 from animtool.maths import so3
@@ -329,7 +333,7 @@ def test_names_that_clash_are_spelled_out() -> None:
     names = column_names(RIG, coordinates_of(RIG))
     assert "hip.rotation.x" in names
     assert names.count("hip_x") == 1
-    known = spellings(RIG)
+    known = accepted_names(RIG)
     assert [known[name] for name in names] == coordinates_of(RIG)
 
 

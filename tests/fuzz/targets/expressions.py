@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from animtool.rig.expressions import FUNCTIONS, MAX_LENGTH, parse_expression
+from animtool.rig.expressions import FUNCTIONS, MAX_EXPRESSION_LENGTH, parse_expression
 from fuzz.mutations import pick, spoil
 
 ABOUT = "expressions over controls, read and evaluated"
@@ -43,7 +43,9 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
         try:
             made = parse_expression(text)
         except ValueError as error:
-            return "refused" if len(str(error)) < MAX_LENGTH else _fail(error)
+            return (
+                "refused" if len(str(error)) < MAX_EXPRESSION_LENGTH else _fail(error)
+            )
         values = {name: arrays[i % 2] for i, name in enumerate(made.names)}
         found = made.evaluate(values)
         assert found.dtype == np.float64

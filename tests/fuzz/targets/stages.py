@@ -14,7 +14,7 @@ from animtool import BakeOptions, bake
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.usd.layers.sdf import compute_alone, forget_layers
+from animtool.usd.layers.sdf import forget_layers, limit_usd_threads
 
 ABOUT = "UsdPhysics stages of rigid bodies, with odd values, simulated"
 
@@ -46,7 +46,7 @@ _TETRAHEDRON = (
 
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
     """Return what runs a case in a folder."""
-    compute_alone()
+    limit_usd_threads()
     stage, path = folder / "yard.usda", folder / "shot.scene.yaml"
 
     def run(rng: np.random.Generator) -> str:

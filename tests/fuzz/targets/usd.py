@@ -21,7 +21,7 @@ from animtool.report.describe import describe
 from animtool.scene.sources.open import SourceOptions
 from animtool.usd.caches.info import describe_points
 from animtool.usd.checks.run import inspect_layer
-from animtool.usd.layers.sdf import compute_alone, forget_layers
+from animtool.usd.layers.sdf import forget_layers, limit_usd_threads
 from animtool.usd.rigs.mesh_read import source_meshes
 from animtool.usd.rigs.stored import read_rig_with_data
 from animtool.usd.rigs.target import open_target
@@ -42,7 +42,7 @@ ODD = [
 
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
     """Return what runs a case in a folder."""
-    compute_alone()
+    limit_usd_threads()
     seeds = [write_good(folder), make_layer(folder / "clean.usda")]
     small = make_layer(folder / "small.usda", 3, mesh=False)
     crates = []

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.preview.pictures.camera import PRESETS, Bounds, CameraView
+from animtool.preview.pictures.camera import VIEW_ANGLES, Bounds, CameraView
 
 RNG = np.random.default_rng(5)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", VIEW_ANGLES)
 @pytest.mark.parametrize(("wide", "high"), [(960, 540), (300, 500), (400, 400)])
 @pytest.mark.parametrize("inset", [0, 90])
 def test_what_is_framed_is_in_the_picture_beneath_the_text(
@@ -18,7 +18,7 @@ def test_what_is_framed_is_in_the_picture_beneath_the_text(
     box = Bounds()
     box.add(points)
     view = CameraView(wide, high, inset)
-    view.yaw, view.pitch = PRESETS[preset]
+    view.yaw, view.pitch = VIEW_ANGLES[preset]
     view.frame(box)
     clip = (
         np.column_stack([points, np.ones(len(points))]) @ view.eye().view_projection.T

@@ -7,10 +7,10 @@ from support.drawing import need_drawing
 from animtool.core.errors import AnimtoolError
 from animtool.preview.pictures.captions import (
     Caption,
-    caption_of,
     evenly_spaced,
     picture_sheet,
     with_caption,
+    wrap_caption,
 )
 
 INK, BACK = (0, 0, 0), (255, 255, 255)
@@ -24,7 +24,7 @@ def drawn() -> None:
 @pytest.mark.parametrize("text", ["short", "many words " * 12, "x" * 100, "a\nb"])
 @pytest.mark.parametrize("size", [(400, 300), (160, 240)])
 def test_no_letter_is_cut_off(text: str, size: tuple[int, int]) -> None:
-    caption = caption_of(text, *size)
+    caption = wrap_caption(text, *size)
     assert "".join(caption.lines).replace(" ", "") == "".join(text.split())
     blank = np.full((size[1], size[0], 3), 255, np.uint8)
     dark = with_caption(blank, caption, "frame 1001", INK, BACK).min(axis=-1) < 128
@@ -39,9 +39,9 @@ def test_no_letter_is_cut_off(text: str, size: tuple[int, int]) -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(AnimtoolError) as error:
-        caption_of("many words " * 99, 100, 100)
+        wrap_caption("many words " * 99, 100, 100)
     assert error.value.code == "PRV006"
-    assert caption_of("  ", 100, 100).height == 0
+    assert wrap_caption("  ", 100, 100).height == 0
 
 
 def test_a_sheet_has_its_pictures_in_rows() -> None:

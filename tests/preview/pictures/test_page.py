@@ -15,9 +15,9 @@ from support.drawing import drawing
 
 from animtool.preview.build import write_page
 from animtool.preview.pictures.camera import CameraView
-from animtool.preview.pictures.device import Device, Picture
+from animtool.preview.pictures.device import Device, Framebuffer
 from animtool.preview.pictures.scene import DrawnScene
-from animtool.preview.pictures.sources import SHADER_HEADER, shader
+from animtool.preview.pictures.sources import SHADER_HEADER, shader_source
 
 # Levels of 255 that rasterisers differ by inside of surfaces, and the part of pixels
 # that differ more, at edges.
@@ -72,7 +72,7 @@ def test_a_picture_is_what_the_canvas_of_the_page_shows(
         high, wide = expected.shape[:2]
         view = CameraView(wide, high, inset)
         scene.frame_motion(view, sample)
-        drawn = scene.draw(view, sample, Picture(device, wide, high))
+        drawn = scene.draw(view, sample, Framebuffer(device, wide, high))
         apart = np.abs(drawn - expected).max(axis=-1)
         away = np.abs(expected - expected[-1, 0]).max(axis=-1)
         shown = (away > LEVELS).mean()
@@ -91,7 +91,9 @@ def test_the_page_compiles_the_same_shaders(
     })()"""
     with browser.open(path) as opened:
         compiled = opened.run(script)
-    own = [shader("shadow.js", f"GROUND_{kind}") for kind in ("VERTEX", "FRAGMENT")]
+    own = [
+        shader_source("shadow.js", f"GROUND_{kind}") for kind in ("VERTEX", "FRAGMENT")
+    ]
     lines = [[line.strip() for line in text.splitlines()] for text in compiled]
     for text, found in zip(own, lines, strict=True):
         # Pages have no comments, and another version line.

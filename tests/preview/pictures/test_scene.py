@@ -9,8 +9,8 @@ from support.drawing import drawing
 
 from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PreviewOptions
-from animtool.preview.pictures.camera import KEY_LIGHT, PRESETS, CameraView
-from animtool.preview.pictures.device import Device, Picture
+from animtool.preview.pictures.camera import KEY_LIGHT, VIEW_ANGLES, CameraView
+from animtool.preview.pictures.device import Device, Framebuffer
 from animtool.preview.pictures.scene import DrawnScene
 
 STAGE = """#usda 1.0
@@ -57,10 +57,10 @@ def drawn(
     light: np.ndarray = KEY_LIGHT,
 ) -> np.ndarray:
     view = CameraView(80, 60, light=light / np.linalg.norm(light))
-    view.yaw, view.pitch = PRESETS["home"][0], 0.5
+    view.yaw, view.pitch = VIEW_ANGLES["home"][0], 0.5
     scene = DrawnScene(device, page.manifest, page.blocks, frozenset(shown))
     scene.frame_motion(view, 0)
-    return scene.draw(view, 0, Picture(device, 80, 60), shot).astype(int)
+    return scene.draw(view, 0, Framebuffer(device, 80, 60), shot).astype(int)
 
 
 @pytest.mark.parametrize(

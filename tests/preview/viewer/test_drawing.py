@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from support.browser import Array, Browser
 from support.preview_pages import Chain, PageDraft, ribbon
 
-from animtool.preview.streams import Quantized, quantized_range
+from animtool.preview.streams import Quantized, quantize_range
 
 pytestmark = pytest.mark.slow(seconds=12)
 
@@ -62,7 +62,7 @@ def test_skins_and_shapes_deform_in_the_shader(
     chain.rotations[0] = [0, 0, 0, 1]
     draft = PageDraft()
     weights = np.linspace(0, 1, 48)[:, None]
-    shapes = {"names": ["wide"], "weights": draft.packer.add(quantized_range(weights))}
+    shapes = {"names": ["wide"], "weights": draft.packer.add(quantize_range(weights))}
     draft.take(chain, shapes=shapes)
     ribbon(draft, chain, reach=0.5)
     rotations, positions = chain.world()
@@ -109,7 +109,7 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
         faces=faces,
         skin=None,
         shapes=[],
-        cache=draft.packer.add(quantized_range(cached.reshape(3, -1), period=3)),
+        cache=draft.packer.add(quantize_range(cached.reshape(3, -1), period=3)),
         color=None,
         visible=None,
     )
@@ -118,7 +118,7 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
     draft.add(
         "points",
         name="spray",
-        positions=draft.packer.add(quantized_range(balls.reshape(3, -1), period=3)),
+        positions=draft.packer.add(quantize_range(balls.reshape(3, -1), period=3)),
         radius=0.05,
         radii=None,
         color=[1.0, 0.5, 0.0],

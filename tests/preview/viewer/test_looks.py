@@ -12,7 +12,7 @@ import pytest
 from support.browser import Browser
 from support.preview_pages import Chain, PageDraft
 
-from animtool.preview.page import VIEWER, page_parts
+from animtool.preview.page import VIEWER_FOLDER, page_parts
 
 TSC = shutil.which("tsc")
 
@@ -100,7 +100,7 @@ def test_the_theme_is_the_systems_until_it_is_chosen(
 
 
 def themes() -> list[dict[str, str]]:
-    text = (VIEWER / "viewer.css").read_text("utf-8")
+    text = (VIEWER_FOLDER / "viewer.css").read_text("utf-8")
     light, dark = (
         dict(re.findall(r"--([\w-]+): (#\w{6})", block))
         for block in re.findall(r":root[^{]*\{([^}]*)\}", text)[:2]
@@ -133,7 +133,7 @@ def test_text_has_contrast(theme: dict[str, str]) -> None:
 def test_the_viewer_is_small() -> None:
     nothing = b"".join(page_parts({"format": 1, "title": ""}, []))
     assert len(nothing) <= 70_000
-    for module in VIEWER.glob("*.js"):
+    for module in VIEWER_FOLDER.glob("*.js"):
         assert module.read_text("utf-8").count("\n") <= 300, module.name
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from animtool.core.errors import FormatError
-from animtool.documents.check import validated
+from animtool.documents.check import validate_document
 from animtool.documents.document import document_of
 from animtool.scene.file.schema import SystemModel, full_model, model_for
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -40,7 +40,7 @@ def reading(text: str, model: Any) -> tuple[Any, list[str]]:
     """Return a document as read, and what was found."""
     document = document_of(text, Path("it.scene.yaml"))
     try:
-        read = validated(document, model(document.value)).model_dump()
+        read = validate_document(document, model(document.value)).model_dump()
         document.check()
     except FormatError as error:
         return None, [str(fault) for fault in error.faults]

@@ -25,7 +25,7 @@ def test_the_first_frame_is_held_by_the_frames_and_by_the_curve(walk: Path) -> N
 
     keyed = replace(TakeStream.of(take), curve=curve, count=take.motion.frames)
     early = with_preroll(keyed, 3)
-    assert early.altered
+    assert early.is_altered
     assert early.curve is not None
     first = float(take.clock.start)
     early.curve(np.array([first - 2.5, first + 0.5]))

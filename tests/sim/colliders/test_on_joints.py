@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.parts import Capsule as RigCapsule
 from animtool.rig.parts import Collider as RigCollider
 from animtool.rig.skeleton import Joint, Rig
@@ -28,7 +28,9 @@ def test_capsules_go_with_their_joints() -> None:
     )
     turn = [0, 0, 0.5**0.5, 0.5**0.5]
     still = [0, 0, 0, 1]
-    world = forward(rig, [rig.rest_translations] * 2, [[still, still], [still, turn]])
+    world = forward_kinematics(
+        rig, [rig.rest_translations] * 2, [[still, still], [still, turn]]
+    )
     like = Collider(Sphere(1), friction=0.5)
     (arm,) = rig_colliders(rig, world, [0, 1], like)
     assert (arm.name, arm.friction) == ("arm", 0.5)
@@ -48,7 +50,7 @@ def test_capsules_are_as_large_as_the_first_frame_has_them(length: float) -> Non
     rig = Rig("arm", (Joint("arm", -1),), colliders=(RigCollider("arm", bone),))
     turn = [0, 0, 0.5**0.5, 0.5**0.5]
     scales = [[[2, 2, 2]], [[5, 5, 5]]]
-    world = forward(rig, [[[0, 0, 0]]] * 2, [[turn], [turn]], scales)
+    world = forward_kinematics(rig, [[[0, 0, 0]]] * 2, [[turn], [turn]], scales)
     (arm,) = rig_colliders(rig, world, [0, 1])
     shape = Capsule(0.2, 2 * length, (0, 0, 1), (0, 0.6, 0))
     assert_allclose(arm.shape.sizes(), shape.sizes(), atol=1e-15)
@@ -57,5 +59,5 @@ def test_capsules_are_as_large_as_the_first_frame_has_them(length: float) -> Non
 
 def test_a_rig_without_colliders_has_none() -> None:
     rig = Rig("dot", (Joint("root", -1),))
-    world = forward(rig, [rig.rest_translations], [[[0, 0, 0, 1]]])
+    world = forward_kinematics(rig, [rig.rest_translations], [[[0, 0, 0, 1]]])
     assert rig_colliders(rig, world, [0]) == []

@@ -38,7 +38,7 @@ from animtool.sim import (
 )
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.adaptive import step_doubling
-from animtool.sim.integrators.integrator import Form, StepControl
+from animtool.sim.integrators.integrator import EquationForm, StepControl
 
 ALL = [find_integrator(name) for name in INTEGRATORS]
 STEPPED = [each for each in ALL if each.step is not None]
@@ -304,7 +304,7 @@ def test_polynomials_are_exact_up_to_the_order(
     coefficients: list[float], h: float
 ) -> None:
     for integrator in STEPPED:
-        if integrator.form is Form.ACCELERATIONS or integrator.multistep:
+        if integrator.form is EquationForm.ACCELERATIONS or integrator.multistep:
             continue
         rate = np.polynomial.Polynomial(coefficients[: integrator.order])
         system = RateSystem(lambda t, y, rate=rate: np.full_like(y, rate(t)), [0.3])

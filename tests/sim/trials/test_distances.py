@@ -14,9 +14,9 @@ from animtool.maths import so3
 from animtool.sim.trials.trial import (
     ErrorMeasure,
     Snapshot,
-    distances,
-    extent_of,
     observed_order,
+    points_extent,
+    run_distances,
 )
 
 POINTS = arrays(np.float64, (5, 3), elements=st.floats(-100, 100, width=32))
@@ -24,15 +24,15 @@ POINTS = arrays(np.float64, (5, 3), elements=st.floats(-100, 100, width=32))
 
 @given(POINTS)
 def test_nothing_is_away_from_itself(points: np.ndarray) -> None:
-    found = distances([Snapshot(points)], [Snapshot(points.copy())])
+    found = run_distances([Snapshot(points)], [Snapshot(points.copy())])
     assert (found.largest, found.rms, found.median, found.unmatched) == (0, 0, 0, 0)
 
 
 @given(POINTS, POINTS)
 def test_distances_are_the_same_both_ways(a: np.ndarray, b: np.ndarray) -> None:
     there, back = (
-        distances([Snapshot(a)], [Snapshot(b)]),
-        distances([Snapshot(b)], [Snapshot(a)]),
+        run_distances([Snapshot(a)], [Snapshot(b)]),
+        run_distances([Snapshot(b)], [Snapshot(a)]),
     )
     assert there == back
     assert there.rms <= there.largest * (1 + 1e-12)
@@ -43,7 +43,7 @@ def test_distances_are_the_same_both_ways(a: np.ndarray, b: np.ndarray) -> None:
 def test_points_are_told_by_their_ids(points: np.ndarray, i: int, j: int) -> None:
     ids = np.arange(5) * 7
     one, other = np.delete(np.arange(5), i), np.delete(np.arange(5), j)
-    found = distances(
+    found = run_distances(
         [Snapshot(points[one], ids[one])], [Snapshot(points[other], ids[other])]
     )
     assert found.largest == 0
@@ -53,7 +53,7 @@ def test_points_are_told_by_their_ids(points: np.ndarray, i: int, j: int) -> Non
 def test_all_times_count() -> None:
     still = Snapshot(np.zeros((2, 3)))
     moved = [Snapshot(np.array([[0, 0, 3.0], [0, 0, 0]])), still]
-    found = distances([still, still], moved)
+    found = run_distances([still, still], moved)
     assert found.largest == 3
     assert found.rms == pytest.approx(1.5)
     assert found.median == 0
@@ -62,33 +62,33 @@ def test_all_times_count() -> None:
 def test_nobody_in_common_is_all_apart() -> None:
     a = Snapshot(np.zeros((1, 3)), np.array([1]))
     b = Snapshot(np.ones((1, 3)), np.array([2]))
-    assert distances([a], [b]).unmatched == 1
+    assert run_distances([a], [b]).unmatched == 1
     none = Snapshot(np.zeros((0, 3)), np.zeros(0, np.int64))
-    assert distances([none], [none]).unmatched == 0
+    assert run_distances([none], [none]).unmatched == 0
 
 
 def test_orientations_differ_by_angles_told_by_ids() -> None:
     ids, points = np.array([3, 5, 8]), np.zeros((3, 3))
     turns = so3.exp(np.array([[0, 0, 0.1], [0, 0.2, 0], [0.3, 0, 0]]))
     one = Snapshot(points, ids, turns)
-    assert distances([one], [Snapshot(points, ids, -turns)]).angle == 0
+    assert run_distances([one], [Snapshot(points, ids, -turns)]).angle == 0
     other = Snapshot(points[:2], ids[1:], so3.exp(np.array([[0, 0.5, 0], [0.7, 0, 0]])))
-    found = distances([one], [other])
+    found = run_distances([one], [other])
     assert found.angle == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
     assert found.scaled(2).angle == pytest.approx(2 * math.sqrt(0.125))
     assert found.error(ErrorMeasure.RMS, 2) == pytest.approx(2 * math.sqrt(0.125))
-    assert distances([Snapshot(points)], [Snapshot(points)]).angle is None
+    assert run_distances([Snapshot(points)], [Snapshot(points)]).angle is None
 
 
 def test_what_is_no_number_has_no_distance() -> None:
     here, lost = Snapshot(np.zeros((1, 3))), Snapshot(np.full((1, 3), np.nan))
-    assert math.isnan(distances([here], [lost]).largest)
+    assert math.isnan(run_distances([here], [lost]).largest)
 
 
 def test_extents_are_of_all_times() -> None:
     snapshots = [Snapshot(np.zeros((1, 3))), Snapshot(np.array([[3.0, 4.0, 0.0]]))]
-    assert extent_of(snapshots) == 5
-    assert extent_of([]) == 0
+    assert points_extent(snapshots) == 5
+    assert points_extent([]) == 0
 
 
 @given(st.floats(0.5, 6), st.floats(1e-9, 1e3))
@@ -104,9 +104,9 @@ def test_without_a_difference_there_is_no_order(gaps: tuple[float, float]) -> No
 def test_the_largest_is_at_its_shot_and_point() -> None:
     still = Snapshot(np.zeros((3, 3)))
     moved = Snapshot(np.array([[0, 0, 1.0], [0, 0, 4.0], [0, 0, 2.0]]))
-    assert distances([still, still, still], [still, moved, still]).at == (1, 1)
+    assert run_distances([still, still, still], [still, moved, still]).at == (1, 1)
     few = Snapshot(np.zeros((2, 3)), np.array([3, 9]))
     other = Snapshot(np.array([[1.0, 0, 0], [0, 2.0, 0]]), np.array([4, 9]))
     # Points that only one has are at no place of the other.
-    assert distances([few], [other]).at == (0, 1)
-    assert distances([few], [other]).error(ErrorMeasure.LARGEST, 5.0) == 2.0
+    assert run_distances([few], [other]).at == (0, 1)
+    assert run_distances([few], [other]).error(ErrorMeasure.LARGEST, 5.0) == 2.0

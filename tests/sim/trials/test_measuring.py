@@ -22,7 +22,7 @@ from animtool.sim.trials.trial import (
     Snapshot,
     Trial,
     TrialOutcome,
-    multiples,
+    rounded_multiples,
 )
 
 
@@ -42,12 +42,17 @@ class Known:
 
     def settings(self) -> list[Setting]:
         return [
-            setting(name, h) for name in ("first", "second") for h in multiples(0.1)
+            setting(name, h)
+            for name in ("first", "second")
+            for h in rounded_multiples(0.1)
         ]
 
     def references(self) -> list[list[Setting]]:
         return [
-            [setting("fourth", share * h) for h in multiples(0.1, REFERENCE_FACTORS)]
+            [
+                setting("fourth", share * h)
+                for h in rounded_multiples(0.1, REFERENCE_FACTORS)
+            ]
             for share in (1.0, 0.125)
         ]
 

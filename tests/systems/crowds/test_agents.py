@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.crowds.agents import _problems, _sample_population
-from animtool.systems.crowds.ground import Frame
+from animtool.systems.crowds.agents import _key_problems, _sample_population
+from animtool.systems.crowds.ground import GroundFrame
 from animtool.systems.crowds.spec import PopulationModel
 from animtool.systems.particles import BoxShape
 
-FRAME = Frame(np.array([1.0, 0, 2]), so3.IDENTITY)
+FRAME = GroundFrame(np.array([1.0, 0, 2]), so3.IDENTITY)
 
 
 def drawn(**keys: Any) -> tuple[Any, ...]:
@@ -90,7 +90,7 @@ def test_keys_that_do_not_fit_are_told_with_their_place() -> None:
         ],
         doors=[SimpleNamespace(name="d", opens=[(0, 1), (2, 2)])],
     )  # fmt: skip
-    found = [(message, where) for message, where, _ in _problems(spec)]  # type: ignore[arg-type]
+    found = [(message, where) for message, where, _ in _key_problems(spec)]  # type: ignore[arg-type]
     assert [where for _, where in found] == [
         "goals[1]", "populations[1]", "populations[0]", "populations[1]",
         "populations", "doors[0]",

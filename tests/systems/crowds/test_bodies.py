@@ -15,17 +15,17 @@ from support.suite import some_quick
 
 from animtool.core.errors import OptionError
 from animtool.maths import so3
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
-from animtool.systems.crowds.cast import CastGroup, Casting, select_rows
+from animtool.systems.crowds.cast import AgentCast, CastGroup, select_rows
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
-from animtool.systems.crowds.ground import Frame, about_up
-from animtool.systems.crowds.poses import MAX_TILT, _tilts, poses_of
+from animtool.systems.crowds.ground import GroundFrame, rotations_about_y
+from animtool.systems.crowds.poses import MAX_TILT, _tilt_rotations, poses_of
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 TAKES = SAMPLES / "retarget" / "takes"
@@ -81,11 +81,13 @@ def joints(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> np.ndar
     rig, made = bodies.gaits.walker.rig, poses_of(bodies, state, going)
     places = np.repeat(rig.rest_translations[None], len(made.rotations), axis=0)
     places[:, 0] = made.roots
-    local = forward(rig, places, made.rotations).positions
+    local = forward_kinematics(rig, places, made.rotations).positions
     local = local * bodies.scales[:, None, None]
     heights = bodies.ground(going.points)[0]
     origin = np.insert(going.points, 1, heights, axis=1)
-    return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
+    return (
+        so3.rotate(rotations_about_y(going.headings)[:, None], local) + origin[:, None]
+    )
 
 
 def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
@@ -106,12 +108,12 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
         CastGroup(np.array([1]), other, rig),  # type: ignore[arg-type]
         CastGroup(own, bodies, rig),  # type: ignore[arg-type]
     ]
-    frame = Frame(np.array([5.0, 6, 7]), so3.exp(np.array([0.5, 0, 0])))
-    casting = Casting(groups, np.array([1, 0, 2]))
+    frame = GroundFrame(np.array([5.0, 6, 7]), so3.exp(np.array([0.5, 0, 0])))
+    casting = AgentCast(groups, np.array([1, 0, 2]))
     chances = np.array([0.2, 0.4, 0.7])
     of_all = casting.first(going, chances)
     made = poses_of(bodies, state, some)
-    turn = so3.multiply(frame.rotation, about_up(going.headings[2]))
+    turn = so3.multiply(frame.rotation, rotations_about_y(going.headings[2]))
     found = casting.world(of_all, going, frame, bumpy, 2)
     wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
     np.testing.assert_allclose(found.positions[0], wanted + frame.origin, atol=1e-12)
@@ -268,7 +270,7 @@ def test_a_clip_at_its_own_speed_is_the_clip() -> None:
         root = walk.hips[low] + share * (walk.hips[(low + 1) % phases] - walk.hips[low])
         rest = rig.rest_translations[None].copy()
         rest[0, 0] = root
-        clip = forward(rig, rest, turns).positions[0]
+        clip = forward_kinematics(rig, rest, turns).positions[0]
         clip[:, 2] += goings[i + 1].points[0, 1]
         errors.append(np.linalg.norm(places[i, 0] - clip, axis=1))
     worst = np.array(errors).max(axis=0)
@@ -335,9 +337,9 @@ def test_a_sole_is_turned_as_the_ground_is() -> None:
     ways = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
     normals = np.cos(slopes)[..., None] * UP + np.sin(slopes)[..., None] * ways
     normals = normals.reshape(-1, 3)
-    turned = so3.rotate(_tilts(normals), UP)
+    turned = so3.rotate(_tilt_rotations(normals), UP)
     np.testing.assert_allclose(turned, normals, atol=1e-12)
-    steep = so3.rotate(_tilts(np.array([[1.0, 0.01, 0.0]])), UP)[0]
+    steep = so3.rotate(_tilt_rotations(np.array([[1.0, 0.01, 0.0]])), UP)[0]
     assert np.arccos(steep[1]) == pytest.approx(MAX_TILT)
     assert steep[0] > 0
 

@@ -38,7 +38,7 @@ def test_a_foot_stands_once_in_the_second_cycle(
     monkeypatch.setattr(cycles, "find_contacts", lambda *_: found)
     walker: Any = SimpleNamespace(legs=((0, 1, 2, -1),), leg=1.0)
     world: Any = SimpleNamespace(positions=np.zeros((3 * LENGTH, 3, 3)))
-    made = cycles._stance(walker, world, 0, LENGTH, 24.0)
+    made = cycles._find_stance(walker, world, 0, LENGTH, 24.0)
     assert (None if made is None else (made.lands, made.lifts)) == stance
     if made is not None:
         assert (made.flat == mask).all()

@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms, forward
-from animtool.rig.placed import placed_rig
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
+from animtool.rig.placed import place_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
@@ -26,7 +26,7 @@ from animtool.systems.crowds.falls import (
     _step_ragdoll,
     is_at_rest,
 )
-from animtool.systems.crowds.ground import Frame, Terrain
+from animtool.systems.crowds.ground import GroundFrame, Terrain
 
 STEP = 1 / 96
 
@@ -38,7 +38,7 @@ def biped(root: Path) -> Rig:
 
 def falling(rig: Rig, size: float = 1.0) -> FallSimulator:
     """Return what moves two of a rig over a level ground that is turned about y."""
-    frame = Frame(np.array([1.0, 0.0, 2.0]), so3.exp(np.array([0.0, 0.7, 0.0])))
+    frame = GroundFrame(np.array([1.0, 0.0, 2.0]), so3.exp(np.array([0.0, 0.7, 0.0])))
     return FallSimulator(
         [rig, rig], np.array([1.0, size]), frame, Terrain(), Colliders([]), STEP
     )
@@ -49,7 +49,7 @@ def pose(rig: Rig, place: list[float]) -> WorldTransforms:
     places, turns = rig.rest_translations.copy(), rig.rest_rotations.copy()
     places[0] = place
     turns[0] = so3.multiply(so3.exp(np.array([0.0, 0.4, 0.0])), turns[0])
-    return forward(rig, places[None], turns[None])
+    return forward_kinematics(rig, places[None], turns[None])
 
 
 def thrown(rig: Rig, speed: list[float]) -> tuple[FallSimulator, Falls]:
@@ -63,7 +63,7 @@ def thrown(rig: Rig, speed: list[float]) -> tuple[FallSimulator, Falls]:
 
 def world(rig: Rig, own: FallSimulator, falls: Falls) -> np.ndarray:
     places, turns = own.poses(falls, 0)
-    return np.asarray(forward(rig, places[None], turns[None]).positions[0])
+    return np.asarray(forward_kinematics(rig, places[None], turns[None]).positions[0])
 
 
 def test_who_is_thrown_flies_as_a_stone_does(biped: Rig) -> None:
@@ -89,7 +89,7 @@ def test_who_is_thrown_flies_as_a_stone_does(biped: Rig) -> None:
 def test_who_is_larger_than_the_rig_falls_as_large(biped: Rig) -> None:
     """The second of two, by a fifth: bodies and joints, from the first step on."""
     size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], np.array([1.2]))
-    own, large = falling(biped, 1.2), placed_rig(biped, size)
+    own, large = falling(biped, 1.2), place_rig(biped, size)
     stands = pose(large, [3.0, 50.0, -2.0])
     falls = own.add_falls(own.none(), np.array([1]), [stands], [stands], STEP)
     assert_allclose(world(large, own, falls), stands.positions[0], atol=1e-9)
@@ -154,7 +154,7 @@ def test_who_begins_to_fall_goes_on_as_he_moved(biped: Rig) -> None:
         places[0] = [3.0, 50.0, 3.0 * t]
         turns[0] = so3.exp(np.array([0.0, 2.0 * t, 0.0]))
         turns[knee] = so3.exp(np.array([0.5 + 4.0 * t, 0.0, 0.0]))
-        pair.append(forward(biped, places[None], turns[None]))
+        pair.append(forward_kinematics(biped, places[None], turns[None]))
     falls = own.add_falls(own.none(), np.array([0]), [pair[0]], [pair[1]], STEP)
     assert_allclose(falls.positions[0], pair[0].positions[0])
     assert_allclose(world(biped, own, falls), pair[0].positions[0], atol=1e-9)
@@ -172,7 +172,7 @@ def test_who_walks_beyond_his_limits_is_not_pulled_back_as_he_falls(
     turns[foot] = so3.exp(np.radians([0.0, 43.0, 0.0]))
     places = biped.rest_translations.copy()
     places[0] = [3.0, 50.0, -2.0]
-    stands = forward(biped, places[None], turns[None])
+    stands = forward_kinematics(biped, places[None], turns[None])
     falls = own.add_falls(own.none(), np.array([0]), [stands], [stands], STEP)
     for k in range(2):
         shown = own.poses(falls, 0)[1][foot]

@@ -6,7 +6,12 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.systems.crowds.ground import Frame, Terrain, about_up, walkable
+from animtool.systems.crowds.ground import (
+    GroundFrame,
+    Terrain,
+    rotations_about_y,
+    walkable,
+)
 
 # A slope of 1 in 2 along x from (0, 0) to (4, 2), a floor over a part, and a wall.
 SLOPE = [
@@ -65,10 +70,10 @@ def test_agents_walk_up_to_a_slope_and_not_where_there_is_no_ground() -> None:
 
 
 def test_a_frame_turns_about_its_origin_and_back() -> None:
-    frame = Frame(np.array([1.0, 2, 3]), so3.exp(np.array([0, np.pi / 2, 0])))
+    frame = GroundFrame(np.array([1.0, 2, 3]), so3.exp(np.array([0, np.pi / 2, 0])))
     assert_allclose(frame.to_world(np.array([[1.0, 0, 0]])), [[1, 2, 2]], atol=1e-12)
     assert_allclose(frame.to_local(np.array([[1.0, 2, 2]])), [[1, 0, 0]], atol=1e-12)
     assert_allclose(frame.vector_to_world(np.array([0.0, 0, 1])), [1, 0, 0], atol=1e-12)
     assert_allclose(frame.vector_to_local(np.array([1.0, 0, 0])), [0, 0, 1], atol=1e-12)
-    ahead = so3.rotate(about_up(np.array([0.5])), np.array([0.0, 0, 1]))
+    ahead = so3.rotate(rotations_about_y(np.array([0.5])), np.array([0.0, 0, 1]))
     assert_allclose(ahead, [[np.sin(0.5), 0, np.cos(0.5)]])

@@ -13,17 +13,17 @@ from systems.crowds.test_bodies import level, library
 from animtool.maths import so3
 from animtool.sim.colliders import Box, Collider, Plane, Poses, Sphere
 from animtool.systems.crowds.agents import AgentMotion
-from animtool.systems.crowds.bodies import AgentBodies, _weights
+from animtool.systems.crowds.bodies import AgentBodies, _gait_weights
 from animtool.systems.crowds.footing import Footing, limited_landings
 from animtool.systems.crowds.gaits import (
-    about_side,
+    rotations_about_x,
     sample_rows,
     standing_ankle,
     swing_progress,
 )
-from animtool.systems.crowds.ground import Frame
+from animtool.systems.crowds.ground import GroundFrame
 from animtool.systems.crowds.obstacles import _bounds_of_obstacles, is_blocked
-from animtool.systems.crowds.reach import Reach, Stances, _rate_to_reach, step_rates
+from animtool.systems.crowds.reach import LegReach, Stances, _rate_to_reach, step_rates
 from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.shoulders import step_shoulders
 
@@ -62,7 +62,7 @@ def test_a_foot_that_stands_turns_about_its_ball_or_its_heel() -> None:
         ankle=np.array([0.1, 0.12]), ball=np.array([[0.01, -0.08, 0.15]] * 2)
     )
     up, down = 0.3, -0.2
-    found = standing_ankle(walker, 1, about_side(np.array([up, down, 0.0])))
+    found = standing_ankle(walker, 1, rotations_about_x(np.array([up, down, 0.0])))
     sine, cosine = np.sin(up), np.cos(up)
     ball = [0.01, -0.08 * cosine - 0.15 * sine, 0.15 * cosine - 0.08 * sine]
     assert_allclose(found[0], [0.01 - ball[0], 0.04 - ball[1], 0.15 - ball[2]])
@@ -120,18 +120,18 @@ def test_gaits_are_blended_by_how_far_points_are_along_the_ways_between() -> Non
     known = np.array([[1.0, 0.0], [3.0, 0.0], [1.0, 2.0]])
     points = np.array([[1.5, 0.0], [0.0, 0.0], [9.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
     expected = [[0.75, 0.25, 0], [1, 0, 0], [0, 1, 0], [0.5, 0, 0.5]]
-    found = _weights(points, known)
+    found = _gait_weights(points, known)
     assert_allclose(found[:4], expected)
     assert_allclose(found[4], [1 / 3, 1 / 3, 1 / 3])
-    assert_array_equal(_weights(points, known[:1]), np.ones((5, 1)))
-    assert_allclose(_weights(points[:1], known[[0, 0, 1]]).sum(), 1.0)
+    assert_array_equal(_gait_weights(points, known[:1]), np.ones((5, 1)))
+    assert_allclose(_gait_weights(points[:1], known[[0, 0, 1]]).sum(), 1.0)
 
 
-def reach() -> Reach:
+def reach() -> LegReach:
     """Return that of legs of 1 m, whose ankles are 0.1 m high where feet stand."""
     walker = SimpleNamespace(leg=1.0, ankle=np.array([0.1, 0.1]), ball=np.zeros((2, 3)))
     gaits: Any = SimpleNamespace(walker=walker)
-    return Reach(gaits, (), np.zeros((2, 3)))
+    return LegReach(gaits, (), np.zeros((2, 3)))
 
 
 def test_the_room_of_a_foot_is_what_its_leg_leaves() -> None:
@@ -182,7 +182,7 @@ def test_a_leg_steps_before_its_room_ends() -> None:
 
 def test_what_is_near_obstacles_is_looked_at() -> None:
     """A turned box, a ball and a floor; a wall without an end is near everything."""
-    frame = Frame(np.array([1.0, 5.0, 2.0]), TURNED)
+    frame = GroundFrame(np.array([1.0, 5.0, 2.0]), TURNED)
     box = Collider(Box((2.0, 9.0, 1.0)), Poses.fixed((1.0, 5.0, 2.0), TURNED))
     ball = Collider(Sphere(0.5, (0.0, 1.0, 0.0)), Poses.fixed((1.0, 5.0, -1.0)))
     floor = Collider(Plane(), Poses.fixed((0.0, 0.0, 0.0)))

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders
-from animtool.systems.crowds.ground import Frame, Terrain
+from animtool.systems.crowds.ground import GroundFrame, Terrain
 from animtool.systems.crowds.obstacles import Obstacles
 from animtool.systems.crowds.spec import DoorModel
 
@@ -23,7 +23,7 @@ def shut(*opens: list[float]) -> Obstacles:
     door = DoorModel.model_validate({**ends, "opens": list(opens)})
     return Obstacles(
         agents,  # type: ignore[arg-type]
-        Frame(np.zeros(3), so3.IDENTITY),
+        GroundFrame(np.zeros(3), so3.IDENTITY),
         Terrain(),
         Colliders([]),
         [door],

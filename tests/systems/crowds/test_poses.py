@@ -13,12 +13,12 @@ from animtool.maths import so3
 from animtool.systems.crowds.poses import (
     MAX_EXTENSION,
     MAX_TILT,
-    PHASES,
-    _ankles,
+    PHASE_COUNT,
+    _ankle_targets,
     _clearance_deficit,
     _hip_lowering,
     _swing_poses,
-    _tilts,
+    _tilt_rotations,
     idle_rows,
 )
 
@@ -68,7 +68,7 @@ def test_soles_lean_as_the_ground_does_up_to_a_limit() -> None:
     ):
         normal = np.array([[0.0, np.cos(angle), np.sin(angle)]])
         turn = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), expected)
-        assert so3.angle_between(_tilts(normal), turn).max() < 1e-7
+        assert so3.angle_between(_tilt_rotations(normal), turn).max() < 1e-7
 
 
 def test_who_stands_goes_there_and_back_again() -> None:
@@ -83,9 +83,9 @@ def test_who_stands_goes_there_and_back_again() -> None:
 def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
     """Return gaits, state and blend of feet turned by 40 degrees, 0.3 m up."""
     turn = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.radians(40.0))
-    lifts = np.zeros((2, PHASES, 3))
-    lifts[..., 1], lifts[..., 2] = 0.3, np.linspace(-0.4, 0.4, PHASES)
-    gait = SimpleNamespace(swings=np.tile(turn, (2, PHASES, 1)), lifts=lifts)
+    lifts = np.zeros((2, PHASE_COUNT, 3))
+    lifts[..., 1], lifts[..., 2] = 0.3, np.linspace(-0.4, 0.4, PHASE_COUNT)
+    gait = SimpleNamespace(swings=np.tile(turn, (2, PHASE_COUNT, 1)), lifts=lifts)
     count = len(swings)
     state = SimpleNamespace(
         swings=np.tile(np.array(swings)[:, None], 2),
@@ -124,7 +124,7 @@ def test_feet_that_stand_lean_as_the_ground_does() -> None:
     bodies: Any = SimpleNamespace(gaits=gaits, pitches=lambda *_: np.zeros(1))
     feet = np.tile([1.0, 2.0, 3.0, np.pi / 2], (1, 2, 1))
     normal = np.array([0.0, np.cos(0.2), -np.sin(0.2)])
-    goals, soles = _ankles(
+    goals, soles = _ankle_targets(
         bodies, state, blend, feet, np.tile(normal, (1, 2, 1)), np.zeros((1, 2))
     )
     assert_allclose(goals[0, 0], np.array([1.0, 2.0, 3.0]) + 0.1 * normal, atol=1e-12)

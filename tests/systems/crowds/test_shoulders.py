@@ -8,7 +8,7 @@ from systems.crowds.test_bodies import level, library
 
 from animtool import _kernels
 from animtool.maths import so3
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.shoulders import (
     DEPTH_RATIO,
@@ -98,7 +98,7 @@ def test_the_chest_turns_as_far_and_the_head_looks_ahead() -> None:
     angles = np.array([0.0, MAX_YAW])
     bodies.trunk.rotate(rig.parents, turns, angles)
     places = np.repeat(rig.rest_translations[None], 2, axis=0)
-    world = forward(rig, places, turns).rotations
+    world = forward_kinematics(rig, places, turns).rotations
     names = [joint.name for joint in rig.joints]
 
     def turned(name: str) -> float:

@@ -21,7 +21,7 @@ from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.flocks.spacing import min_distance
 from animtool.systems.flocks.spec import SpeciesModel
-from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.run import ReachedState, SimulationRun
 
 FRAMES = (np.arange(24) / 24).tolist()
 BIRD = {"name": "bird", "count": 30, "seed": 3}
@@ -199,7 +199,7 @@ def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
     assert isinstance(whole, SimulationRun)
     whole.at(0.4)
     middle = whole.state
-    assert isinstance(middle, Reached)
+    assert isinstance(middle, ReachedState)
     end = whole.at(0.8)
     again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, middle)
     assert_array_equal(again.at(0.8).points, end.points)

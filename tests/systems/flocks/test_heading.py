@@ -16,16 +16,16 @@ from animtool.systems.flocks.flock import (
     Flock,
     FlockForces,
     FlockState,
-    Heading,
+    MemberHeadings,
     build,
     first_heading,
     mesh_indices,
     next_heading,
-    wrapped,
+    wrap_motion,
 )
 from animtool.systems.flocks.members import (
     Members,
-    _problems,
+    _key_problems,
     _start_motion,
     interaction_radius,
     max_speed,
@@ -58,7 +58,7 @@ def members(points: Any, *models: SpeciesModel, parts: Any = None) -> Members:
     return Members(list(models), ends.tolist(), given, 2.0, x, 0 * x)
 
 
-def up_of(heading: Heading) -> np.ndarray:
+def up_of(heading: MemberHeadings) -> np.ndarray:
     return so3.rotate(heading.rotations, np.array([0.0, 1, 0]))
 
 
@@ -87,7 +87,7 @@ def test_who_turns_leans_to_what_carries_it_as_quickly_as_said(banking: float) -
     )
     v0 = np.array([[0.0, 0, 10]])
     v1 = 14 * np.array([[np.sin(0.1), 0, np.cos(0.1)]])
-    begin = Heading(so3.IDENTITY[None], np.zeros((1, 3)), np.array([0.25]))
+    begin = MemberHeadings(so3.IDENTITY[None], np.zeros((1, 3)), np.array([0.25]))
     found = next_heading(own, begin, v0, v1, 0.05)
     ahead = v1[0] / 14
     gained = banking * (v1 - v0)[0] / 0.05 + [0, 9.81, 0]
@@ -232,7 +232,7 @@ def test_ends_of_what_species_may_be(own: Any, domain: Any, wheres: list[str]) -
             **({"domain": domain} if domain else {}),
         }
     )
-    assert [where for _, where, _ in _problems(spec)] == wheres
+    assert [where for _, where, _ in _key_problems(spec)] == wheres
 
 
 def test_who_is_seen_farthest_and_how_fast_one_may_be() -> None:
@@ -347,11 +347,11 @@ def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
     rows = [[3.5, 0, 0], [-1.5, 2, 0], [1, 10, -4.5]]
     made = flock(rows, np.ones((3, 3)), domain=domain)
     motion = np.stack([[[21.5, 0, 0], [-19.5, 31, 0], [1, 100, -45]], np.ones((3, 3))])
-    found = wrapped(motion, made.system.domain)
+    found = wrap_motion(motion, made.system.domain)
     assert_allclose(found[0], [[-18.5, 0, 0], [20.5, -29, 0], [1, -20, 35]])
     assert_array_equal(found[1], motion[1])
     within = np.stack([np.zeros((3, 3)), np.ones((3, 3))])
-    assert wrapped(within, made.system.domain) is within
+    assert wrap_motion(within, made.system.domain) is within
 
 
 def test_members_show_points_and_the_order_of_those_that_move() -> None:

@@ -24,7 +24,7 @@ from animtool.systems.fluid.filling import (
     _check_count,
     _check_distinct,
     _check_outside,
-    _lattice,
+    _lattice_points,
     coarse_drops,
     has_room,
     initial_fluid,
@@ -47,13 +47,13 @@ def sorted_rows(x: Any) -> np.ndarray:
 def test_a_lattice_stands_about_the_middle_of_its_shape() -> None:
     """A turned box of 3 by 2 by 1; a ball off its origin; what is thin has a layer."""
     pose = Poses([0], [[5, 6, 7]], [QUARTER])
-    found = _lattice(spec(), Box((0.3, 0.2, 0.1)), pose, 0.0)
+    found = _lattice_points(spec(), Box((0.3, 0.2, 0.1)), pose, 0.0)
     expected = [[5 - y, 6 + x, 7] for x in (-0.1, 0, 0.1) for y in (-0.05, 0.05)]
     assert_allclose(sorted_rows(found), sorted_rows(expected))
-    ball = _lattice(spec(), Sphere(0.1, (1, 2, 3)), Poses.fixed(), 0.0)
+    ball = _lattice_points(spec(), Sphere(0.1, (1, 2, 3)), Poses.fixed(), 0.0)
     expected = np.array(np.meshgrid(*[[-0.05, 0.05]] * 3)).reshape(3, -1).T
     assert_allclose(sorted_rows(ball), sorted_rows(expected + np.array([1, 2, 3])))
-    thin = _lattice(spec(), Box((0.1, 0.02, 0.26)), Poses.fixed(), 0.0)
+    thin = _lattice_points(spec(), Box((0.1, 0.02, 0.26)), Poses.fixed(), 0.0)
     assert_allclose(sorted_rows(thin), [[0, 0, -0.1], [0, 0, 0], [0, 0, 0.1]])
 
 

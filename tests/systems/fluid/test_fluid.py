@@ -17,7 +17,7 @@ from animtool.core.errors import AnimtoolError, Fault, ToleranceError
 from animtool.motion.frames import MeshFrame
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
-from animtool.sim.colliders.shapes import bounds
+from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.fluid.filling import (
     JET_DROP_RATIO,
     Nozzle,
@@ -358,8 +358,8 @@ def test_without_forces_it_stays(simulator: Simulator) -> None:
 
 
 def test_bounds_hold_shapes() -> None:
-    assert_allclose(bounds(Sphere(2.0, (1, 0, 0))), [[-1, -2, -2], [3, 2, 2]])
-    assert_allclose(bounds(Box((2, 4, 6))), [[-1, -2, -3], [1, 2, 3]])
+    assert_allclose(shape_bounds(Sphere(2.0, (1, 0, 0))), [[-1, -2, -2], [3, 2, 2]])
+    assert_allclose(shape_bounds(Box((2, 4, 6))), [[-1, -2, -3], [1, 2, 3]])
 
 
 def test_a_surface_is_closed_and_has_the_volume(simulator: Simulator) -> None:

@@ -16,7 +16,7 @@ from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.fluid.fluid import Fluid, FluidState, PressureResult, build
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
-from animtool.systems.fluid.surface import field, surface_of
+from animtool.systems.fluid.surface import density_field, surface_of
 from animtool.systems.framework.simulation import StoppedError
 from animtool.systems.particles import find_force
 
@@ -287,7 +287,7 @@ def test_the_field_of_a_surface_is_that_of_wendland() -> None:
     """(1 - q)⁴ (4 q + 1) over its integral; 1 within a lattice, whatever the cells."""
     low, cell, radius, spacing = np.array([-1.0, -2, -1.5]), 0.25, 0.6, 0.3
     at = np.array([[0.1, -0.3, 0.2]])
-    found = field(at, low, (9, 14, 12), cell, radius, spacing)
+    found = density_field(at, low, (9, 14, 12), cell, radius, spacing)
     grid = np.stack(
         np.meshgrid(*(np.arange(n) for n in (9, 14, 12)), indexing="ij"), -1
     )
@@ -297,7 +297,7 @@ def test_the_field_of_a_surface_is_that_of_wendland() -> None:
     assert (expected > 0).sum() > 20
     axis = np.arange(-6, 7) * 0.3
     whole = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
-    middle = field(whole, np.full(3, -2.5), (26, 26, 26), 0.2, 0.9, 0.3)
+    middle = density_field(whole, np.full(3, -2.5), (26, 26, 26), 0.2, 0.9, 0.3)
     assert_allclose(middle[11:15, 11:15, 11:15], 1, atol=0.01)
 
 

@@ -22,7 +22,7 @@ from animtool.systems.framework.conversion import (
     PASS_UNITS,
     RECORD_UNITS,
     SceneUnits,
-    powers,
+    unit_powers,
 )
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.particles.emitter_shapes import EMITTER_SHAPES
@@ -139,7 +139,7 @@ def test_units_of_keys_are_known() -> None:
     ],
 )
 def test_powers(unit: str, found: tuple[int, int]) -> None:
-    assert powers(unit) == found
+    assert unit_powers(unit) == found
 
 
 JOINT = """\

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from animtool.core.plugins import load_object
-from animtool.systems.framework.fields import AROUND
+from animtool.systems.framework.fields import COLLISION_KEYS
 from animtool.systems.framework.kinds import SYSTEM_KINDS, SystemKind
 
 
@@ -19,7 +19,7 @@ def test_what_a_kind_runs_into_is_declared_alike(name: str) -> None:
     """Each of these keys has the words of all kinds, but for rigid bodies of crowds."""
     fields = load_object(SYSTEM_KINDS[name].spec).model_fields
     others = load_object(SYSTEM_KINDS["particles"].spec).model_fields
-    keys = [key for key in AROUND if key in fields]
+    keys = [key for key in COLLISION_KEYS if key in fields]
     for key in keys:
         if (name, key) != ("crowds", "systems"):
             assert fields[key].description == others[key].description

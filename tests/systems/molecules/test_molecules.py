@@ -16,7 +16,7 @@ from support.suite import nightly
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
-from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.molecules.atoms import (
     BOLTZMANN,
     COULOMB,
@@ -198,7 +198,7 @@ def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
     whole = opened(simulator, temperature=100, thermostat=bath, skin=0.02)
     whole.at(0.2)
     middle = whole.state
-    assert isinstance(middle, Reached)
+    assert isinstance(middle, ReachedState)
     end = whole.at(0.5)
     (other,) = open_systems(
         simulator.scene(

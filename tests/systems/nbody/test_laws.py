@@ -25,7 +25,12 @@ from animtool.systems.nbody.galaxies import (
     enclosed,
     orbit_starts,
 )
-from animtool.systems.nbody.nbody import MAX_PHASE, MAX_UNSOFTENED_PHASE, Pulls, build
+from animtool.systems.nbody.nbody import (
+    MAX_PHASE,
+    MAX_UNSOFTENED_PHASE,
+    MutualGravity,
+    build,
+)
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -56,14 +61,14 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
     assert made.suspect(X, state.pulls) == said
     found = made._fastest_pair(X, np.array([0.0, 0, 0, 9.0]))
     assert found == (1.5, "bodies 0 and 3 are 9 m apart")
-    alone = Pulls(np.zeros((1, 3)), np.zeros(1), np.zeros(1))
+    alone = MutualGravity(np.zeros((1, 3)), np.zeros(1), np.zeros(1))
     assert made.suspect(X[:1], alone) == ""
     assert_allclose(state.pulls.accelerations, pulls(X, MASSES, 2.0, softening))
-    assert_allclose(made._direct(X, X[1]), pulls(X, MASSES, 2.0, softening)[1])
+    assert_allclose(made._direct_sum(X, X[1]), pulls(X, MASSES, 2.0, softening)[1])
     assert made._force_error(X, state.pulls) < 1e-14
     off = state.pulls.accelerations.copy()
     off[3] *= 1.5
-    wrong = Pulls(off, state.pulls.potentials, state.pulls.rates)
+    wrong = MutualGravity(off, state.pulls.potentials, state.pulls.rates)
     # 16 of them are looked at, from the first to the last; the last is there once.
     rows = np.linspace(0, 3, 16).astype(int)
     share = (rows == 3).mean()

@@ -17,7 +17,7 @@ from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.matter import PointMasses
-from animtool.systems.framework.run import Reached, SimulationRun
+from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.nbody.galaxies import (
     MassProfile,
     build_galaxy,
@@ -123,7 +123,7 @@ def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
     )
     whole.at(0.1)
     middle = whole.state
-    assert isinstance(middle, Reached)
+    assert isinstance(middle, ReachedState)
     end = whole.at(0.2)
     again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, middle)
     assert_array_equal(again.at(0.2).points, end.points)

@@ -28,7 +28,7 @@ from animtool.systems.particles.moving import (
     ParticleFlow,
     ParticleForces,
     advance_births,
-    energies,
+    particle_energies,
 )
 
 
@@ -158,7 +158,7 @@ def test_energies_count_each_mass_and_what_walls_may_bring() -> None:
     own = some([2.0, 3.0])
     state = np.array([[[0.0, 5, 0], [1, -2, 0]], [[1.0, 2, 2], [0, 0, 4]]])
     forces = setup(DOWN, ("uniform", {"push": (0.5, 0, 0)}))
-    found, known = energies(forces, own, state)
+    found, known = particle_energies(forces, own, state)
     assert_allclose(found, [[9, 24], [80, -48 - 0.5]])
     assert known
     system = ParticleForces(forces, Colliders([piston]), own, state)
@@ -167,11 +167,11 @@ def test_energies_count_each_mass_and_what_walls_may_bring() -> None:
     assert (energy.kinetic, energy.potential) == pytest.approx((33, 31.5))
     assert energy.supply == pytest.approx(5 * 3**2)
     windy = setup(DOWN, ("wind", {"drag": 1.0}))
-    found, known = energies(windy, own, state)
+    found, known = particle_energies(windy, own, state)
     assert_allclose(found[1], [80, -48])
     assert not known
     assert ParticleForces(windy, FLOOR, own, state).energy(0.0, state) is None
-    found, known = energies(setup(), own, state)
+    found, known = particle_energies(setup(), own, state)
     assert_allclose(found, [[9, 24], [0, 0]])
     assert known
 

@@ -15,7 +15,7 @@ from support.suite import examples
 from animtool.core.errors import OptionError, ToleranceError
 from animtool.sim import INTEGRATORS, IntegrateOptions, find_integrator
 from animtool.sim.colliders import Box, Collider, Mesh, Plane, Poses, Sphere
-from animtool.sim.integrators.integrator import Form, StepControl
+from animtool.sim.integrators.integrator import EquationForm, StepControl
 from animtool.systems.particles import (
     BoxShape,
     Disc,
@@ -310,7 +310,7 @@ def test_everything_wrong_is_said_at_once() -> None:
 
 
 def test_accelerations_have_no_place_in_a_velocity_field() -> None:
-    assert find_integrator("velocity_verlet").form is Form.ACCELERATIONS
+    assert find_integrator("velocity_verlet").form is EquationForm.ACCELERATIONS
     options = IntegrateOptions("velocity_verlet", step=0.01)
     setup = Particles([Emitter(rate=9)], velocity=VelocityField("1"), options=options)
     with pytest.raises(OptionError) as error:

@@ -14,7 +14,7 @@ from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 from support.suite import at_night
 
 from animtool.maths import so3
-from animtool.systems.framework.run import Reached
+from animtool.systems.framework.run import ReachedState
 
 CUBE = (1, 1, 1)
 AWAKE = {"sleep": {"speed": 0}}
@@ -368,7 +368,7 @@ def test_a_saved_state_goes_on_as_the_whole(tmp_path: Path) -> None:
     for run in (one, other):
         motion = run.state.motion.copy()
         motion[3, 7:10] = 0.5
-        run.run.state = Reached(0, replace(run.state, motion=motion))
+        run.run.state = ReachedState(0, replace(run.state, motion=motion))
     one.to(0.4)
     other.run.state = one.run.state
     assert_array_equal(one.path([0.5, 1, 2]), other.path([0.5, 1, 2]))

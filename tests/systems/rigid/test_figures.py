@@ -21,7 +21,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext
 from animtool.motion.take import Take
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -295,7 +295,7 @@ def test_rigs_that_fall(name: str, options: dict[str, Any]) -> None:
 def test_bodies_of_a_rig_and_their_speeds() -> None:
     take = moving(limbs(), 5)
     translations, rotations, scales = take.motion.dense()
-    world = forward(take.rig, translations, rotations, scales)
+    world = forward_kinematics(take.rig, translations, rotations, scales)
     pose = WorldTransforms(world.positions[2:3], world.linear[2:3])
     own = bodies_of_rig(take.rig, pose, RagdollOptions())
     times = np.array([0.0, 0.1, 0.25, 0.3, 0.5])

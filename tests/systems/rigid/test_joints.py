@@ -16,8 +16,8 @@ from animtool.sim.colliders import Poses
 from animtool.systems.rigid.joints import (
     JOINT_KINDS,
     Joints,
-    _drive,
-    _limits,
+    _joint_drive,
+    _joint_limits,
     joint_loads,
     relative_frame,
     swapped_parameters,
@@ -33,7 +33,7 @@ def model(kind: str, **keys: Any) -> RigidJointModel:
 
 def test_pins_and_balls_are_in_degrees_and_slides_in_metres() -> None:
     def limits(kind: str, **keys: Any) -> list[float]:
-        return _limits(model(kind, **keys), "it", "joints[0]")
+        return _joint_limits(model(kind, **keys), "it", "joints[0]")
 
     assert limits("pin", limits=[-90, 180])[:2] == pytest.approx([-np.pi / 2, np.pi])
     assert limits("prismatic", limits=[-90, 180])[:2] == [-90, 180]
@@ -45,11 +45,11 @@ def test_pins_and_balls_are_in_degrees_and_slides_in_metres() -> None:
 
 def test_motors_turn_in_degrees_and_slide_in_metres() -> None:
     for kind, factor in (("pin", np.pi / 180), ("prismatic", 1.0)):
-        own = _drive(model(kind, drive={"speed": 90, "most": 7}), "joints[0]")
+        own = _joint_drive(model(kind, drive={"speed": 90, "most": 7}), "joints[0]")
         assert own[-1] == pytest.approx(90 * factor)
         assert own[-2] == 7
         drive = {"target": 30, "stiffness": 5, "damping": 2}
-        own = _drive(model(kind, drive=drive), "joints[0]")
+        own = _joint_drive(model(kind, drive=drive), "joints[0]")
         assert own[0] == pytest.approx(30 * factor)
         assert own[5:] == [5, 2, -1, 0]
 

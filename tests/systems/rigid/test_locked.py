@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.rigid import Rigid, box
 
-from animtool.systems.rigid.locked import _loops
+from animtool.systems.rigid.locked import _closed_loops
 
 X, Y, Z = [1, 0, 0], [0, 1, 0], [0, 0, 1]
 
@@ -107,4 +107,4 @@ def test_loops_are_of_joints_without_ends_that_are_open(
     ends: list[tuple[int, int]], loops: list[list[int]]
 ) -> None:
     rows = np.array([(0, *each) for each in ends], np.int64).reshape(-1, 3)
-    assert _loops(rows, 4) == loops
+    assert _closed_loops(rows, 4) == loops

@@ -12,7 +12,7 @@ from support.rigid import FLOOR, Rigid, ball
 
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid import kind
-from animtool.systems.rigid.pieces import excess_volume, pieces_of, solid_of_mesh
+from animtool.systems.rigid.pieces import convex_pieces, excess_volume, solid_of_mesh
 
 pytest.importorskip("coacd", reason="meshes are taken apart by coacd")
 
@@ -57,17 +57,17 @@ def test_pieces_fill_the_mesh() -> None:
     mesh = bracket()
     assert mesh.watertight
     assert solid_of_mesh(mesh).volume == pytest.approx(3)
-    made = pieces_of(mesh)
+    made = convex_pieces(mesh)
     assert len(made) == 2
     assert abs(excess_volume(mesh, [core for _, core in made])) < 1e-3
-    again = pieces_of(mesh)
+    again = convex_pieces(mesh)
     for (one, _), (other, _) in zip(made, again, strict=True):
         assert (np.asarray(one.points) == np.asarray(other.points)).all()
 
 
 def test_an_open_mesh_has_none() -> None:
     mesh = bracket()
-    assert not pieces_of(Mesh(mesh.points, np.asarray(mesh.triangles)[1:]))
+    assert not convex_pieces(Mesh(mesh.points, np.asarray(mesh.triangles)[1:]))
 
 
 def test_it_weighs_what_the_mesh_does(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext
 from animtool.motion.take import Take
 from animtool.rig.joints import LocalTransforms, coordinates_from_local
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Capsule, Collider, Mass
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -31,7 +31,7 @@ from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
-from animtool.systems.rigid.ragdoll import RagdollOptions, _frames, bodies_of_rig
+from animtool.systems.rigid.ragdoll import RagdollOptions, _rest_frames, bodies_of_rig
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
 from animtool.systems.rigid.take_pass import ragdoll
@@ -109,7 +109,7 @@ def test_it_comes_to_rest_on_the_ground_and_bones_keep_their_length() -> None:
     turns[:, 0] = so3.exp(np.array([0.0, 0.0, 0.4]))
     motion = replace(begun.motion, rotations=Channel.from_dense(turns))
     take = fallen(replace(begun, motion=motion), colliders=(GROUND,), mass=12.0)
-    world = forward(take.rig, *take.motion.dense()[:2])
+    world = forward_kinematics(take.rig, *take.motion.dense()[:2])
     lengths = np.linalg.norm(np.diff(world.positions[:, 1:], axis=1), axis=2)
     assert_allclose(lengths, LENGTH, atol=1e-12)
     assert world.positions[-1, :, 1].max() < -1.5
@@ -263,7 +263,7 @@ def test_what_moves_does_so_by_the_time_of_the_take() -> None:
     rises = Poses([0.0, 1.0], [[0, -0.9, 0], [0, 0.1, 0]], [[0, 0, 0, 1]] * 2)
     lift = Obstacle(Plane(), rises)
     take = fallen(still(chain(1)), start=13.0, colliders=(lift,))
-    world = forward(take.rig, *take.motion.dense()[:2]).positions
+    world = forward_kinematics(take.rig, *take.motion.dense()[:2]).positions
     lows = world[:, :, 1].min(axis=1)
     assert_allclose(lows[12], 0.5, atol=1e-12)
     assert 0.05 < lows[-1] < 0.2
@@ -294,7 +294,9 @@ def test_bodies_weigh_what_the_rig_says() -> None:
         Mass("link 1", 1.0, (0.0, 0.0, 0.0), (0.3, 0.1, 0.3)),
         Mass("end", 1.0, (0.0, 0.0, 0.0), (0.2, 0.1, 0.2)),
     )
-    world = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    world = forward_kinematics(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
     plain = bodies_of_rig(rig, world, RagdollOptions()).bodies.kinds
     hip, first, last = bodies_of_rig(
         replace(rig, masses=masses), world, RagdollOptions()
@@ -391,7 +393,7 @@ def test_branches_below_a_joint_that_is_no_body_stay_together() -> None:
     rig = Rig("fork", tuple(joints), colliders=tuple(Collider(n, bone) for n in SIDES))
     under_left = obstacle(Box((0.5, 1, 1)), -0.4, -1.1, 0.0)
     take = fallen(still(rig, 37), colliders=(under_left,))
-    world = forward(rig, *take.motion.dense()[:2]).positions
+    world = forward_kinematics(rig, *take.motion.dense()[:2]).positions
     assert world[-1, 2, 1] < -0.5
     assert_allclose(np.linalg.norm(world[:, 2] - world[:, 3], axis=1), 0.4, atol=1e-9)
     # Joints on the way from body to body only turn, the root alone travels.
@@ -433,7 +435,7 @@ def test_a_slide_is_measured_from_where_it_is_at_rest(rooted: bool) -> None:
     positions = np.array([[5.0, 0, 0], [9, 9, 9], [7, 8, 6]])[-len(rig.joints) :]
     turns = np.tile(turn, (len(rig.joints), 1))
     which = np.arange(len(rig.joints))[-2:]
-    frames, _ = _frames(rig, positions, turns, which)
+    frames, _ = _rest_frames(rig, positions, turns, which)
     expected = [1, 2, 3] if rooted else [5 + 3, 2, -1]
     assert_allclose(frames[0, :3], expected, atol=1e-12)
     assert_allclose(frames[1, :3], [7, 8, 6])

@@ -15,12 +15,12 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext
 from animtool.motion.take import Take
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Box, Poses
 from animtool.sim.colliders import Collider as Obstacle
-from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.take_pass import ragdoll
 from animtool.systems.rigid.tone import (
@@ -63,7 +63,7 @@ def rest(rig: Rig, frames: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def world_of(rig: Rig) -> WorldTransforms:
-    return forward(rig, *rest(rig), np.ones((1, len(rig.joints), 3)))
+    return forward_kinematics(rig, *rest(rig), np.ones((1, len(rig.joints), 3)))
 
 
 def fallen(rig: Rig, frames: int, **options: object) -> Take:
@@ -77,7 +77,7 @@ def fallen(rig: Rig, frames: int, **options: object) -> Take:
 
 def test_fingers_get_capsules_along_their_bones() -> None:
     rig = hand_rig()
-    capsules = Capsules.of(rig)
+    capsules = JointCapsules.of(rig)
     made = with_finger_capsules(rig, world_of(rig), capsules)
     assert len(made) == len(capsules) + 9
     assert (made.joints[2:] == 1).all()
@@ -92,7 +92,7 @@ def test_fingers_get_capsules_along_their_bones() -> None:
 )
 def test_what_is_no_hand_gets_none(names: tuple[str, ...], count: int) -> None:
     rig = hand_rig(names)
-    capsules = Capsules.of(rig)
+    capsules = JointCapsules.of(rig)
     assert (
         len(with_finger_capsules(rig, world_of(rig), capsules)) == len(capsules) + count
     )
@@ -107,7 +107,7 @@ def test_fingers_stay_out_of_what_they_fall_onto(fingers: bool) -> None:
     places, turns = (
         channel.dense() for channel in (made.motion.translations, made.motion.rotations)
     )
-    world = forward(made.rig, places, turns, np.ones_like(places))
+    world = forward_kinematics(made.rig, places, turns, np.ones_like(places))
     tips = world.positions[:, [4, 7, 10]]
     inside = (tips[..., 0] > 0.42) & (tips[..., 1] > -0.4)
     deep = np.where(inside, -0.2 - tips[..., 1], 0.0).max()

@@ -19,7 +19,7 @@ from animtool.cli.summary import BAKED
 from animtool.core.errors import FormatError, Severity, ToleranceError
 from animtool.core.shot import FrameRange
 from animtool.core.values import plain_value
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
@@ -453,7 +453,7 @@ def test_a_joint_carries(root: Path, tmp_path: Path) -> None:
     path = written(tmp_path, text)
     systems = load_scene(path, {"at": str(root)}).systems
     (lead,) = open_systems(systems, 0.5)
-    world = forward(take.rig, *take.motion.dense())
+    world = forward_kinematics(take.rig, *take.motion.dense())
     for frame in (0, 5, 10):
         t = frame / float(take.clock.fps)
         place = lead.at(t).points[0]

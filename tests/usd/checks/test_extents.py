@@ -51,7 +51,7 @@ def test_one_wrong_sample_of_many_is_found(
 ) -> None:
     path = baked(walk, tmp_path, *options)
     codes = sampled(path)
-    assert len(codes) > extents.MAX_COMPUTED
+    assert len(codes) > extents.MAX_COMPUTED_SAMPLES
     assert check_layer(path) == []
     assert len(asked) < 20
     code = codes[len(codes) * 2 // 3]
@@ -78,7 +78,7 @@ def test_a_skeleton_that_is_placed_is_left_to_usd(
     )
     found = list(extents.check_extents(StageSubject(stage)))
     assert [fault.code for fault in found] == ["USD251"]
-    assert len(asked) >= extents.MAX_COMPUTED
+    assert len(asked) >= extents.MAX_COMPUTED_SAMPLES
     assert "or more" in found[0].message
 
 
@@ -87,13 +87,16 @@ def test_the_largest_difference_is_named(walk: Path, tmp_path: Path) -> None:
     codes = sampled(path)
     layer = Sdf.Layer.FindOrOpen(str(path))
     # More samples than USD is asked about, and the farthest off after these.
-    for i, code in enumerate(codes[: extents.MAX_COMPUTED + 20]):
+    for i, code in enumerate(codes[: extents.MAX_COMPUTED_SAMPLES + 20]):
         old = np.array(layer.QueryTimeSample(f"{RIG}.extent", code))
-        old[1, 0] += 2.0 if i < extents.MAX_COMPUTED + 10 else 7.0
+        old[1, 0] += 2.0 if i < extents.MAX_COMPUTED_SAMPLES + 10 else 7.0
         layer.SetTimeSample(f"{RIG}.extent", code, Vt.Vec3fArray.FromNumpy(old))
     layer.Save()
     (found,) = check_layer(path)
     assert found.code == "USD251"
     assert "off by 7 " in found.message
-    assert f"in {extents.MAX_COMPUTED + 20} of {len(codes)} samples" in found.message
-    assert f"most at {codes[extents.MAX_COMPUTED + 10]:g}" in found.message
+    assert (
+        f"in {extents.MAX_COMPUTED_SAMPLES + 20} of {len(codes)} samples"
+        in found.message
+    )
+    assert f"most at {codes[extents.MAX_COMPUTED_SAMPLES + 10]:g}" in found.message

@@ -107,7 +107,7 @@ def test_of_more_points_than_fit_some_samples_are_looked_at(
     assert of_all
     assert worst == pytest.approx(np.abs(posed(pair, when)).max(), rel=1e-6)
     count = SkinnedBounds(root).points
-    monkeypatch.setattr(module, "MAX_POINTS", 3 * count)
+    monkeypatch.setattr(module, "MAX_SKINNED_POINTS", 3 * count)
     some = overhang(root, nothing, TIMES)
     assert some is not None
     assert not some[2]

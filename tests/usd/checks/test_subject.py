@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pxr import Sdf, Usd, Vt
 from support.suite import examples
 
-from animtool.usd.checks.subject import SampledArray, StageSubject, at_samples
+from animtool.usd.checks.subject import SampledArray, StageSubject, samples_text
 
 TYPES = Sdf.ValueTypeNames
 
@@ -81,6 +81,6 @@ def test_a_sample_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_places_are_said(times: list[float], bad: list[int], text: str) -> None:
     sampled = SampledArray(np.array(times), [], np.zeros(len(times), np.int64))
-    assert at_samples(sampled, np.array(bad)) == text
+    assert samples_text(sampled, np.array(bad)) == text
     mask = np.isin(np.arange(len(times)), bad)
-    assert at_samples(sampled, mask) == text
+    assert samples_text(sampled, mask) == text

@@ -17,8 +17,8 @@ from animtool.maths.curves import cubic_curves, evaluate
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.caches.writer import Block, CachedMesh, PointWriter
-from animtool.usd.layers.finite import Labels, narrowed, rounded
-from animtool.usd.layers.sdf import SampleWriter, attribute, new_layer, prim
+from animtool.usd.layers.finite import ValueLabels, narrow_floats, rounded
+from animtool.usd.layers.sdf import SampleWriter, attribute_spec, new_layer, prim_spec
 from animtool.usd.takes.joint_writer import round_blocks
 from animtool.usd.takes.splines import author_curve
 
@@ -145,15 +145,17 @@ def test_half_scales_that_are_too_small_become_zero() -> None:
 )
 def test_a_default_that_is_not_finite_is_refused(kind: object, value: object) -> None:
     layer = new_layer(Path("o.usda"))
-    spec = prim(layer, "/a", "Xform")
+    spec = prim_spec(layer, "/a", "Xform")
     with raises(OutputError, "USD170", match=r"/a\.x: "):
-        attribute(spec, "x", kind, value)
+        attribute_spec(spec, "x", kind, value)
 
 
 def test_samples_of_any_attribute_are_checked() -> None:
     layer = new_layer(Path("o.usda"))
-    spec = prim(layer, "/a", "Xform")
-    samples = SampleWriter(attribute(spec, "x", TYPES.Float), lambda row: float(row[0]))
+    spec = prim_spec(layer, "/a", "Xform")
+    samples = SampleWriter(
+        attribute_spec(spec, "x", TYPES.Float), lambda row: float(row[0])
+    )
     samples.add(np.array([1.0]), np.array([[1.0]]))
     with raises(OutputError, "USD170", match=r"/a\.x: a value at frame 2 is 1e\+39"):
         samples.add(np.array([2.0]), np.array([[1e39]]))
@@ -164,7 +166,7 @@ def test_samples_of_any_attribute_are_checked() -> None:
 def test_points_beyond_float32_are_named() -> None:
     points = np.zeros((2, 3, 3))
     points[1, 2, 0] = -1e39
-    labels, codes = Labels("points", "point"), np.array([1.0, 2.0])
+    labels, codes = ValueLabels("points", "point"), np.array([1.0, 2.0])
     with raises(OutputError, "USD170", match=r"points: point 2 at frame 2 is -1e\+39"):
         rounded(points, 1.0, labels, codes)
     points[1, 2, 0] = 3.3999999e38
@@ -173,12 +175,12 @@ def test_points_beyond_float32_are_named() -> None:
     with raises(OutputError, "USD170", match="nan"):
         rounded(points, 1.0, labels, codes)
     with raises(OutputError, "USD170", match="point 1"):
-        narrowed(np.array([[0.0], [1e39]]), "f", labels)
+        narrow_floats(np.array([[0.0], [1e39]]), "f", labels)
 
 
 def test_a_frame_of_a_simulation_is_checked() -> None:
     layer = new_layer(Path("o.usda"))
-    attribute(prim(layer, "/a", "Points"), "widths", TYPES.FloatArray)
+    attribute_spec(prim_spec(layer, "/a", "Points"), "widths", TYPES.FloatArray)
     writer = PointWriter(layer, CachedMesh("/a"), every=True)
     widths = np.array([[1.0, np.inf]], np.float32)
     with raises(OutputError, "USD170", match=r"/a\.widths: point 1 at frame 4 is inf"):
@@ -190,7 +192,7 @@ def test_a_spline_has_finite_numbers() -> None:
     ends, flat = np.array([[1.7e308], [-1.7e308]]), np.zeros((2, 1))
     curves = cubic_curves(np.array([0.0, 1.0]), ends, flat, np.array([[1e308], [0.0]]))
     layer = new_layer(Path("o.usda"))
-    prim(layer, "/a", "Xform")
+    prim_spec(layer, "/a", "Xform")
     with np.errstate(all="ignore"), raises(OutputError, "USD170"):
         author_curve(layer, "/a", "x", curves, lambda t: evaluate(curves, t)[0])
 

@@ -18,7 +18,7 @@ from animtool.core.errors import OptionError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.maths import so3
 from animtool.motion.frames import CharactersFrame
-from animtool.rig.kinematics import forward
+from animtool.rig.kinematics import forward_kinematics
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
 
@@ -87,7 +87,10 @@ def expected(frame: CharactersFrame) -> np.ndarray:
     local[:, cast.animated] = turns
     places = np.repeat(cast.rig.rest_translations[None], len(turns), axis=0)
     places[:, 0] = frame.roots
-    found = forward(cast.rig, places, local).positions * frame.scales[:, None, None]
+    found = (
+        forward_kinematics(cast.rig, places, local).positions
+        * frame.scales[:, None, None]
+    )
     half = frame.headings / 2
     turned = np.zeros((len(half), 4))
     turned[:, 1], turned[:, 3] = np.sin(half), np.cos(half)

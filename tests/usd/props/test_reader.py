@@ -97,7 +97,7 @@ def test_what_a_camera_has(tmp_path: Path) -> None:
         zip([a.name for a in track.attributes], track.at(CODES).values, strict=True)
     )
     assert track.type_name == "Camera"
-    assert source.unstated == ()
+    assert source.unstated_range == ()
     assert_allclose(found["focalLength"][:, 0], 0.01 * (35 + CODES / 10), rtol=1e-6)
     assert_allclose(found["clippingRange"], [[0.01, 50]] * 40, rtol=1e-6)
     assert_allclose(found["focusDistance"][:, 0], 6 - 0.04 * CODES, rtol=1e-6)
@@ -113,7 +113,7 @@ def test_what_a_camera_has(tmp_path: Path) -> None:
 def test_a_camera_without_values(tmp_path: Path) -> None:
     source = opened(write_props(tmp_path / "props.usda"), "/Bare")
     names = ("focalLength", "horizontalAperture", "verticalAperture")
-    assert source.unstated == names
+    assert source.unstated_range == names
     assert source.span is None
     values = source.track.at(CODES).values
     assert_allclose(values[0], np.full((40, 1), 0.5))

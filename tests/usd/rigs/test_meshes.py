@@ -16,7 +16,12 @@ from support.usd import open_stage, validation_errors
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward
+from animtool.rig.kinematics import (
+    WorldTransforms,
+    bind_matrices,
+    bind_world,
+    forward_kinematics,
+)
 from animtool.rig.parts import LoadedArray, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
@@ -88,7 +93,7 @@ def test_usdskel_moves_them_as_we_do(tmp_path: Path, method: str) -> None:
     turns = so3.multiply(
         rig.rest_rotations, so3.exp(rng.normal(0, 0.5, (1, len(rig.joints), 3)))
     )
-    world = forward(rig, rig.rest_translations[None], turns)
+    world = forward_kinematics(rig, rig.rest_translations[None], turns)
     weights = np.array([0.75, 0.25, 0.5])
     ours = deform(prepared(rig, surfaces_of(rig)[0]), weights[None], world)
 

@@ -16,7 +16,7 @@ from support.drifting import author_samples
 from animtool.core.errors import FormatError, Severity
 from animtool.rig.skeleton import Rig
 from animtool.usd.checks import check_layer
-from animtool.usd.rigs.skinned import played_world
+from animtool.usd.rigs.skinned import usdskel_world
 from animtool.usd.takes.read import read_usd
 
 SKELETON, ANIMATION = "/hero/Rig/Skel", "/hero/Rig/Anim"
@@ -75,14 +75,14 @@ def test_a_complete_animation_is_read_as_usd_poses_it(
     assert notices == [("USD229", Severity.WARNING)]
     assert codes(path) == {"USD229": Severity.WARNING}
     world = stream.collect().world().positions
-    expected = played_world(path, np.array(TIMES)).positions
+    expected = usdskel_world(path, np.array(TIMES)).positions
     assert_allclose(world, expected, atol=1e-7)
     rest = stream.rig.rest_translations
     assert_allclose(rest[1], [0, 1, 0])
     output = tmp_path / "out.usda"
     assert animtool("bake", path, "-o", output).code == 0
     assert_allclose(
-        played_world(output, np.array(TIMES)).positions, expected, atol=1e-6
+        usdskel_world(output, np.array(TIMES)).positions, expected, atol=1e-6
     )
 
 
@@ -131,8 +131,8 @@ def test_a_rig_rests_as_it_is_bound(change: Break, tmp_path: Path) -> None:
     posed = tmp_path / "posed.usda"
     Usd.Stage.Open(stage).Flatten().Export(str(posed))
     times = np.array(TIMES)
-    expected = played_world(take, times).positions
-    assert_allclose(played_world(posed, times).positions, expected, atol=1e-6)
+    expected = usdskel_world(take, times).positions
+    assert_allclose(usdskel_world(posed, times).positions, expected, atol=1e-6)
 
 
 SKINNED = """\

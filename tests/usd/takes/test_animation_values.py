@@ -15,14 +15,14 @@ from support.suite import examples
 
 from animtool.core.clock import time_codes
 from animtool.core.rates import rate_from_float
-from animtool.usd.takes.animation_values import SampleGrid, _grid, _Span
+from animtool.usd.takes.animation_values import SampleGrid, _find_grid, _TakeSpan
 from animtool.usd.takes.read import read_usd
 
-STATED = _Span(Fraction(1), None)
+STATED = _TakeSpan(Fraction(1), None)
 
 
 def grid(times: list[float]) -> SampleGrid:
-    return _grid(times, STATED, "a.usda")
+    return _find_grid(times, STATED, "a.usda")
 
 
 def test_a_long_take_of_drifting_samples_has_as_many_frames(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from support.suite import some_quick
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.report.compare import compare
-from animtool.usd.fixes.table import EDITS
+from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.validation.fixes.plan import with_fixable
 from animtool.validation.fixes.run import fix_copy, fix_files
 from animtool.validation.options import ValidateOptions
@@ -160,7 +160,7 @@ def texts(path: Path) -> str:
 
 
 def test_every_edit_has_a_planted_fault() -> None:
-    assert PLANTS.keys() == EDITS.keys()
+    assert PLANTS.keys() == EDITS_BY_CODE.keys()
 
 
 # A sum that is lost cannot be known again, nor the last bit of a rotation, nor a rest

@@ -9,10 +9,10 @@ import pytest
 from support.example_rig import EXAMPLE_RIG, write_example_rig
 
 from animtool.documents.document import document_of
-from animtool.documents.edit import edited
+from animtool.documents.edit import apply_edits
 from animtool.rig.file import load_rig
 from animtool.rig.schema import RigModel
-from animtool.validation.fixes.names import NAME_PATHS, renaming
+from animtool.validation.fixes.names import NAME_PATHS, rename_edits
 from animtool.validation.fixes.run import fix_files
 from animtool.validation.run import validate
 
@@ -32,7 +32,7 @@ def odd(name: str) -> str:
 
 def renamed(text: str, key: str, new: dict[str, str]) -> str:
     value = document_of(text, PATH).value
-    return edited(text, PATH, list(renaming(value, key, new)))
+    return apply_edits(text, PATH, list(rename_edits(value, key, new)))
 
 
 @pytest.mark.parametrize("key", NAMES)

@@ -123,10 +123,10 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from animtool.documents.edit import Replace
-    from animtool.validation.fixes.draft import Mend
+    from animtool.validation.fixes.draft import FixEdits
 
-    def wrong(_opened: object, _fault: Fault) -> Mend:
-        return Mend("makes it no rig", (Replace(("joints", 0, "type"), "wheel"),))
+    def wrong(_opened: object, _fault: Fault) -> FixEdits:
+        return FixEdits("makes it no rig", (Replace(("joints", 0, "type"), "wheel"),))
 
     path = tmp_path / "page.rig.yaml"
     text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'

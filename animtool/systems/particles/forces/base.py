@@ -26,7 +26,7 @@ Time: TypeAlias = "float | FloatArray"
 
 # Step of finite differences, relative to positions [m] and velocities [m/s], which are
 # at least 1 for this.
-DIFFERENCE = 1e-6
+DIFFERENCE_STEP = 1e-6
 
 
 class Force(ABC):
@@ -62,12 +62,12 @@ class Force(ABC):
             return by_position, by_speed
         for k in range(3):
             offset = np.zeros_like(x)
-            offset[:, k] = DIFFERENCE * np.maximum(np.abs(x).max(axis=1), 1.0)
+            offset[:, k] = DIFFERENCE_STEP * np.maximum(np.abs(x).max(axis=1), 1.0)
             forward, backward = (
                 self.force(t, x + sign * offset, v, particles) for sign in (1, -1)
             )
             by_position[:, :, k] = (forward - backward) / (2 * offset[:, k, None])
-            offset[:, k] = DIFFERENCE * np.maximum(np.abs(v).max(axis=1), 1.0)
+            offset[:, k] = DIFFERENCE_STEP * np.maximum(np.abs(v).max(axis=1), 1.0)
             forward, backward = (
                 self.force(t, x, v + sign * offset, particles) for sign in (1, -1)
             )
