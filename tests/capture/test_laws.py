@@ -915,8 +915,8 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         views=9,
         tallies=SimpleNamespace(judged=0, rejected=0),
         options=TriangulateOptions(keep_moved=keep),
-        _left_out=lambda _, ranges: ranges,
-        _explained=lambda _, each: each,
+        _mark_kept=lambda _, ranges: ranges,
+        _with_pose_change=lambda _, each: each,
         _solve=lambda first, end: solved.append((first, end)),
     )
     _TriangulationRun._exclude_shifted(run)
