@@ -276,7 +276,7 @@ def _type_and_default(
     for constraint in constraints:
         if isinstance(constraint, Range) and ranges == "schema":
             type_ = Annotated[
-                type_, (Ge if constraint.reached else Gt)(constraint.least)
+                type_, (Ge if constraint.includes_minimum else Gt)(constraint.minimum)
             ]
         elif isinstance(constraint, Le) or (
             isinstance(constraint, Range) and ranges == "model"

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import Fault, listed
 from animtool.core.files.reading import open_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
@@ -26,7 +26,7 @@ _UNIT = re.compile(r"_(mm|cm|m|in)")
 DEFAULT_PREFIX = "markers"
 
 
-@expects("MKR012", "an archive of arrays")
+@expects_format("MKR012", "an archive of arrays")
 def read_markers(
     path: Path | str,
     *,

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Form, Integrator, StepControl
 from animtool.sim.modes import allowed_step
@@ -47,7 +47,7 @@ def step_warnings(
     limit = allowed_step(integrator, modes)
     if limit is None or longest <= limit:
         return []
-    message = f"{integrator.name} is not stable with steps of {plain(longest)} s"
+    message = f"{integrator.name} is not stable with steps of {plain_number(longest)} s"
     return [warning("SIM101", message, _advice(limit))]
 
 
@@ -75,7 +75,7 @@ def _advice(stable_step: float | None) -> str:
         return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
         return f"no step is stable: use {STABLE_METHODS}"
-    return f"it is stable up to steps of {plain(stable_step)} s"
+    return f"it is stable up to steps of {plain_number(stable_step)} s"
 
 
 class EnergyWatch:

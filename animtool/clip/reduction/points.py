@@ -14,7 +14,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
@@ -53,7 +53,7 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         ]
         bounds[matching_joints] = value
         if not matching_joints:
-            suggestions = similar(pattern, rig.names)
+            suggestions = most_similar(pattern, rig.names)
             hint = f"did you mean {suggestions!r}?" if suggestions else None
             message = f"unknown joint {excerpt(pattern)} of {rig.name!r}"
             faults.append(Fault("CLIP020", message, hint=hint))

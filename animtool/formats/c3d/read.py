@@ -14,7 +14,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -129,7 +129,7 @@ MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"
 ANIMTOOL_GROUP = "ANIMTOOL"
 
 
-@expects("C3D001", "a C3D file")
+@expects_format("C3D001", "a C3D file")
 def read_c3d(
     path: Path | str,
     *,

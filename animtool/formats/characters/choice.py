@@ -66,7 +66,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
 
 def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     """Return distinct paths of characters, from the names of their root joints."""
-    from animtool.core.names import distinct
+    from animtool.core.names import numbered_names
 
     names = []
     joints = {joint for skin in file.skins for joint in skin.joints}
@@ -75,7 +75,7 @@ def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
         while file.nodes[top_joint].parent >= 0:
             top_joint = file.nodes[top_joint].parent
         names.append(file.nodes[top_joint].name or f"node_{top_joint}")
-    return [f"/{name}" for name in distinct(names)]
+    return [f"/{name}" for name in numbered_names(names)]
 
 
 def choose_character(

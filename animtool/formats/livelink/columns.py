@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import read_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
@@ -88,7 +88,7 @@ class Recording:
     notices: list[Fault] = field(default_factory=list)
 
 
-@expects("LLF001", "a Live Link Face recording")
+@expects_format("LLF001", "a Live Link Face recording")
 def read_recording(path: Path) -> Recording:
     """Read the rows of a recording.
 

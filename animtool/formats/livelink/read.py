@@ -11,7 +11,14 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    names_fault,
+)
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
@@ -270,7 +277,9 @@ def _unmatched_notices(
             message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"
             notices.append(
-                naming("LLF108", message, unmatched_names, path, hint, Severity.WARNING)
+                names_fault(
+                    "LLF108", message, unmatched_names, path, hint, Severity.WARNING
+                )
             )
     for part, angles in rotations.items():
         if part not in joints and np.nan_to_num(angles).any():

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.errors import Fault, OptionError, Severity, names_fault
 from animtool.core.timecode import count_rate, timecode_label
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
 from animtool.formats.take_text import TakeText, write_text
@@ -87,7 +87,7 @@ def livelink_text(take: Take) -> TakeText:
         if unwritten:
             message = f"{len(unwritten)} shapes have no column in the CSV: "
             notices.append(
-                naming("LLF111", message, unwritten, severity=Severity.WARNING)
+                names_fault("LLF111", message, unwritten, severity=Severity.WARNING)
             )
     header = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
     return TakeText([header], _rows(weights, _angles(take), rate), notices)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, listed, naming
+from animtool.core.errors import Fault, OptionError, Severity, listed, names_fault
 from animtool.formats.mot.coordinates import (
     Coordinate,
     column_names,
@@ -145,7 +145,7 @@ def _loss_warnings(
     if inexact:
         message = "motion that the joint types do not allow is skipped: "
         hint = "free joints in the rig can hold any motion"
-        notices.append(naming("MOF108", message, inexact, None, hint, warning))
+        notices.append(names_fault("MOF108", message, inexact, None, hint, warning))
     warnings = []
     if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOSS_TOLERANCE:
         warnings.append("scales")

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, counted, excerpt
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -196,7 +196,7 @@ def columns_of(
     return names, sum(not name for name in names)
 
 
-@expects("TRC001", "a TRC file")
+@expects_format("TRC001", "a TRC file")
 def read_trc(
     path: Path | str,
     *,

@@ -8,12 +8,20 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.core.arguments import argument
 from animtool.core.clock import Clock, frame_label
+from animtool.core.config import find_config
 from animtool.core.errors import Fault, Severity
 from animtool.core.rates import rate_label
 from animtool.core.shot import FrameRange
+from animtool.motion.take import TakeStream
+from animtool.scene.bake.options import BakeOptions
+
+if TYPE_CHECKING:
+    from animtool.usd.rigs.target import RigTarget
 
 # A start that is this close to a frame is on it: rates in metadata are rounded [frame].
 START_ROUNDING = Fraction(1, 100)
@@ -42,6 +50,30 @@ def frame_start(
     first = start * fps / source_fps
     nearest = Fraction(round(first))
     return nearest if on_frame or abs(first - nearest) <= START_ROUNDING else first
+
+
+def start_of(
+    options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
+) -> Fraction:
+    """Return the first frame: option, shot, source, project, then 1.
+
+    At another rate, a source that starts between the frames of its stage starts at the
+    frame of the same time: 960.96 of 24 a second is 1001 of 25.
+    """
+    if options.start is not None:
+        return options.start
+    if options.shot is not None and options.shot.places_media:
+        return Fraction(1) if stream.start is None else stream.start
+    if target is not None and target.start is not None:
+        return target.start
+    if stream.start is not None:
+        if stream.start.denominator == 1:
+            return stream.start
+        fps = options.fps or (target.fps if target else stream.fps)
+        on_frame = not options.keep_samples
+        return frame_start(stream.start, stream.fps, fps, on_frame=on_frame)
+    configured_start = find_config(source).start
+    return Fraction(1) if configured_start is None else configured_start
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:

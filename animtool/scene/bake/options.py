@@ -322,7 +322,7 @@ class BakeOptions:
             500,
         ),
         metavar="N",
-        least=1,
+        min_count=1,
         help=f"For {argument('deform', True)} and systems of a scene: write long "
         "takes as a file for every N samples, joined as value clips; memory "
         "holds two or three files.",

@@ -10,19 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.arguments import argument
-from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.core.files.output import STDOUT, protect_inputs
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import at_stage_origin, reorient
+from animtool.motion.reorient import at_stage_origin, placement_notice, reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.placed import placement_notice
 from animtool.scene.bake.files import FilePlan
-from animtool.scene.bake.first_frame import frame_start
+from animtool.scene.bake.first_frame import start_of
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import (
@@ -212,7 +210,7 @@ def _with_others(
         file_plan.names[0] if file_plan.names else source_stem(source)
         for source, file_plan in zip(sources, (plan, *others), strict=True)
     ]
-    take_names = names or tuple(distinct(default_names))
+    take_names = names or tuple(numbered_names(default_names))
     return replace(
         plan, others=tuple(file_plan.take for file_plan in others), names=take_names
     )
@@ -429,27 +427,3 @@ def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     message = f"the output has {rate_label(fps)}, but the rig layer {rig_layer_rate}"
     hint = "USD scales time if a sublayer's rate differs from its stage's"
     return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
-
-
-def start_of(
-    options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
-) -> Fraction:
-    """Return the first frame: option, shot, source, project, then 1.
-
-    At another rate, a source that starts between the frames of its stage starts at the
-    frame of the same time: 960.96 of 24 a second is 1001 of 25.
-    """
-    if options.start is not None:
-        return options.start
-    if options.shot is not None and options.shot.places_media:
-        return Fraction(1) if stream.start is None else stream.start
-    if target is not None and target.start is not None:
-        return target.start
-    if stream.start is not None:
-        if stream.start.denominator == 1:
-            return stream.start
-        fps = options.fps or (target.fps if target else stream.fps)
-        on_frame = not options.keep_samples
-        return frame_start(stream.start, stream.fps, fps, on_frame=on_frame)
-    configured_start = find_config(source).start
-    return Fraction(1) if configured_start is None else configured_start

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
@@ -245,7 +245,7 @@ def is_usd(path: Path) -> bool:
 def motion_bytes(path: Path) -> int:
     """Return the size of a motion file; 0 for a scene, which refers to others."""
     # A file removed meanwhile is reported by the check of inputs.
-    state = None if is_named(path, "scene") else FileState.of(path)
+    state = None if has_kind_suffix(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
 
 
@@ -314,7 +314,7 @@ def open_source(
             apply to it.
     """
     path, options = Path(path), options or SourceOptions()
-    if is_named(path, "scene"):
+    if has_kind_suffix(path, "scene"):
         message = "is a scene, not a take"
         hint = "bake it with animtool bake, and read its source or output instead"
         raise OptionError(Fault("IO002", message, str(path), (), hint))

@@ -16,7 +16,7 @@ from animtool.core.errors import (
     Severity,
     counted,
     listed,
-    percent,
+    percent_text,
     warning,
 )
 from animtool.core.record import dataclass
@@ -167,7 +167,7 @@ def notices_of(simulation: AttachSimulation) -> list[Fault]:
 def _note(report: AttachReport, actor: Actor) -> Fault:
     phrases = [
         f"{report.name}: {counted(report.steps, 'step')} per frame",
-        f"springs stretch by up to {percent(report.stretch)}",
+        f"springs stretch by up to {percent_text(report.stretch)}",
     ]
     if report.contacts:
         phrases.append(f"up to {counted(report.contacts, 'particle')} in contact")
@@ -216,7 +216,8 @@ def _warnings(report: AttachReport) -> list[Fault]:
     warnings = []
     if report.stretch > PARDON * report.aimed:
         message = (
-            f"{report.name}: springs stretch by up to {percent(report.stretch)}, but "
+            f"{report.name}: springs stretch by up to "
+            f"{percent_text(report.stretch)}, but "
             f"{100 * report.aimed:g}% was the target"
         )
         hint = "use a higher rate, or let it settle from a pose that it can hold"

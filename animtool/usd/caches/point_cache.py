@@ -13,7 +13,7 @@ from pxr import Sdf
 
 from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.clock import FrameSpan
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
@@ -250,7 +250,7 @@ def _chunk(
         for writer in writers:
             writer.release(rest=with_rest)
         author_span(layer, cache_metadata(job, 0.0, 0.0))
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         export_layer(layer, temporary, path)
 
 

@@ -11,8 +11,9 @@ from support.bvh import random_rows, small_bvh
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.shot import Shot
 from animtool.scene.bake.bake import run_stage
+from animtool.scene.bake.first_frame import start_of
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.plan import plan_stage, start_of
+from animtool.scene.bake.plan import plan_stage
 from animtool.scene.bake.reading import check_options
 from animtool.scene.sources.open import SourceOptions, open_source
 
