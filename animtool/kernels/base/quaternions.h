@@ -79,9 +79,11 @@ inline void make_unit(double* q) {
 
 inline void exponential(const double* v, double* q) {
   const double angle = length(v);
-  const double factor = angle < 1e-5 ? 0.5 - angle * angle / 48 : std::sin(angle / 2) / angle;
+  // Side by side, so that one call of the library gives both.
+  const double sine = std::sin(angle / 2), cosine = std::cos(angle / 2);
+  const double factor = angle < 1e-5 ? 0.5 - angle * angle / 48 : sine / angle;
   for (int i = 0; i < 3; ++i) q[i] = factor * v[i];
-  q[3] = std::cos(angle / 2);
+  q[3] = cosine;
 }
 
 // The shortest rotation vector.

@@ -103,6 +103,16 @@ struct RotationArc {
     for (int i = 0; i < 3; ++i) axis[i] = angle > 0 ? v[i] / angle : 0;
   }
 
+  // From a to b in body space.
+  void set_between(const double* a, const double* b) {
+    const double back[4] = {-a[0], -a[1], -a[2], a[3]};
+    double q[4];
+    product(back, b, q);
+    const double sine = length(q);
+    half = sine > 0 ? std::atan2(sine, q[3]) : 0;
+    for (int i = 0; i < 3; ++i) axis[i] = sine > 0 ? q[i] / sine : 0;
+  }
+
   // q times a share of it.
   void on(const double* q, double fraction, double* out) const {
     const double sine = std::sin(fraction * half);
@@ -119,23 +129,23 @@ struct Squad {
   // `step` is the rotation vector from a to b.
   void set(const double* a, const double* b, const double* step, const double* leaving,
            const double* arriving) {
-    double to_outer[3], to_inner[3], inner[4], between[3];
+    double to_outer[3], to_inner[3], inner[4];
     for (int i = 0; i < 3; ++i)
       to_outer[i] = leaving[i] - step[i], to_inner[i] = step[i] - arriving[i];
     std::copy(a, a + 4, start);
     rotate_further(a, 0.5, to_outer, outer);
     rotate_further(b, 0.5, to_inner, inner);
-    rotation_between(outer, inner, between);
     along.set(step);
-    across.set(between);
+    across.set_between(outer, inner);
   }
 
   void at(double u, double* q) const {
-    double near[4], far[4], between[3];
+    double near[4], far[4];
     along.on(start, u, near);
     across.on(outer, u, far);
-    rotation_between(near, far, between);
-    rotate_further(near, 2 * u * (1 - u), between, q);
+    RotationArc between;
+    between.set_between(near, far);
+    between.on(near, 2 * u * (1 - u), q);
     normalize(q);
   }
 };
@@ -147,15 +157,14 @@ struct Spline {
   RotationArc arcs[3];
 
   void set(const double* a, const double* b, const double* leaving, const double* arriving) {
-    double first[3], last[3], back[3], near[4], far[4], between[3];
+    double first[3], last[3], back[3], near[4], far[4];
     for (int i = 0; i < 3; ++i)
       first[i] = leaving[i] / 3, last[i] = arriving[i] / 3, back[i] = -last[i];
     std::copy(a, a + 4, start);
     rotate_further(a, 1, first, near);
     rotate_further(b, 1, back, far);
-    rotation_between(near, far, between);
     arcs[0].set(first);
-    arcs[1].set(between);
+    arcs[1].set_between(near, far);
     arcs[2].set(last);
   }
 
