@@ -121,13 +121,12 @@ def _limited(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArra
     return local
 
 
-def depth(
+def capsule_distances(
     points: FloatArray, ends: FloatArray, radius: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> FloatArray:
     """Return signed distances of points ``(N, 3)`` from a capsule ``(N,)`` [m].
 
-    With the outward directions ``(N, 3)``, zero on the axis, and the fractions along
-    the axis ``(N,)`` [1]. Its ends are ``(2, 3)`` [m].
+    Its ends are ``(2, 3)`` [m].
     """
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
@@ -136,9 +135,7 @@ def depth(
     if square > 0:
         fractions = np.clip((offsets * axis).sum(axis=1) / square, 0.0, 1.0)
     radial = offsets - fractions[:, None] * axis
-    length = np.sqrt((radial * radial).sum(axis=1))[:, None]
-    outward = np.divide(radial, length, out=np.zeros_like(radial), where=length > 0)
-    return length[:, 0] - radius, outward, fractions
+    return np.asarray(np.sqrt((radial * radial).sum(axis=1)) - radius)
 
 
 def depth_at_bind(
@@ -152,7 +149,7 @@ def depth_at_bind(
     bind_ends = capsules.world_ends(bind_world(rig))[0]
     depths = np.zeros((len(capsules), len(points)))
     for c, radius in enumerate((capsules.radii + margin).tolist()):
-        depths[c] = np.minimum(depth(points, bind_ends[c], radius)[0], 0.0)
+        depths[c] = np.minimum(capsule_distances(points, bind_ends[c], radius), 0.0)
     return depths
 
 
@@ -207,7 +204,8 @@ class CharacterColliders:
         deepest = depths_of(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
         for c, ends in enumerate(self._capsules.world_ends(world)[-1]):
-            penetration = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
+            distances = capsule_distances(points, ends, radii[c])
+            penetration = np.minimum(allowed[c], 0.0) - distances
             np.maximum(deepest, penetration, out=deepest)
         return deepest
 
