@@ -81,7 +81,7 @@ struct type_caster<animtool::Out<T, N>> {
 
   static handle from_cpp(Value&& out, rv_policy policy, cleanup_list* cleanup) noexcept {
     T* data = out.release();
-    capsule owner(data, [](void* memory) noexcept { animtool::Freed()(memory); });
+    capsule owner(data, [](void* memory) noexcept { animtool::FreeDeleter()(memory); });
     return make_caster<Array>::from_cpp(Array(data, N, out.shape().data(), owner), policy,
                                         cleanup);
   }

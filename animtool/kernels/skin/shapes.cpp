@@ -21,7 +21,7 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
   check::shape("columns", columns, {check::ANY});
   check::shape("offsets", offsets, {count, 3});
   check::starts("first", first, count);
-  check::at_most("weights", weights.shape(1), check::MOST_ROWS);
+  check::at_most("weights", weights.shape(1), check::MAX_ROWS);
   check::indices("columns", columns, 0, static_cast<std::int64_t>(weights.shape(1)));
 }
 
@@ -33,7 +33,7 @@ void add_frames(std::size_t vertices, const std::int64_t* first, const std::int3
     Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
     for (std::int64_t k = first[v]; k < first[v + 1]; ++k)
       for (int h = 0; h < 2; ++h)
-        p[h] += Vector3<Pair>::spread(offsets + 3 * k) *
+        p[h] += Vector3<Pair>::broadcast(offsets + 3 * k) *
                 Pair::of(weights + FRAMES * columns[k] + 2 * h);
     for (int h = 0; h < 2; ++h) scatter(p[h], to + 2 * h, 3 * v);
   }

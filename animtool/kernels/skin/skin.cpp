@@ -76,7 +76,7 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
         const double* pivot = palette + 16 * in.joints[begin];
         Pair sum = Pair::of(a) * Pair::of(pivot);
         for (int i = 2; i < 8; i += 2) sum += Pair::of(a + i) * Pair::of(pivot + i);
-        w = chosen(below(sum, 0.0), -w, w);
+        w = select(less(sum, 0.0), -w, w);
       }
       for (int i = 0; i < 8; ++i) d[i] += w * Pair::of(a + 2 * i);
     }
@@ -85,7 +85,7 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
       p = {s[0] * p.x + s[1] * p.y + s[2] * p.z, s[1] * p.x + s[3] * p.y + s[4] * p.z,
            s[2] * p.x + s[4] * p.y + s[5] * p.z};
     const Pair squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3];
-    const Pair f = chosen(below(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
+    const Pair f = select(less(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
     const Vector3<Pair> axis = {d[0], d[1], d[2]}, across = cross(axis, p);
     const Vector3<Pair> turned = cross(
         axis, {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5],
@@ -107,7 +107,7 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
                  In<double, 4> transforms, bool normalize, Filled<double, 3> out) {
   const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
   check::shape("transforms", transforms, {check::ANY, check::ANY, 3, 4});
-  check::at_most("transforms", count, check::MOST_ROWS);
+  check::at_most("transforms", count, check::MAX_ROWS);
   const Influences in = influences_of(first, joints, weights, count);
   const Points source(points, frames, in.vertices);
   const std::size_t row = in.vertices * 3, width = count * 12;
@@ -138,7 +138,7 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
                           Filled<double, 3> out) {
   const std::size_t frames = rotations.shape(0), count = rotations.shape(1);
   check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
-  check::at_most("rotations", count, check::MOST_ROWS);
+  check::at_most("rotations", count, check::MAX_ROWS);
   check::shape("translations", translations, {frames, count, 3});
   if (stretches) check::shape("stretches", *stretches, {frames, count, 3, 3});
   const Influences in = influences_of(first, joints, weights, count);

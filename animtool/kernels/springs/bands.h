@@ -146,14 +146,14 @@ void advance_piece(const BandPiece& piece, const PlaneSteps& steps, const BandPl
   const N zero = 0.0;
   for (std::size_t n = piece.begin; n < piece.end; n += WIDE) {
     const N inverse = N::of(steps.inverse_masses + n), drag = N::of(steps.drags + n);
-    const N free = below(zero, inverse);
+    const N free = less(zero, inverse);
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t at = k * planes.height + n;
       const N x = N::of(planes.x + at), v = N::of(planes.v + at);
       const N rate = N::of(planes.f + at) * inverse + (steps.fall[k] - drag * v);
       const N speed = v + steps.h * rate;
-      chosen(free, speed, v).store(planes.v + at);
-      chosen(free, x + steps.h * speed, x).store(planes.x + at);
+      select(free, speed, v).store(planes.v + at);
+      select(free, x + steps.h * speed, x).store(planes.x + at);
       zero.store(planes.f + at);
     }
   }

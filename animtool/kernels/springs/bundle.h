@@ -110,8 +110,8 @@ class BundleCrossing {
         predict();
         fold();
         draw();
-        N some = below(N(0.0), N(1.0));
-        for (int i = 0; i < CORRECTIONS && bits(some); ++i) {
+        N some = less(N(0.0), N(1.0));
+        for (int i = 0; i < CORRECTIONS && mask_bits(some); ++i) {
           correct<false>(some);
           some = too_long();
         }
@@ -132,7 +132,7 @@ class BundleCrossing {
   }
 
   void predict() {
-    const V fall = V::spread(plan_.fall);
+    const V fall = V::broadcast(plan_.fall);
     at(b_.x, 0).store(b_.before);
     at(b_.x, 0).store(b_.unmoved);
     goal(0, is_).store(b_.x);
@@ -151,8 +151,8 @@ class BundleCrossing {
       const V a = at(b_.x, p), b = at(b_.x, p + 2), d = b - a;
       const N square = dot(d, d), rest = N::of(b_.folds + WIDE * p);
       // Coincident ends have no direction, and no force.
-      const N one = chosen(below(N(0.0), square), N(1.0), N(0.0));
-      const N beyond = one - rest * (root(square) * inverse(square));
+      const N one = select(less(N(0.0), square), N(1.0), N(0.0));
+      const N beyond = one - rest * (sqrt(square) * inverse(square));
       const V pull = d * (beyond * (p == 0 ? plan_.root_fold : plan_.fold));
       if (p > 0) (a + pull).store(b_.x + WIDE_VECTOR * p);
       (b - pull).store(b_.x + WIDE_VECTOR * (p + 2));
@@ -170,11 +170,11 @@ class BundleCrossing {
 
   // Which strands have a spring above its largest length: those that rotate far in a step.
   N too_long() const {
-    N hit = below(N(0.0), N(0.0));
+    N hit = less(N(0.0), N(0.0));
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N most = N::of(b_.rests + WIDE * (p - 1)) * plan_.longest;
-      hit = either(hit, below(most * most, dot(d, d)));
+      hit = mask_or(hit, less(most * most, dot(d, d)));
     }
     return hit;
   }
@@ -208,14 +208,14 @@ class BundleCrossing {
       pull = (N::of(row + 2 * WIDE) + shared * pull) * N::of(row + WIDE);
       shared = N::of(row);
       const V back = at(b_.along, p) * pull;
-      const V x = at(b_.x, p), move = chosen(some, behind - back, V{0.0, 0.0, 0.0});
+      const V x = at(b_.x, p), move = select(some, behind - back, V{0.0, 0.0, 0.0});
       (x + move).store(b_.x + WIDE_VECTOR * p);
       if constexpr (Noted) b_.shift[p] += largest(length(move));
       behind = back;
     }
   }
 
-  static N length(const V& a) { return root(dot(a, a)); }
+  static N length(const V& a) { return sqrt(dot(a, a)); }
 
   // In which of four parts of the strands, from root to tip, a point is.
   std::size_t part(std::size_t p) const { return p * WIDE / plan_.points; }
@@ -256,7 +256,7 @@ class BundleCrossing {
       if (plan_.is_rod[c]) {
         const collide::Rod& rod = plan_.rods[c];
         const N away = sample_rod(rod.begin, rod.radius, centre).distance - radius;
-        (most(away, N(0.0)) - plan_.remaining[c]).store(off);
+        (max(away, N(0.0)) - plan_.remaining[c]).store(off);
       }
       double nearest = NEVER;
       for (std::size_t g = 0; g < WIDE; ++g)
@@ -289,7 +289,7 @@ class BundleCrossing {
   // Colliders come last in each step; strands that they stretched are corrected before.
   void keep_out(std::size_t step) {
     if (plan_.colliders == 0) return;
-    const V drift = V::spread(plan_.drifts + 3 * step);
+    const V drift = V::broadcast(plan_.drifts + 3 * step);
     for (std::size_t p = 1; p < plan_.points; ++p)
       b_.shift[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
     unsigned touched = 0;
@@ -297,7 +297,7 @@ class BundleCrossing {
     unsigned moved = meet(step, touched);
     b_.touched[step] += touched;
     for (int i = 0; i < YIELDS && moved; ++i) {
-      moved &= bits(too_long());
+      moved &= mask_bits(too_long());
       if (!moved) break;
       allow(moved);
       correct<true>(allowed_);
@@ -309,7 +309,7 @@ class BundleCrossing {
   void allow(unsigned some) {
     double lanes[WIDE];
     for (std::size_t l = 0; l < WIDE; ++l) lanes[l] = some >> l & 1;
-    allowed_ = below(N(0.0), N::of(lanes));
+    allowed_ = less(N(0.0), N::of(lanes));
     allowed_bits_ = some;
   }
 
@@ -410,8 +410,8 @@ class BundleCrossing {
     const unsigned pushed =
         allowed_bits_ & collide::push_out(rod, hit, begun, depth, from, location, stood);
     if (!pushed) return 0;
-    location = chosen(allowed_, location, to);
-    unmoved = chosen(allowed_, stood, unmoved);
+    location = select(allowed_, location, to);
+    unmoved = select(allowed_, stood, unmoved);
     shift += largest(length(location - to));
     due = shift;
     to = location;
@@ -477,7 +477,7 @@ class BundleCrossing {
         if (b_.dues[p * plan_.colliders + c] > b_.shift[p]) continue;
         const std::size_t row = (steps - 1) * plan_.colliders + c;
         const N off = sample(row, c, true, at(b_.x, p)).distance - depths(p, c);
-        deep |= bits(below(off, N(-plan_.tolerance)));
+        deep |= mask_bits(less(off, N(-plan_.tolerance)));
       }
       inside += count(deep);
     }
@@ -489,8 +489,8 @@ class BundleCrossing {
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N rest = N::of(b_.rests + WIDE * (p - 1));
-      const N beyond = root(dot(d, d)) * inverse(rest) - 1.0;
-      most_of_all = most(beyond, most_of_all);
+      const N beyond = sqrt(dot(d, d)) * inverse(rest) - 1.0;
+      most_of_all = max(beyond, most_of_all);
     }
     return largest(most_of_all);
   }

@@ -41,7 +41,7 @@ double thickness_of(const Collider& c, double radius) {
     case Shape::CAPSULE: return c.size[6];
     case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
     // Up to there a particle comes to no more than its surface.
-    case Shape::MESH: return collide::kept(c, radius);
+    case Shape::MESH: return collide::contact_distance(c, radius);
   }
   return 0;
 }
@@ -110,8 +110,8 @@ bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) 
   if (before(from, radius).distance < -collide::INSIDE) return false;
   const Vec speed = (to - start) * (1 / h);
   collide::Particle last{to, speed};
-  collide::Settling settling(&collider, 1, h, radius);
-  if (settling.settle({start, speed}, last).collider < 0) return false;
+  collide::ParticleContacts settling(&collider, 1, h, radius);
+  if (settling.resolve({start, speed}, last).collider < 0) return false;
   to = last.position;
   if (v) store(last.velocity, v);
   return true;
@@ -400,7 +400,7 @@ SpringContacts::PatchHit SpringContacts::look(std::size_t index, std::size_t n, 
   if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
-  const double kept = collide::kept(c.collider, radius), side = c.collider.container ? -1 : 1;
+  const double kept = collide::contact_distance(c.collider, radius), side = c.collider.container ? -1 : 1;
   MeshShift gone;
   KnotBoxes boxes{};
   if (c.surface >= 0) {
@@ -491,8 +491,8 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
   // It is seen from what of the surface is nearest: the rest of that stands as at the end.
   const Vec start = from + gone, speed = (to - start) * (1 / h_);
   collide::Particle last{to, speed};
-  collide::Settling settling(&c.collider, 1, h_, radius);
-  if (settling.settle({start, speed}, last).collider < 0) return false;
+  collide::ParticleContacts settling(&c.collider, 1, h_, radius);
+  if (settling.resolve({start, speed}, last).collider < 0) return false;
   to = last.position;
   if (v) store(last.velocity + gone * (1 / h_), v);
   return true;
@@ -500,7 +500,7 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
 
 // A particle that crossed a two-sided surface in a step counts as inside.
 void SpringContacts::push_back_out(const StepCollider& c, Vec from, Vec to, Sample& hit) const {
-  const double off = collide::kept(c.collider, colliders_.radius());
+  const double off = collide::contact_distance(c.collider, colliders_.radius());
   const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
   if (hit.distance + off > length(after - before)) return;
   if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;

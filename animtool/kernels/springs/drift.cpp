@@ -12,7 +12,7 @@ namespace animtool {
 namespace {
 
 // Largest cell number in each direction; points beyond are in the last cell.
-constexpr double MOST_CELLS = 1e6;
+constexpr double MAX_CELLS = 1e6;
 // Relative rounding error [1].
 constexpr double ROUNDING = 1 + 1e-9;
 
@@ -31,7 +31,7 @@ void NearMotion::build(const std::vector<double>& x, double width) {
     Cell at;
     for (std::size_t k = 0; k < 3; ++k) {
       const double cell = (x[n + k] - low[k]) / width;
-      at[k] = static_cast<std::int32_t>(cell < MOST_CELLS ? cell : MOST_CELLS);
+      at[k] = static_cast<std::int32_t>(cell < MAX_CELLS ? cell : MAX_CELLS);
     }
     const auto number = static_cast<std::uint32_t>(numbers.size());
     cells_.push_back(numbers.insert({at, number}).first->second);

@@ -20,8 +20,8 @@ void check_cells(const Cells& cells, std::int64_t substeps) {
   check::finite("origin", cells.origin);
   check::between("first", cells.first, -FARTHEST_CELL, FARTHEST_CELL);
   check::positive("cell", cells.cell);
-  check::between("substeps", substeps, 1, MOST_SUBSTEPS);
-  check::between("cells", cells.count, 0, MOST_STEPS / substeps);
+  check::between("substeps", substeps, 1, MAX_SUBSTEPS);
+  check::between("cells", cells.count, 0, MAX_STEPS / substeps);
   // Speeds are displacements over the step length.
   const double h = cells.cell / static_cast<double>(substeps);
   if (!std::isfinite(1 / h) || !std::isfinite(cells.start(0)) ||
@@ -61,9 +61,9 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
 }
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles) {
-  check::between("particles", particles, 0, check::MOST_ROWS);
+  check::between("particles", particles, 0, check::MAX_ROWS);
   check::shape("ends", ends, {check::ANY, 2});
-  check::at_most("ends", ends.shape(0), check::MOST_ROWS);
+  check::at_most("ends", ends.shape(0), check::MAX_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(particles));
   Out<std::int64_t, 1> result(ends.shape(0));
   const auto order = order_springs(ends.data(), ends.shape(0), particles);

@@ -113,7 +113,7 @@ FineParts parts_of_mesh(const Collider& c, double longest, double kept) {
 // The features of a collider that are finer than the longest edge of a surface.
 FineParts parts_of(const Collider& c, double radius, double longest) {
   if (c.container) return {};
-  const double kept = collide::kept(c, radius);
+  const double kept = collide::contact_distance(c, radius);
   FineParts parts;
   switch (c.shape) {
     case Shape::PLANE: return {};
@@ -205,7 +205,7 @@ static bool may_meet(const FineParts& parts, const Collider& c, Vec p, double re
 
 bool FaceContacts::comes_near(const StepCollider& c, const std::vector<std::int32_t>& near,
                               const StepRows& rows) const {
-  const double reach = reach_ + collide::kept(c.collider, radius_);
+  const double reach = reach_ + collide::contact_distance(c.collider, radius_);
   return std::any_of(near.begin(), near.end(), [&](std::int32_t n) {
     const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
     const Vec to = c.end.to_local(row_of(rows.x.data(), n));

@@ -182,7 +182,7 @@ bool MeshPatches::keep(Patch& patch, double reach, bool in_knot) {
 }
 
 // Cells that a knot lasts, at most.
-constexpr std::int64_t MOST_LASTING = std::int64_t{1} << 40;
+constexpr std::int64_t MAX_LASTING = std::int64_t{1} << 40;
 
 MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
     : surface_(std::get<0>(surface)),
@@ -191,7 +191,7 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
       lasts_(std::get<3>(surface)),
       first_(std::get<4>(surface)) {
   if (!surface_) check::refuse("colliders.surfaces", "a surface is None");
-  check::between("colliders.surfaces", lasts_, 1, MOST_LASTING);
+  check::between("colliders.surfaces", lasts_, 1, MAX_LASTING);
   check::between("colliders.surfaces", first_, 0, lasts_ - 1);
   const std::int64_t knots = (first_ + cells + lasts_ - 1) / lasts_ + 1;
   check::numbers("colliders.surfaces", points_, {static_cast<std::size_t>(knots), surface_->points(), 3});
@@ -272,7 +272,7 @@ MeshShift MovingSurface::shift_until(double fraction) const {
 
 Vec MovingSurface::shift(const Mesh& mesh, std::int32_t triangle, Vec p) const {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  const collide::Shares at = collide::shares_of_triangle(
+  const collide::Barycentric at = collide::barycentric_of_nearest(
       p, mesh.point(corner[0]), mesh.point(corner[1]), mesh.point(corner[2]));
   const Vec a = load(&shifts_[3 * corner[0]]), b = load(&shifts_[3 * corner[1]]),
             c = load(&shifts_[3 * corner[2]]);

@@ -275,8 +275,8 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  const SpringLayers* layers, In<std::int64_t, 2> crossed,
                                  double limit) {
   const Cells grid{origin, first, cell, cells};
-  check::between("most", most, 1, static_cast<int>(MOST_SUBSTEPS));
-  check::between("least", least, 1, static_cast<int>(MOST_SUBSTEPS));
+  check::between("most", most, 1, static_cast<int>(MAX_SUBSTEPS));
+  check::between("least", least, 1, static_cast<int>(MAX_SUBSTEPS));
   check_cells(grid, substeps);
   check_cells(grid, std::max(substeps, most));
   check::between("calm", calm, 0, std::numeric_limits<int>::max() / 2);

@@ -30,7 +30,7 @@ struct GiveColumns {
 template <class N>
 N pull_of(const N& rest, const N& stiffness, const N& damping, const N& square,
           const N& closing) {
-  const N over = inverse(square), length = rest * (root(square) * over);
+  const N over = inverse(square), length = rest * (sqrt(square) * over);
   return stiffness * (1.0 - length) + damping * (closing * over);
 }
 
@@ -132,7 +132,7 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
     d[l] = N::of(x + j) - N::of(x + i);
     e[l] = d[l] - (N::of(before + j) - N::of(before + i));
   }
-  const N square = dots(d, d), over = inverse(square), size = root(square);
+  const N square = dots(d, d), over = inverse(square), size = sqrt(square);
   const N beyond = if_distinct(square, 1.0 - N::of(springs.rest + s) * (size * over));
   // The pull over the length, with which the ends come together.
   double pulls[WIDE];
@@ -163,7 +163,7 @@ void project_one(const GiveColumns& springs, std::size_t s, double* x, const dou
   const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
   const auto d = row_at<On>(x + j) - row_at<On>(x + i);
   const auto e = d - (row_at<On>(before + j) - row_at<On>(before + i));
-  const N square = dot(d, d), over = inverse(square), size = root(square);
+  const N square = dot(d, d), over = inverse(square), size = sqrt(square);
   const N beyond = if_distinct(square, 1.0 - springs.rest[s] * (size * over));
   const N pull = springs.length[s] * beyond + springs.change[s] * (dot(d, e) * over);
   const double *weights = springs.weights + 2 * s;

@@ -20,7 +20,7 @@ constexpr double FASTEST = 4;
 // How much farther pairs are listed than they come in a step [thickness].
 constexpr double LISTED = 4;
 // Steps that those which are near are picked from them for, and bounds of that [thickness].
-constexpr double PICK_STEPS = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
+constexpr double PICK_STEPS = 6, LEAST_PICK = 0.03, MAX_PICK = 0.5;
 // How fast what is tangled comes free [m/s].
 constexpr double FREED = 1;
 // Width of cells that hold what may come near [longest edge, thickness].
@@ -130,7 +130,7 @@ void SelfContacts::list(double h, const std::vector<double>& before,
     corners_.list(*layers_, x, listed_.reach);
     edges_.list(*layers_, x, listed_.reach);
   }
-  const double reach = need_ + std::clamp(PICK_STEPS * travel_, LEAST_PICK * d, MOST_PICK * d);
+  const double reach = need_ + std::clamp(PICK_STEPS * travel_, LEAST_PICK * d, MAX_PICK * d);
   picked_.begin(x, std::min(reach, listed_.reach - listed_.drift));
   const RigidMotion shift = common_motion(listed_.at, x);
   went_.resize(x.size() / ROW);

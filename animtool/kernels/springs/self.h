@@ -24,7 +24,7 @@ using SelfThrough = std::tuple<std::int64_t, std::int64_t, double>;
 // edges if their interiors are closest.
 class SelfContacts {
   // Rounds of resolving piercing in a step, and of all rounds.
-  static constexpr int SEPARATION_ROUNDS = 6, MOST_ROUNDS = 40;
+  static constexpr int SEPARATION_ROUNDS = 6, MAX_ROUNDS = 40;
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
@@ -112,7 +112,7 @@ void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
   corners_.drop_those_back(*layers_, x);
   edges_.drop_those_back(*layers_, x);
   for (int round = 0; passes(h, from, x, moved); ++round) {
-    if (round == MOST_ROUNDS) return note_passed();
+    if (round == MAX_ROUNDS) return note_passed();
     if (round < SEPARATION_ROUNDS) {
       part_passed(h, before, x);
       settle();

@@ -23,7 +23,7 @@ constexpr double BRIM = 1e-6;
 // at an end of one, and on no side of each other.
 constexpr double PARALLEL = 1e-8;
 // The moment of a crossing is looked for so often, up to this of the way through [1].
-constexpr int MOST_LOOKS = 8;
+constexpr int MAX_LOOKS = 8;
 constexpr double MET = 1e-3;
 
 inline Vec row_of(const double* rows, std::int32_t particle) {
@@ -47,7 +47,7 @@ struct Triangle {
       : a(row_of(rows, corners[0])), b(row_of(rows, corners[1])), c(row_of(rows, corners[2])) {}
 
   Nearest nearest(Vec p) const {
-    const collide::Shares at = collide::shares_of_triangle(p, a, b, c);
+    const collide::Barycentric at = collide::barycentric_of_nearest(p, a, b, c);
     return {p - (a + (b - a) * at.b + (c - a) * at.c), {1, -(1 - at.b - at.c), -at.b, -at.c}};
   }
   double distance(Vec p) const { return length(nearest(p).off); }
@@ -159,7 +159,7 @@ std::int32_t crossed_from(const Pair& from, const Pair& to) {
   const double first = from.height(), last = to.height();
   if ((first >= 0) == (last >= 0) || !(std::abs(first - last) > 0)) return 0;
   double low = 0, high = 1, below = first, above = last;
-  for (int i = 0; i < MOST_LOOKS; ++i) {
+  for (int i = 0; i < MAX_LOOKS; ++i) {
     const double fraction = low + (high - low) * below / (below - above);
     const Pair then = from.until(to, fraction);
     const double height = then.height();

@@ -16,8 +16,8 @@ namespace animtool {
 
 namespace {
 
-constexpr int MOST_CORRECTIONS = 40, MOST_HALVINGS = 8, MOST_SPLITS = 6;
-constexpr int MOST_PRODUCTS = 400;
+constexpr int MAX_CORRECTIONS = 40, MAX_HALVINGS = 8, MAX_SPLITS = 6;
+constexpr int MAX_PRODUCTS = 400;
 // What conjugate gradients leave of a residual: the next correction takes that.
 constexpr double LEFT = 1e-3;
 
@@ -47,12 +47,12 @@ class Implicit {
     location(bx, s, t, run_.v);
     move(bx, s, run_.v, run_.x);
     double size = measure(bv, s, run_.x, run_.v);
-    for (int i = 0; i < MOST_CORRECTIONS; ++i) {
+    for (int i = 0; i < MAX_CORRECTIONS; ++i) {
       ++corrections;
       stiffen(s);
       const double largest = correct();
       double fraction = 1, after = 0;
-      for (int halving = 0; halving < MOST_HALVINGS; ++halving, fraction /= 2) {
+      for (int halving = 0; halving < MAX_HALVINGS; ++halving, fraction /= 2) {
         for (std::size_t k = 0; k < run_.size; ++k) trial_v_[k] = run_.v[k] + fraction * step_[k];
         move(bx, s, trial_v_, trial_x_);
         after = measure(bv, s, trial_x_, trial_v_);
@@ -253,7 +253,7 @@ class Implicit {
     p_ = z_;
     double size = product(r_, z_);
     const double enough = LEFT * LEFT * size;
-    for (int i = 0; i < MOST_PRODUCTS && size > enough; ++i) {
+    for (int i = 0; i < MAX_PRODUCTS && size > enough; ++i) {
       multiply(p_, q_);
       const double fraction = size / product(p_, q_);
       for (std::size_t k = 0; k < run_.size; ++k) {
@@ -436,8 +436,8 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             const std::optional<SpringColliders>& colliders,
                             std::optional<In<double, 2>> supplied) {
   const Cells grid{origin, first, cell, cells};
-  check::between("substeps", substeps, 1, static_cast<int>(MOST_SUBSTEPS >> MOST_SPLITS));
-  check_cells(grid, substeps << MOST_SPLITS);
+  check::between("substeps", substeps, 1, static_cast<int>(MAX_SUBSTEPS >> MAX_SPLITS));
+  check_cells(grid, substeps << MAX_SPLITS);
   check::positive("tolerance", tolerance);
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
@@ -462,7 +462,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
       if (!crossing.cross(i, grid.start(i), cell, substeps)) {
         // The equations of shorter steps are easier.
         bool hit = false;
-        for (int split = 1; split <= MOST_SPLITS && !hit; ++split) {
+        for (int split = 1; split <= MAX_SPLITS && !hit; ++split) {
           run.x = start.x;
           run.v = start.v;
           pulls.go_back(begun);

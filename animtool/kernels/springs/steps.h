@@ -23,8 +23,8 @@ struct Cells {
 };
 
 // Steps of a cell and of a call, at most, and cells from the origin.
-constexpr std::int64_t MOST_SUBSTEPS = std::int64_t{1} << 20;
-constexpr std::int64_t MOST_STEPS = std::int64_t{1} << 24;
+constexpr std::int64_t MAX_SUBSTEPS = std::int64_t{1} << 20;
+constexpr std::int64_t MAX_STEPS = std::int64_t{1} << 24;
 constexpr std::int64_t FARTHEST_CELL = std::int64_t{1} << 52;
 
 // Refuses what has no steps, none that can be told apart, or so many that it is a mistake.

@@ -345,7 +345,7 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
       stretch_(stretch) {
   check::shape("rests", rests, {check::ANY, check::ANY});
   if (strands_ == 0) check::refuse("rests", "there is no strand");
-  check::at_most("rests", points_, check::MOST_ROWS / strands_);
+  check::at_most("rests", points_, check::MAX_ROWS / strands_);
   for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
   check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
   for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
