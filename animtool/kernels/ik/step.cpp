@@ -330,8 +330,8 @@ bool Stepper::solve_curved(const State& state, const Linearized& linear, double 
     search_[d] = free_[d];
     size += rest_[d] * rest_[d], along += rest_[d] * free_[d];
   }
-  if (first) whole_ = size;
-  const double enough = whole_ * near * near * std::min(1.0, whole_);
+  if (first) initial_ = size;
+  const double enough = initial_ * near * near * std::min(1.0, initial_);
   const int rounds = std::min(2 * dofs + 10, MAX_ROUNDS);
   for (int round = 0; round < rounds && size > enough && size > 1e-300; ++round) {
     hessian(state, linear, true, damping, search_.data(), product_.data());

@@ -193,7 +193,7 @@ class Stepper {
   const bool abundant_;
   const int side_;  // of the matrix
   std::vector<double> matrix_, right_, image_, felt_, free_, search_, rest_, product_, turned_;
-  double rotation_ = 0, whole_ = 0;
+  double rotation_ = 0, initial_ = 0;
   std::vector<Fixed> fixed_;
   std::vector<Pinned> pinned_;
   // Second derivatives of cones along unit vectors, and their share s in their sum with the floor:
