@@ -1,8 +1,8 @@
 """Inverse kinematics on limits: long chains with tight ones, and paths beside them.
 
 Chains of 1,000 joints that turn .02 rad each, towards targets in and out of reach.
-Paths of an arm that lean on limits of one joint and of two, smoothed, beside the best that
-SLSQP finds for the same sum of distances and accelerations.
+Paths of an arm that lean on limits of one joint and of two, smoothed, beside the best
+that SLSQP finds for the same sum of distances and accelerations.
 """
 
 from __future__ import annotations
