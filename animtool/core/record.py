@@ -59,7 +59,9 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
     for name, type_ in inspect.get_annotations(cls).items():
         if not _is_class_variable(type_):
             declared_fields[name] = _declared_field(cls, name, type_, flags.kw_only)
-    methods = _methods(declared_fields, flags, hasattr(cls, "__post_init__"))
+    # Fields of a frozen record without slots are filled in at once.
+    in_dict = flags.frozen and not flags.slots and not _inherited_slots(cls)
+    methods = _methods(declared_fields, flags, hasattr(cls, "__post_init__"), in_dict)
     attributes = vars(cls)
     if flags.eq and "__hash__" not in attributes:
         methods["__hash__"] = methods["__hash__"] if flags.frozen else None
@@ -125,11 +127,15 @@ _FIELD = _mark_of_fields()
 
 
 def _methods(
-    declared_fields: Mapping[str, Field[Any]], flags: Any, has_post_init: bool
+    declared_fields: Mapping[str, Field[Any]],
+    flags: Any,
+    has_post_init: bool,
+    in_dict: bool,
 ) -> dict[str, Any]:
     """Return the methods of a record.
 
     has_post_init: Whether it has a ``__post_init__``.
+    in_dict: Whether all fields are in the ``__dict__``.
     """
     init_fields = [
         record_field for record_field in declared_fields.values() if record_field.init
@@ -147,7 +153,8 @@ def _methods(
     ]
     methods: dict[str, Any] = {
         "__init__": _initializer(
-            declared_fields.values(), positional_names, flags.frozen, has_post_init
+            *(declared_fields.values(), positional_names),
+            *(flags.frozen, has_post_init, in_dict),
         ),
         "__signature__": _Signature(),
         "__match_args__": positional_names,
@@ -179,6 +186,7 @@ def _initializer(
     positional_names: tuple[str, ...],
     frozen: bool,
     has_post_init: bool,
+    in_dict: bool,
 ) -> Callable[..., None]:
     """Return the ``__init__`` of fields; ``positional_names`` may be positional."""
     field_list = list(field_list)
@@ -197,15 +205,24 @@ def _initializer(
     unset_names = [
         record_field.name for record_field in field_list if not record_field.init
     ]
+    # If all fields can be positional: how many must be, and the values of the others.
+    tail = tuple(defaults[name] for name in positional_names if name in defaults)
     max_positional = (
         len(positional_names) if settable_names == set(positional_names) else -1
-    )  # if all fields can be positional
+    )
+    min_positional = max_positional if factories else max_positional - len(tail)
     put: Callable[[Any, str, Any], None] = object.__setattr__ if frozen else setattr
 
     def __init__(self: Any, /, *positional: Any, **named: Any) -> None:  # noqa: N807
-        if len(positional) == max_positional and not named:
-            for name, value in zip(positional_names, positional, strict=True):
-                put(self, name, value)
+        count = len(positional)
+        if min_positional <= count <= max_positional and not named:
+            if count < max_positional:
+                positional += tail[count - min_positional :]
+            if in_dict:
+                self.__dict__.update(zip(positional_names, positional))  # noqa: B905
+            else:
+                for name, value in zip(positional_names, positional):  # noqa: B905
+                    put(self, name, value)
         else:
             values = (
                 defaults | dict(zip(positional_names, positional, strict=False)) | named
@@ -368,13 +385,18 @@ def _pickle_methods(
     return __getstate__, __setstate__
 
 
+def _inherited_slots(cls: type[Any]) -> set[str]:
+    """Return the slots of a class's bases."""
+    return {
+        name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
+    }
+
+
 def _class_with_slots(
     cls: type[Any], declared_fields: Iterable[str], methods_to_add: Mapping[str, Any]
 ) -> type[Any]:
     """Return a class with slots for fields that its bases have no slots for."""
-    inherited_names = {
-        name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
-    }
+    inherited_names = _inherited_slots(cls)
     namespace = {**vars(cls), **methods_to_add}
     for name in (*declared_fields, "__dict__", "__weakref__"):
         namespace.pop(name, None)

@@ -11,7 +11,7 @@ from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
-from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Goal, GoalKind, Targets, pack
+from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Goal, Targets, pack
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem, build, rest_pose
 from animtool.ik.result import IkResult
@@ -34,6 +34,8 @@ class _PackedProblem:
 
     problem: Problem
     solver: _kernels.RigSolver
+    has_branches: bool
+    rest: FloatArray  # rest pose ``(1, Q)``
     targets: FloatArray  # ``(1, E, W)``
     views: tuple[FloatArray, ...]  # views into it, one per used part in order
 
@@ -124,23 +126,19 @@ class Session:
             return solve(
                 packed.problem, start, _targets(values), self.options, prefer=prefer
             )
-        poses = [
-            None if rows is None else np.asarray(rows, np.float64)[None]
-            for rows in (start, prefer)
-        ]
-        first_start = rest_pose(packed.problem)[None] if poses[0] is None else poses[0]
+        problem = packed.problem
+        rows = packed.rest if start is None else np.asarray(start, np.float64)[None]
+        preferred = None if prefer is None else np.asarray(prefer, np.float64)[None]
         try:
-            solved = packed.solver.solve(first_start, values, poses[1], placed=True)
-        except ValueError:
+            solved = packed.solver.solve(rows, values, preferred, placed=True)
+        except (TypeError, ValueError):
             # Invalid numbers or shapes: packing again raises the full error.
-            pack_again = pack(_targets(values), packed.problem.goals)
-            problem = packed.problem
+            pack_again = pack(_targets(values), problem.goals)
             rows = pose_rows(problem, start, 1, "start")
-            preferred = (
-                None if prefer is None else pose_rows(problem, prefer, 1, "prefer")
-            )
+            if prefer is not None:
+                preferred = pose_rows(problem, prefer, 1, "prefer")
             solved = packed.solver.solve(rows, pack_again, preferred, placed=True)
-        return result_of(packed.problem, solved)
+        return result_of(problem, solved)
 
     def branches(
         self,
@@ -162,15 +160,20 @@ class Session:
         values_by_goal = named if targets is None else {**targets, **named}
         packed, values = self._fill_buffer(values_by_goal)
         problem = packed.problem
-        if closed_form(problem) is not ClosedForm.ARM:
+        if not packed.has_branches:
             names = ", ".join(values_by_goal)
             message = f"{names} ends no arm whose poses have a closed form"
             hint = "six pins in a row, the last three meeting in a point or the second "
             hint += "to fourth parallel, with a position and a rotation to reach"
             raise OptionError(Fault("IK015", message, hint=hint))
-        values = pack(_targets(values), problem.goals)
-        row = pose_rows(problem, start, 1, "start")[0]
-        return packed.solver.branches(row, values[0])
+        row = packed.rest[0] if start is None else np.asarray(start, np.float64)
+        try:
+            return packed.solver.branches(row, values[0])
+        except (TypeError, ValueError):
+            # As in `solve`.
+            pack_again = pack(_targets(values), problem.goals)
+            row = pose_rows(problem, start, 1, "start")[0]
+            return packed.solver.branches(row, pack_again[0])
 
     def _fill_buffer(
         self, values_by_goal: Mapping[str, Any]
@@ -224,7 +227,9 @@ class Session:
             for kind in goal.kinds
         ]
         return _PackedProblem(
-            problem, make_solver(problem, self.options), targets, tuple(views)
+            *(problem, make_solver(problem, self.options)),
+            *(closed_form(problem) is ClosedForm.ARM, rest_pose(problem)[None]),
+            *(targets, tuple(views)),
         )
 
 
@@ -252,18 +257,14 @@ def _goals_by_name(
     return by_name
 
 
-def _goal_kinds(goal: Goal | None) -> tuple[GoalKind, ...]:
-    return JOINT_KINDS if goal is None else goal.kinds
-
-
 def _target_parts(
     name: str, goal: Goal | None, value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
     """Return the targets in a goal's value, and a mask of their kinds."""
-    kinds = _goal_kinds(goal)
     if goal is None and (not isinstance(value, tuple) or len(value) == 3):
         return (value,), (True, False)
-    if goal is not None and len(kinds) == 1:
+    kinds = JOINT_KINDS if goal is None else goal.kinds
+    if len(kinds) == 1:
         return (value,), (True,)
     if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
         raise _shape_error({name: value})

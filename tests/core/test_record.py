@@ -63,6 +63,37 @@ def test_fields_have_their_defaults_and_are_equal() -> None:
     assert one.__eq__(3) is NotImplemented
 
 
+@dataclass(frozen=True)
+class Plain:
+    """A record without slots."""
+
+    first: int
+    second: int = 2
+    third: int = 3
+
+
+@dataclass(frozen=True)
+class Above(Span[int]):
+    """A record without slots, below one with slots."""
+
+    more: int = 4
+
+
+def test_defaults_follow_what_is_given_in_order() -> None:
+    given = [Plain(1), Plain(1, 5), Plain(1, 5, 6), Plain(1, third=6)]
+    assert [asdict(one) for one in given] == [
+        {"first": 1, "second": 2, "third": 3},
+        {"first": 1, "second": 5, "third": 3},
+        {"first": 1, "second": 5, "third": 6},
+        {"first": 1, "second": 2, "third": 6},
+    ]
+    for positional in ((), (1, 2, 3, 4)):
+        with pytest.raises(TypeError, match="Plain"):
+            Plain(*positional)
+    above = Above(1, 2, [], 7)
+    assert (above.first, above.last, above.more) == (1, 2, 7)
+
+
 def test_what_is_the_same_is_equal() -> None:
     nan = float("nan")
     assert Count(nan) == Count(nan)  # type: ignore[arg-type]

@@ -122,6 +122,15 @@ def test_the_last_call_leaves_no_traces() -> None:
     assert_same(session.solve(hand=[0.4, 1.3, 0.3]), first, 0)
 
 
+def test_a_session_starts_from_a_row_of_a_result() -> None:
+    session = mixed_rig().ik("hand")
+    row = session.solve(hand=[0.4, 1.3, 0.3]).coordinates
+    assert row.shape == (1, session.rig.coordinates)
+    by_row = session.solve(hand=[0.4, 1.2, 0.3], start=row, prefer=row)
+    by_pose = session.solve(hand=[0.4, 1.2, 0.3], start=row[0], prefer=row[0])
+    np.testing.assert_array_equal(by_row.coordinates, by_pose.coordinates)
+
+
 def test_options_that_take_longer_are_heeded() -> None:
     rig = mixed_rig()
     near = IkOptions(near=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 from support.faults import raises
 from support.ik import (
     arm,
@@ -20,6 +21,7 @@ from support.ik import (
 )
 from support.suite import examples
 
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.goals import KINDS
@@ -28,6 +30,7 @@ from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 ROOT = Path(__file__).parents[2]
@@ -381,3 +384,41 @@ def test_counts_are_taken_as_far_as_there_is_room(name: str) -> None:
     for value in (low - 1, most + 1, 1.5):
         with raises(OptionError, "IK014", match=name):
             solve(problem, None, targets, replace(IkOptions(), **{name: value}))
+
+
+@pytest.mark.parametrize("point", [[-0.6, -0.4, 0.0], [0.2, 1.5, 0.0]])
+def test_a_long_chain_with_tight_limits_ends_at_the_nearest_pose(
+    point: list[float],
+) -> None:
+    """Like bounded minimisation of the distance over the angles."""
+    count, most = 160, 0.012
+    pins = [
+        Joint(
+            *(f"p{i}", i - 1, JointType.PIN, (0.0 if i == 0 else 1 / count, 0.0, 0.0)),
+            axis=(0.0, 0.0, 1.0),
+            limits=RangeLimit(-most, most),
+        )
+        for i in range(count)
+    ]
+    rig = Rig("snake", tuple(pins))
+    problem = build(rig, [Goal(f"p{count - 1}", offset=(1 / count, 0.0, 0.0))])
+    result = solve(problem, None, Targets(positions=[[point]]))
+
+    def miss(angles: FloatArray) -> tuple[float, FloatArray]:
+        total = np.cumsum(angles)
+        bones = np.stack([np.cos(total), np.sin(total)]) / count
+        missed = bones.sum(axis=1) - point[:2]
+        behind = np.cumsum(bones[:, ::-1], axis=1)[:, ::-1]
+        return missed @ missed / 2, missed[1] * behind[0] - missed[0] * behind[1]
+
+    nearest = min(
+        minimize(
+            *(miss, np.full(count, start * most)),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(-most, most)] * count,
+        ).fun
+        for start in (-0.9, 0.0, 0.9)
+    )
+    assert result.positions[0, 0] < np.sqrt(2 * nearest) + 1e-5
+    assert np.abs(result.coordinates).max() <= most + 1e-12

@@ -64,6 +64,7 @@ Status Search::look() {
 bool Search::elsewhere(bool stalled, bool sure) {
   const double exact = least_gain_;
   int agreeing = 0;
+  const int enough = stepper_.abundant() ? FEW : AGREEING;
   for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {
     restart(i, stalled);
     least_gain_ = i == POLISHED ? exact : std::max(exact, COMPARED);
@@ -74,7 +75,7 @@ bool Search::elsewhere(bool stalled, bool sure) {
     else if (now_.cost < before * (1 + 1e-2))
       ++agreeing;
     if (keep()) return true;
-    if (agreeing >= AGREEING) break;
+    if (agreeing >= enough) break;
   }
   return false;
 }

@@ -49,6 +49,8 @@ class Search : public Descent {
   // Number of other starts that must end at the best pose before it is accepted as the global
   // minimum.
   static constexpr int AGREEING = 16;
+  // Likewise where degrees of freedom are abundant.
+  static constexpr int FEW = 2;
   // A start that ends below this fraction of the best cost is better.
   static constexpr double BETTER = 1 - 1e-3;
   // Number of starts in a frame whose cost is within a factor of that of the previous frame; it

@@ -98,6 +98,11 @@ struct Fixed {
   double direction[3];
   double value;
   int node;
+  // Of a cone, which curves: a force out of it along the direction adds force * bend bend^T to the
+  // second derivatives.
+  double bend[3] = {0, 0, 0};
+  // Sign of the direction that leaves the limit; 0 for a locked one.
+  int outwards = 0;
 };
 
 }  // namespace animtool::ik

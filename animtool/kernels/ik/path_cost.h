@@ -83,14 +83,24 @@ class TimeBand {
   void forward(double* x, int i, int width) const {
     double* row_i = of(x, i, width);
     const double near = below_[2 * i], far = below_[2 * i + 1];
-    if (i > 0) add(-near, of(x, i - 1, width), width, row_i);
-    if (i > 1) add(-far, of(x, i - 2, width), width, row_i);
+    if (i < 2) {
+      if (i > 0) add(-near, of(x, 0, width), width, row_i);
+      return;
+    }
+    const double *a = row_i - width, *b = a - width;
+    for (int d = 0; d < width; ++d) row_i[d] = row_i[d] - near * a[d] - far * b[d];
   }
   void backward(double* x, int i, int width) const {
     double* row_i = of(x, i, width);
-    for (int d = 0; d < width; ++d) row_i[d] *= inverses_[i];
-    if (i + 1 < count_) add(-below_[2 * i + 2], of(x, i + 1, width), width, row_i);
-    if (i + 2 < count_) add(-below_[2 * i + 5], of(x, i + 2, width), width, row_i);
+    const double inverse = inverses_[i];
+    if (i + 2 >= count_) {
+      for (int d = 0; d < width; ++d) row_i[d] *= inverse;
+      if (i + 1 < count_) add(-below_[2 * i + 2], of(x, i + 1, width), width, row_i);
+      return;
+    }
+    const double near = below_[2 * i + 2], far = below_[2 * i + 5];
+    const double *a = row_i + width, *b = a + width;
+    for (int d = 0; d < width; ++d) row_i[d] = row_i[d] * inverse - near * a[d] - far * b[d];
   }
 
  private:
@@ -131,38 +141,50 @@ class PathCost {
 
   // Returns the cost of a path (F, Q), and writes its gradient (F, D) if requested.
   double evaluate(const double* anchors, const double* q, std::vector<double>* slope = nullptr) {
+    return evaluate(anchors, q, slope, 0, frames_);
+  }
+
+  // Likewise of what changes with the frames from `first` to `end`, and the gradient by these.
+  double evaluate(const double* anchors, const double* q, std::vector<double>* slope, int first,
+                  int end) {
     const std::size_t size = static_cast<std::size_t>(frames_) * width_;
-    speeds_.resize(size), forces_.resize(size);
-    if (slope) slope->assign(size, 0.0);
+    speeds_.resize(size), forces_.resize(size), bends.resize(frames_);
+    const int before = std::max(first - 1, 0), last = std::min(end, frames_ - 2);
+    if (slope) {
+      slope->resize(size);
+      std::fill(slope->begin() + row(before), slope->begin() + row(std::min(end + 1, frames_)), 0.0);
+    }
     double cost = 0;
-    for (int t = 0; t < frames_ && weights_.anchor > 0; ++t) {
+    for (int t = first; t < end && weights_.anchor > 0; ++t) {
       difference(chain_, anchors + at(t), q + at(t), away_.data());
       for (int d = 0; d < width_; ++d) {
         cost += weights_.anchor * away_[d] * away_[d] / 2;
         if (slope) (*slope)[row(t) + d] += weights_.anchor * away_[d];
       }
     }
-    std::fill(forces_.begin(), forces_.end(), 0.0);
-    bends.assign(frames_, 0.0);
-    for (int t = 0; t + 1 < frames_; ++t) {
+    std::fill(bends.begin() + before, bends.begin() + std::min(end + 1, frames_), 0.0);
+    for (int t = std::max(first - 2, 0); t <= last; ++t) {
       double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
       difference(chain_, q + at(t), q + at(t + 1), speed);
+      std::fill(force, force + width_, 0.0);
+      if (t < first - 1) continue;
       const double* drift = drift_of(t);
-      const double* before = t > 0 ? drift_of(t - 1) : nullptr;
+      const double* drift_before = t > 0 ? drift_of(t - 1) : nullptr;
+      const double speed_weight = t < end ? weights_.speed : 0;
       for (int d = 0; d < width_; ++d) {
         const double u = speed[d] - drift[d];
-        cost += weights_.speed * u * u / 2;
-        force[d] += weights_.speed * u;
+        cost += speed_weight * u * u / 2;
+        force[d] += speed_weight * u;
         if (t == 0) continue;
-        const double a = u - (speed[d - width_] - before[d]);
+        const double a = u - (speed[d - width_] - drift_before[d]);
         bends[t] += weights_.acceleration * a * a / 2;
         force[d] += weights_.acceleration * a;
         force[d - width_] -= weights_.acceleration * a;
       }
     }
-    for (const double bend : bends) cost += bend;
+    for (int t = before; t <= last; ++t) cost += bends[t];
     if (slope)
-      for (int t = 0; t + 1 < frames_; ++t) spread(t, *slope);
+      for (int t = before; t < std::min(end, frames_ - 1); ++t) spread(t, *slope);
     return cost;
   }
 

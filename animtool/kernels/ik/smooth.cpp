@@ -5,12 +5,13 @@
 // are rotation vectors. With the goals' projections Pi and the same scalar matrix P of
 // five diagonals for every degree of freedom, Pi P Pi x = Pi b is solved by conjugate
 // gradients with Pi P^-1 Pi for a preconditioner, exact where Pi does not change in time
-// (N. Gould, M. Hribar, J. Nocedal, On the solution of equality constrained quadratic
+// or changes by limits alone: P^-1 is over the steps that they allow (N. Gould, M. Hribar, J. Nocedal, On the solution of equality constrained quadratic
 // programming problems arising in optimization, 2001, algorithm 2.1).
 #include "ik/solve.h"
 
 #include "ik/goals.h"
 #include "ik/levels.h"
+#include "ik/limit_band.h"
 #include "ik/path_cost.h"
 #include "ik/read.h"
 #include "ik/space.h"
@@ -52,7 +53,7 @@ class PathSmoother {
     anchors_ = now_;
     for (int t = 0; t < frames_; ++t) keep_what_is_missed(t);
     PathOutcome outcome;
-    outcome.before = evaluate(now_);
+    outcome.before = evaluate_all();
     std::vector<char> looked(frames_, 0);
     improve_all(outcome, outcome.before);
     if (path_.weights.acceleration > 0 && path_.rounds > 0)
@@ -60,7 +61,7 @@ class PathSmoother {
         improve_all(outcome, local_cost());
         cross_elsewhere(outcome);
       }
-    outcome.after = evaluate(now_);
+    outcome.after = evaluate_all();
     std::copy(now_.begin(), now_.end(), path);
     return outcome;
   }
@@ -169,7 +170,7 @@ class PathSmoother {
   // Moves only the frames around the sharpest remaining corner: the others have converged, and must
   // not limit the step length.
   bool narrow(std::vector<char>& looked) {
-    evaluate(now_);
+    evaluate_all();
     int sharpest = -1;
     for (int t = path_.first; t < path_.end; ++t)
       if (!looked[t] && (sharpest < 0 || cost_.bends[t] > cost_.bends[sharpest])) sharpest = t;
@@ -237,8 +238,11 @@ class PathSmoother {
     return cost;
   }
 
+  double evaluate_all() { return cost_.evaluate(anchors_.data(), now_.data()); }
+
+  // Of what changes with the frames that currently move.
   double evaluate(const std::vector<double>& q, std::vector<double>* slope = nullptr) {
-    return cost_.evaluate(anchors_.data(), q.data(), slope);
+    return cost_.evaluate(anchors_.data(), q.data(), slope, first_, end_);
   }
 
   // Makes one iteration; returns the cost after it. A step that is too long is repeated with more
@@ -269,7 +273,7 @@ class PathSmoother {
     bool tight = false;
     for (int pass = 0; pass < PASSES; ++pass) {
       tight = tight || pass + 1 == PASSES;
-      solve(tight ? LOOSE : ROUGH);
+      solve(tight ? LOOSE : ROUGH, pass == 0);
       if (fix_violations()) continue;
       if (tight) break;
       tight = true;
@@ -309,8 +313,10 @@ class PathSmoother {
   }
 
   // step_ <- the best step that goals and fixed limits allow, starting from the previous one.
-  void solve(double near) {
+  void solve(double near, bool first) {
     const std::size_t size = slope_.size();
+    const auto fixed = [&](int t) -> const std::vector<Fixed>& { return spaces_[t].fixed; };
+    pins_.factor(band_, first_, end_, fixed), balls_.factor(band_, first_, end_, fixed);
     for (int t = first_; t < end_; ++t) project(step_, t);
     for (int t = first_; t < end_; ++t) {
       if (stuck_[t]) continue;
@@ -321,11 +327,11 @@ class PathSmoother {
     band_.multiply(step_, width_, image_);
     rest_.assign(size, 0.0);
     conditioned_.assign(size, 0.0);
-    // What the slope alone comes to says what is small.
-    for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i];
-    const double small = precondition() * near * near;
     for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i] - image_[i];
     double size_now = precondition();
+    // What the slope comes to before limits are run into says what is small.
+    if (first) full_ = size_now;
+    const double small = full_ * near * near;
     along_ = conditioned_;
     for (int round = 0; round < MAX_ROUNDS && size_now > small && size_now > 0; ++round) {
       band_.multiply(along_, width_, image_);
@@ -346,15 +352,23 @@ class PathSmoother {
   // Projects rest_, and conditioned_ <- what it comes to; the product of both. Frames are
   // gone through forth and back, so that those last read are still near.
   double precondition() {
+    double* x = conditioned_.data();
     for (int t = first_; t < end_; ++t) {
       project(rest_, t);
       std::copy(frame(rest_, t), frame(rest_, t) + width_, frame(conditioned_, t));
-      band_.forward(conditioned_.data(), t - first_, width_);
+      band_.forward(x, t - first_, width_);
+      pins_.forward(rest_.data(), x, t - first_, width_);
+      balls_.forward(rest_.data(), x, t - first_, width_);
     }
     double sum = 0;
     // A frame is projected once the two before it are solved.
     for (int t = end_ + 1; t >= first_; --t) {
-      if (t - 2 >= first_) band_.backward(conditioned_.data(), t - 2 - first_, width_);
+      if (t - 2 >= first_) {
+        const int i = t - 2 - first_;
+        pins_.keep(x, i, width_), balls_.keep(x, i, width_);
+        band_.backward(x, i, width_);
+        pins_.backward(x, i, width_), balls_.backward(x, i, width_);
+      }
       if (t >= end_) continue;
       project(conditioned_, t);
       sum += inner(frame(conditioned_, t), frame(rest_, t), 0, width_);
@@ -410,6 +424,8 @@ class PathSmoother {
   const double* stretches_;
   PathCost cost_;
   TimeBand band_;
+  LimitBand<1> pins_;  // of joints that a limit fixes
+  LimitBand<3> balls_;
   Search search_;
   Stepper stepper_;
   State state_;
@@ -419,7 +435,7 @@ class PathSmoother {
   std::vector<char> stuck_;
   std::vector<double> now_, next_, anchors_, away_, slope_, step_, image_;
   std::vector<double> rest_, along_, conditioned_, moved_;
-  double damping_ = 0;
+  double damping_ = 0, full_ = 0;
 };
 
 }  // namespace

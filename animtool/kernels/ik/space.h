@@ -17,7 +17,7 @@ class GoalSpace {
  public:
   // Buffers for the computation, one frame at a time.
   struct Work {
-    std::vector<double> gram, missing, felt;
+    std::vector<double> gram, missing, felt, served;
   };
 
   // Directions that limits fix, and the least step that serves these.
@@ -43,19 +43,26 @@ class GoalSpace {
         step[one.dof + k] += one.value * one.direction[k];
     }
     keep(jacobian, width);
-    for (const Block& block : blocks_)
-      for (int i = 0; i < block.rows; ++i)
-        for (int j = 0; j <= i; ++j)
-          work.gram[static_cast<std::size_t>(block.row + i) * m + block.row + j] +=
-              inner(row_of(block, i), row_of(block, j), 0, block.columns);
+    for (const Block& block : blocks_) {
+      const float* line = values_.data() + block.begin;
+      const auto entry = [&](int i, int j) -> double& {
+        return work.gram[static_cast<std::size_t>(block.row + i) * m + block.row + j];
+      };
+      if (block.tall())
+        for (int d = 0; d < block.columns; ++d, line += block.rows)
+          for (int i = 0; i < block.rows; ++i)
+            for (int j = 0; j <= i; ++j) entry(i, j) += double{line[i]} * line[j];
+      else
+        for (int i = 0; i < block.rows; ++i)
+          for (int j = 0; j <= i; ++j)
+            entry(i, j) += inner(line + i * block.columns, line + j * block.columns, block.columns);
+    }
     for (int i = 0; i < m; ++i) work.gram[i * m + i] += DAMPING;
     work.felt.resize(m);
     cholesky::factor<cholesky::Inverses, cholesky::Small::IGNORE>(
         work.gram.data(), m, m, work.felt.data(), [](std::size_t) { return DAMPING / 2; });
-    factor_.clear();
-    for (int i = 0; i < m; ++i)
-      factor_.insert(factor_.end(), &work.gram[i * m], &work.gram[i * m] + i + 1);
-    solve(work.missing);
+    invert(work);
+    solve(work.missing, work);
     spread(work.missing, 1, step.data());
   }
 
@@ -67,10 +74,18 @@ class GoalSpace {
       for (int k = 0; k < one.width; ++k) x[one.dof + k] -= along * one.direction[k];
     }
     work.felt.assign(rows_, 0.0);
-    for (const Block& block : blocks_)
-      for (int i = 0; i < block.rows; ++i)
-        work.felt[block.row + i] += inner(row_of(block, i), x + block.dof, 0, block.columns);
-    solve(work.felt);
+    for (const Block& block : blocks_) {
+      double* felt = work.felt.data() + block.row;
+      const double* from = x + block.dof;
+      const float* line = values_.data() + block.begin;
+      if (block.tall())
+        for (int d = 0; d < block.columns; ++d, line += block.rows)
+          for (int i = 0; i < block.rows; ++i) felt[i] += line[i] * from[d];
+      else
+        for (int i = 0; i < block.rows; ++i, line += block.columns)
+          felt[i] += inner(line, from, block.columns);
+    }
+    solve(work.felt, work);
     spread(work.felt, -1, x);
   }
 
@@ -81,14 +96,23 @@ class GoalSpace {
   // Columns of the Jacobian, from `dof` on, that are 0 outside the same rows.
   struct Block {
     int dof, columns, row, rows;
-    std::size_t begin;  // of their values, a row after another
+    std::size_t begin;  // of their values, along the longer side
+
+    bool tall() const { return rows > columns; }
   };
 
-  const double* row_of(const Block& block, int i) const {
-    return values_.data() + block.begin + static_cast<std::size_t>(i) * block.columns;
+  template <class Number>
+  static double inner(const float* a, const Number* b, int count) {
+    double sums[4] = {0, 0, 0, 0};
+    int i = 0;
+    for (; i + 4 <= count; i += 4)
+      for (int n = 0; n < 4; ++n) sums[n] += double{a[i + n]} * b[i + n];
+    for (; i < count; ++i) sums[0] += double{a[i]} * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
   }
 
-  // blocks_ and their values_ <- the Jacobian.
+  // blocks_ and their values_ <- the Jacobian, rounded: the memory that is read counts, and points
+  // are brought back to their goals anyway.
   void keep(const std::vector<double>& jacobian, int width) {
     blocks_.clear();
     std::size_t count = 0;
@@ -106,35 +130,69 @@ class GoalSpace {
       count += end - row;
     }
     values_.resize(count);
-    double* value = values_.data();
-    for (const Block& block : blocks_)
-      for (int i = block.row; i < block.row + block.rows; ++i)
-        for (int d = block.dof; d < block.dof + block.columns; ++d)
-          *value++ = jacobian[static_cast<std::size_t>(d) * rows_ + i];
+    float* value = values_.data();
+    for (const Block& block : blocks_) {
+      const auto at = [&](int i, int d) {
+        return jacobian[static_cast<std::size_t>(block.dof + d) * rows_ + block.row + i];
+      };
+      if (block.tall())
+        for (int d = 0; d < block.columns; ++d)
+          for (int i = 0; i < block.rows; ++i) *value++ = static_cast<float>(at(i, d));
+      else
+        for (int i = 0; i < block.rows; ++i)
+          for (int d = 0; d < block.columns; ++d) *value++ = static_cast<float>(at(i, d));
+    }
+  }
+
+  // inverse_ <- L^-1 of the factor in work.gram, row by row: 0 for rows that count for nothing.
+  void invert(Work& work) {
+    const int m = rows_;
+    inverse_.resize(static_cast<std::size_t>(m) * (m + 1) / 2);
+    double* row = inverse_.data();
+    for (int i = 0; i < m; row += ++i) {
+      const double* factor = &work.gram[static_cast<std::size_t>(i) * m];
+      std::fill(row, row + i, 0.0);
+      row[i] = 1;
+      const double* other = inverse_.data();
+      for (int k = 0; k < i; other += ++k)
+        for (int j = 0; j <= k; ++j) row[j] -= factor[k] * other[j];
+      for (int j = 0; j <= i; ++j) row[j] *= factor[i];
+    }
   }
 
   // y (M,) <- (L L^T)^-1 y.
-  void solve(std::vector<double>& y) const {
-    const auto row = [&](std::size_t i) { return factor_.data() + i * (i + 1) / 2; };
-    cholesky::solve_forward<cholesky::Inverses>(row, rows_, y.data());
-    cholesky::solve_backward<cholesky::Inverses>(row, rows_, y.data());
+  void solve(std::vector<double>& y, Work& work) const {
+    work.served.assign(rows_, 0.0);
+    const double* row = inverse_.data();
+    for (int i = 0; i < rows_; row += ++i) {
+      const double value = ik::inner(row, y.data(), 0, i + 1);
+      for (int j = 0; j <= i; ++j) work.served[j] += value * row[j];
+    }
+    y.swap(work.served);
   }
 
   // x (D,) gains `times` J^T y.
   void spread(const std::vector<double>& y, double times, double* x) const {
-    for (const Block& block : blocks_)
-      for (int i = 0; i < block.rows; ++i) {
-        const double* row = row_of(block, i);
-        const double factor = times * y[block.row + i];
-        double* to = x + block.dof;
-        for (int d = 0; d < block.columns; ++d) to[d] += factor * row[d];
+    for (const Block& block : blocks_) {
+      const double* from = y.data() + block.row;
+      const float* line = values_.data() + block.begin;
+      double* to = x + block.dof;
+      if (block.tall()) {
+        for (int d = 0; d < block.columns; ++d, line += block.rows)
+          to[d] += times * inner(line, from, block.rows);
+        continue;
       }
+      for (int i = 0; i < block.rows; ++i, line += block.columns) {
+        const double factor = times * from[i];
+        for (int d = 0; d < block.columns; ++d) to[d] += factor * line[d];
+      }
+    }
   }
 
   int rows_ = 0;
   std::vector<Block> blocks_;
-  std::vector<double> values_;  // of the blocks
-  std::vector<double> factor_;  // L of J J^T, damped, its rows one after another
+  std::vector<float> values_;  // of the blocks
+  std::vector<double> inverse_;  // L^-1 of J J^T = L L^T, damped, its rows one after another
 };
 
 }  // namespace animtool::ik

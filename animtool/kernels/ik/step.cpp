@@ -14,13 +14,25 @@ bool Stepper::fix_violations(const State& state, const double* step, std::vector
 bool Stepper::step(const State& state, const Linearized& linear, double damping, bool curved,
                    double longest, double* out) {
   shut(state);
+  std::fill(out, out + task_.chain.dofs, 0.0);
+  const bool many = curved && abundant_;
+  // Limits that are run into show up in rough steps, so where some are reached these come first.
+  bool tight = !many || !on_limits(state), released = !many;
   for (int pass = 0; pass < MAX_PASSES; ++pass) {
-    if (!(curved ? solve_curved(state, linear, damping, longest, out)
+    tight = tight || pass + 1 == MAX_PASSES;
+    if (!(curved ? solve_curved(state, linear, damping, longest, tight ? LOOSE : ROUGH, out)
                  : linear.primal ? solve_primal(linear, damping, out)
                                  : solve_dual(state, linear, damping, out)))
       return false;
-    shorten(state, curved, longest, out);
-    if (!fix_violations(state, out)) return true;
+    const bool shortened = shorten(state, curved, longest, out);
+    if (fix_violations(state, out)) {
+      tight = !many;
+      continue;
+    }
+    if (shortened) return true;
+    if (tight && (released || fixed_.empty() || !release(state, linear, damping, out))) return true;
+    released = tight;
+    tight = true;
   }
   return true;
 }
@@ -36,6 +48,7 @@ double Stepper::predicted(const State& state, const Linearized& linear, bool cur
   if (!curved) return gain;
   std::fill(product_.begin(), product_.end(), 0.0);
   curvature_.add(task_, state, step, product_.data());
+  add_bends(step, product_.data());
   for (int d = 0; d < task_.chain.dofs; ++d) gain -= step[d] * product_[d] / 2;
   return gain;
 }
@@ -94,11 +107,13 @@ void Stepper::shut(const State& state) {
   }
 }
 
-void Stepper::fix(int n, const double* normal, double value) {
+void Stepper::fix(int n, const double* normal, double value, int outwards,
+                  const double* bend) {
   const Node& node = task_.chain.nodes[n];
   double direction[3] = {normal[0], normal[1], normal[2]};
   double size = length(direction);
   if (!(size > 0)) return;
+  const double curving = 1 / std::sqrt(size);
   value /= size;
   for (double& x : direction) x /= size;
   for (const Fixed& other : fixed_) {
@@ -111,6 +126,9 @@ void Stepper::fix(int n, const double* normal, double value) {
   if (size < 1e-3) return;
   for (double& x : direction) x /= size;
   fixed_.push_back({node.dof, 3, {direction[0], direction[1], direction[2]}, value / size, n});
+  fixed_.back().outwards = outwards;
+  if (bend)
+    for (int i = 0; i < 3; ++i) fixed_.back().bend[i] = curving * bend[i];
 }
 
 bool Stepper::fix_violations(const State& state, const double* step) {
@@ -128,6 +146,7 @@ bool Stepper::fix_violations(const State& state, const double* step) {
     if (next >= node.limit[0] - ROUNDING && next <= node.limit[1] + ROUNDING) continue;
     const double bound = next < node.limit[0] ? node.limit[0] : node.limit[1];
     fixed_.push_back({node.dof, 1, {1, 0, 0}, bound - q[0], static_cast<int>(n)});
+    fixed_.back().outwards = next < node.limit[0] ? -1 : 1;
     pinned_[n].box = true;
     solved = true;
   }
@@ -155,15 +174,22 @@ bool Stepper::fix_ball(int n, const double* q, const double* step) {
   const SwingTwistGradients slopes = gradients(next, parts);
   if (swing) {
     const double a = std::max(node.limit[0], SHUT), b = std::max(node.limit[1], SHUT);
-    double normal[3];
-    for (int i = 0; i < 3; ++i)
-      normal[i] = parts.swing[0] / (a * a) * slopes.swing[0][i] +
-                  parts.swing[1] / (b * b) * slopes.swing[1][i];
-    fix(n, normal, dot(normal, towards));
+    const double outwards[2] = {parts.swing[0] / (a * a), parts.swing[1] / (b * b)};
+    // Along the ellipse, and the root of its second derivative there.
+    const double size = std::hypot(outwards[0], outwards[1]);
+    const double around[2] = {-outwards[1] / size, outwards[0] / size};
+    const double root = std::hypot(around[0] / a, around[1] / b);
+    double normal[3], bend[3];
+    for (int i = 0; i < 3; ++i) {
+      normal[i] = outwards[0] * slopes.swing[0][i] + outwards[1] * slopes.swing[1][i];
+      bend[i] = root * (around[0] * slopes.swing[0][i] + around[1] * slopes.swing[1][i]);
+    }
+    fix(n, normal, dot(normal, towards), 1, bend);
     pinned.swing = true;
   }
   if (twist) {
-    fix(n, slopes.twist, dot(slopes.twist, towards));
+    const double middle = (node.limit[2] + node.limit[3]) / 2;
+    fix(n, slopes.twist, dot(slopes.twist, towards), parts.twist < middle ? -1 : 1);
     pinned.twist = true;
   }
   return true;
@@ -279,14 +305,24 @@ void Stepper::take_out(const Fixed& fixed, const Linearized& linear) {
 }
 
 bool Stepper::solve_curved(const State& state, const Linearized& linear, double damping,
-                           double most, double* out) {
+                           double most, double near, double* out) {
   const int dofs = task_.chain.dofs;
   const double floor = damping + task_.rest_weight + bending(state);
-  if (!prepare_measure(linear, floor)) return false;
-  std::fill(out, out + dofs, 0.0);
+  bool first = !abundant_;
+  if (abundant_) {
+    first = std::all_of(out, out + dofs, [](double by) { return by == 0; });
+    project(out);
+  } else {
+    std::fill(out, out + dofs, 0.0);
+  }
   for (const Fixed& fixed : fixed_) add(fixed, fixed.value, out);
   hessian(state, linear, true, damping, out, product_.data());
   for (int d = 0; d < dofs; ++d) rest_[d] = linear.downhill[d] - product_[d];
+  if (abundant_) press(floor);
+  if (!prepare_measure(linear, floor)) return false;
+  std::fill(product_.begin(), product_.end(), 0.0);
+  add_bends(out, product_.data());
+  for (int d = 0; d < dofs; ++d) rest_[d] -= product_[d];
   project(rest_.data());
   measure_rest(linear, floor);
   double size = 0, along = 0;
@@ -294,10 +330,12 @@ bool Stepper::solve_curved(const State& state, const Linearized& linear, double 
     search_[d] = free_[d];
     size += rest_[d] * rest_[d], along += rest_[d] * free_[d];
   }
-  const double enough = size * LOOSE * LOOSE * std::min(1.0, size);
+  if (first) initial_ = size;
+  const double enough = initial_ * near * near * std::min(1.0, initial_);
   const int rounds = std::min(2 * dofs + 10, MAX_ROUNDS);
   for (int round = 0; round < rounds && size > enough && size > 1e-300; ++round) {
     hessian(state, linear, true, damping, search_.data(), product_.data());
+    add_bends(search_.data(), product_.data());
     project(product_.data());
     double bend = 0, norm = 0;
     for (int d = 0; d < dofs; ++d)
@@ -325,6 +363,51 @@ bool Stepper::solve_curved(const State& state, const Linearized& linear, double 
   return true;
 }
 
+bool Stepper::on_limits(const State& state) const {
+  for (const Node& node : task_.chain.nodes) {
+    if (!limited(node)) continue;
+    const double* q = &state.q[node.coordinate];
+    const bool inside = node.kind == Kind::BALL ? well_inside(node, q)
+                                                : q[0] > node.limit[0] && q[0] < node.limit[1];
+    if (!inside) return true;
+  }
+  return false;
+}
+
+bool Stepper::release(const State& state, const Linearized& linear, double damping,
+                      const double* step) {
+  hessian(state, linear, true, damping, step, product_.data());
+  add_bends(step, product_.data());
+  for (int d = 0; d < task_.chain.dofs; ++d) rest_[d] = linear.downhill[d] - product_[d];
+  const auto inwards = [&](const Fixed& fixed) {
+    return fixed.outwards * along(fixed, rest_.data()) < 0;
+  };
+  bool any = false;
+  for (const Fixed& fixed : fixed_) {
+    if (!inwards(fixed)) continue;
+    pinned_[fixed.node] = {};
+    any = true;
+  }
+  const auto free = [&](const Fixed& fixed) {
+    const Pinned& pinned = pinned_[fixed.node];
+    return fixed.outwards != 0 && !pinned.box && !pinned.swing && !pinned.twist;
+  };
+  std::erase_if(fixed_, free);
+  return any;
+}
+
+void Stepper::press(double floor) {
+  bends_.clear();
+  for (const Fixed& fixed : fixed_) {
+    const double size = length(fixed.bend), force = along(fixed, rest_.data());
+    if (!(force > 0) || !(size > 0)) continue;
+    const double stiffness = force * size * size;
+    Bend bend{fixed.dof, {}, stiffness, stiffness / (floor + stiffness)};
+    for (int k = 0; k < 3; ++k) bend.direction[k] = fixed.bend[k] / size;
+    bends_.push_back(bend);
+  }
+}
+
 double Stepper::bending(const State& state) const {
   double sum = 0;
   for (std::size_t e = 0; e < task_.goals.size(); ++e) {
@@ -346,6 +429,12 @@ bool Stepper::prepare_measure(const Linearized& linear, double floor) {
   std::copy(linear.gram.begin(), linear.gram.end(), matrix_.begin());
   for (int i = 0; i < m; ++i) matrix_[i * m + i] += floor;
   for (const Fixed& fixed : fixed_) take_out(fixed, linear);
+  for (const Bend& bend : bends_) {
+    const double root = std::sqrt(bend.share);
+    Fixed part{bend.dof, 3, {}, 0, 0};
+    for (int k = 0; k < 3; ++k) part.direction[k] = root * bend.direction[k];
+    take_out(part, linear);
+  }
   return factor_cholesky(matrix_.data(), image_.data(), m);
 }
 
@@ -357,7 +446,9 @@ void Stepper::measure_rest(const Linearized& linear, double floor) {
     project(free_.data());
     return;
   }
-  map(linear, rest_.data());
+  std::copy(rest_.begin(), rest_.end(), free_.begin());
+  soften(free_.data());
+  map(linear, free_.data());
   solve_factored(matrix_.data(), image_.data(), m);
   for (int d = 0; d < task_.chain.dofs; ++d) {
     const double* column = linear.columns.data() + static_cast<std::size_t>(d) * m;
@@ -365,6 +456,7 @@ void Stepper::measure_rest(const Linearized& linear, double floor) {
     for (int i = linear.first[d]; i < linear.last[d]; ++i) sum -= column[i] * image_[i];
     free_[d] = sum / floor;
   }
+  soften(free_.data());
   project(free_.data());
 }
 

@@ -17,7 +17,8 @@ constexpr double MAX_ROTATION = 1.0;
 class Stepper {
  public:
   explicit Stepper(const Task& task)
-      : task_(task), curvature_(task), side_(std::min(task.rows, task.chain.dofs)),
+      : task_(task), curvature_(task), abundant_(task.chain.dofs >= ABUNDANT * task.rows),
+        side_(std::min(task.rows, task.chain.dofs)),
         matrix_(static_cast<std::size_t>(side_) * side_), right_(side_),
         image_(std::max(task.rows, side_)), felt_(task.chain.dofs), free_(task.chain.dofs),
         search_(task.chain.dofs), rest_(task.chain.dofs), product_(task.chain.dofs) {
@@ -46,6 +47,10 @@ class Stepper {
   bool step(const State& state, const Linearized& linear, double damping, bool curved,
             double longest, double* out);
 
+  // Whether there are so many more degrees of freedom than rows that limits hold a step in many
+  // places: cones then add their curvature, and joints that are pulled off limits are freed.
+  bool abundant() const { return abundant_; }
+
   // How far the last step turns a joint or, curved, anything in the world [rad].
   double rotation() const { return rotation_; }
 
@@ -65,9 +70,10 @@ class Stepper {
   static void move(const Node& node, const double* now, const double* by, double* next);
 
  private:
+  static constexpr int ABUNDANT = 50;
   static constexpr int MAX_PASSES = 12;
   static constexpr int MAX_ROUNDS = 300;
-  static constexpr double LOOSE = 1e-2;
+  static constexpr double LOOSE = 1e-2, ROUGH = 3e-1;
   static constexpr double LEAST_FLOOR = 1e-9;
 
   // image_ = J v
@@ -77,7 +83,7 @@ class Stepper {
   void shut(const State& state);
 
   // Fixes the component of a ball's step along a direction, minus those fixed already.
-  void fix(int n, const double* normal, double value);
+  void fix(int n, const double* normal, double value, int outwards = 0, const double* bend = nullptr);
 
   bool fix_violations(const State& state, const double* step);
 
@@ -85,11 +91,13 @@ class Stepper {
 
   // Limits the rotation of each joint; with second derivatives, also all rotations in the world,
   // beyond which these are inaccurate.
-  void shorten(const State& state, bool curved, double most, double* step) {
+  // Returns whether it does.
+  bool shorten(const State& state, bool curved, double most, double* step) {
     const double longest = curved ? turning(state, step) : turning(step);
     rotation_ = std::min(longest, most);
-    if (longest <= most) return;
+    if (longest <= most) return false;
     for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
+    return true;
   }
 
   double turning(const double* step) const;
@@ -142,10 +150,37 @@ class Stepper {
   // conjugate gradient method and trust regions in large scale optimization, 1983), in the
   // measure of J^T J and about what second derivatives add to it.
   bool solve_curved(const State& state, const Linearized& linear, double damping, double most,
-                    double* out);
+                    double near, double* out);
 
   // A bound of the second-order terms: forces and torques on the goals.
   double bending(const State& state) const;
+
+  // Whether a joint is on a limit.
+  bool on_limits(const State& state) const;
+
+  // Frees joints that a step pulls away from the limits they are fixed at; returns whether any is.
+  bool release(const State& state, const Linearized& linear, double damping, const double* step);
+
+  // bends_ <- the curvature of the cones that the rest of the forces presses against.
+  void press(double floor);
+
+  // v loses what cones take of it, see `Bend`.
+  void soften(double* v) const {
+    for (const Bend& bend : bends_) {
+      double along = 0;
+      for (int k = 0; k < 3; ++k) along += bend.direction[k] * v[bend.dof + k];
+      for (int k = 0; k < 3; ++k) v[bend.dof + k] -= bend.share * along * bend.direction[k];
+    }
+  }
+
+  // out += the second derivatives of pressed cones, times v.
+  void add_bends(const double* v, double* out) const {
+    for (const Bend& bend : bends_) {
+      double along = 0;
+      for (int k = 0; k < 3; ++k) along += bend.direction[k] * v[bend.dof + k];
+      for (int k = 0; k < 3; ++k) out[bend.dof + k] += bend.stiffness * along * bend.direction[k];
+    }
+  }
 
   // The factor of J J^T + floor or J^T J + floor, without fixed directions.
   bool prepare_measure(const Linearized& linear, double floor);
@@ -155,11 +190,19 @@ class Stepper {
 
   const Task& task_;
   Curvature curvature_;
+  const bool abundant_;
   const int side_;  // of the matrix
   std::vector<double> matrix_, right_, image_, felt_, free_, search_, rest_, product_, turned_;
-  double rotation_ = 0;
+  double rotation_ = 0, initial_ = 0;
   std::vector<Fixed> fixed_;
   std::vector<Pinned> pinned_;
+  // Second derivatives of cones along unit vectors, and their share s in their sum with the floor:
+  // (floor + stiffness d d^T)^-1 = (1 - s d d^T) / floor.
+  struct Bend {
+    int dof;
+    double direction[3], stiffness, share;
+  };
+  std::vector<Bend> bends_;
 };
 
 }  // namespace animtool::ik
