@@ -115,7 +115,7 @@ def _note_missing(file: ClipFile) -> NoReturn:
     message = f"{file.model.rig!r} does not exist"
     suggestion = missing_hint(file.document, file.model.rig or "")
     other = clause(f"pass another rig with {argument('source.rig')}")
-    hint = f"{suggestion}; {other}" if suggestion else other
+    hint = f"{suggestion} or {other}" if suggestion else other
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)
