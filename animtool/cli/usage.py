@@ -91,6 +91,11 @@ def explained(error: click.ClickException) -> click.ClickException:
         text = f"Unexpected argument {first!r}; {hint}"
     elif choice := _CHOICE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
+        param = getattr(error, "param", None)
+        if choice[1].startswith("-") and param is not None:
+            flag = param.opts[-1]
+            text = f"Option {flag!r} needs a value: {' or '.join(names)}."
+            return click.UsageError(text, context)
         other_value = OTHER_VALUES.get(choice[1].lower())
         close_matches = (
             [other_value]
@@ -203,6 +208,8 @@ def _argument_hint(text: str, context: click.Context) -> str | None:
     for flag in taken:
         if flag in flags:
             return f"write {flag} {text}"
+    if "--clip" in flags and path.suffix and path.exists():
+        return f"to start from it, write --clip {text}"
     if "--output" in flags and path.suffix:
         return f"to write it, use -o {text}"
     return None

@@ -23,7 +23,7 @@ from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
 MAX_EXAMPLE = 100
-_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
+_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:[-xX:,]|\.\.)\s*(-?\d+(?:\.\d+)?)")
 _UNIT = re.compile(r"\d+([A-Za-z]+)")
 _RANGE_LENGTH = 2
 

@@ -88,7 +88,7 @@ def type_fault(faults: Iterable[Any]) -> bool:
 
 def values_message(faults: Sequence[Any]) -> str:
     """Return the message of all faults of a value."""
-    if len(faults) > 1 and faults[0]["input"] is None:
+    if faults[0]["input"] is None:
         return "the value is missing"
     return _either(dict.fromkeys(map(_value_message, fitting(faults))))
 
@@ -97,6 +97,9 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     """Return a hint that shows the intended value."""
     value = faults[0]["input"]
     kinds = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
+    classes = {fault.get("ctx", {}).get("class") for fault in faults}
+    if key == "size" and "Sequence" in classes and isinstance(value, int | float):
+        return f"write {flow_value([value] * 3)}"
     if kinds & {"a number", "a whole number"}:
         return number_hint(key, value)
     if "true or false" in kinds:
@@ -187,9 +190,17 @@ def _value_message(fault: Any) -> str:
         allowed = context.get("expected", context.get("expected_tags"))
         tag = excerpt(str(context["tag"])) if "tag" in context else value_text
         return f"{tag} is not one of {allowed}"
-    if kind in _EXPECTED_NOUNS:
-        return f"{value_text} is not {_EXPECTED_NOUNS[kind]}"
+    expected = _expected_noun(fault)
+    if expected is not None:
+        return f"{value_text} is not {expected}"
     return _value_fault(value_text, fault)
+
+
+def _expected_noun(fault: Any) -> str | None:
+    """Return what a value of the right type is called; None for other faults."""
+    if fault["type"] == "is_instance_of":
+        return "a list" if fault["ctx"]["class"] == "Sequence" else None
+    return _EXPECTED_NOUNS.get(fault["type"])
 
 
 def _value_fault(value_text: str, fault: Any) -> str:
