@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from animtool.core.errors import AnimtoolError as AnimtoolError
     from animtool.core.errors import Fault as Fault
     from animtool.core.shot import Shot as Shot
-    from animtool.formats.bvh import read_bvh as read_bvh
-    from animtool.formats.bvh import write_bvh as write_bvh
+    from animtool.formats.bvh.read import read_bvh as read_bvh
+    from animtool.formats.bvh.write import write_bvh as write_bvh
     from animtool.motion.motion import Channel as Channel
     from animtool.motion.motion import Motion as Motion
     from animtool.motion.take import Take as Take
@@ -90,13 +90,13 @@ _PUBLIC = {
     "load_scene": "animtool.scene.file.read",
     "measure_tradeoffs": "animtool.scene.tables.tradeoffs",
     "open_source": "animtool.scene.sources.open",
-    "read_bvh": "animtool.formats.bvh",
+    "read_bvh": "animtool.formats.bvh.read",
     "run_batch": "animtool.batch.run",
     "show": "animtool.preview.show",
     "sim": "animtool.sim",
     "usd": "animtool.usd",
     "validate": "animtool.validation.run",
-    "write_bvh": "animtool.formats.bvh",
+    "write_bvh": "animtool.formats.bvh.write",
     "write_pictures": "animtool.preview.pictures.build",
 }
 

@@ -9,7 +9,7 @@ import pytest
 
 from animtool import BakeOptions, bake
 from animtool.core.errors import FormatError
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
 from animtool.rig.file import load_rig
 from animtool.scene.bake.progress import prefetch
@@ -97,7 +97,7 @@ def test_what_changed_meanwhile_replaces_nothing(tmp_path: Path) -> None:
     output.write_text("before")
 
     def make() -> None:
-        with recorded_inputs(), replacing(output) as temporary:
+        with recorded_inputs(), replacement_path(output) as temporary:
             note_input(source)
             temporary.write_text("after")
             os.utime(source, ns=(1, 1))

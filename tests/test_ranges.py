@@ -9,7 +9,7 @@ from typing import Annotated
 import pytest
 
 from animtool.core.options import (
-    OF_ENTRY,
+    ENTRY_RANGE_MESSAGE,
     Range,
     above,
     at_least,
@@ -58,7 +58,9 @@ def test_every_number_is_checked_by_its_own_range() -> None:
 def test_models_of_files_declare_ranges_too() -> None:
     keys = {"from": [0, 1, 0], "to": [1, 1, 0], "count": 3, "mass": 1.0, "springs": {}}
     assert range_faults(RopeModel(**keys)) == []
-    faults = range_faults(RopeModel(**keys, drag=-1.0, speed_limit=0.0), OF_ENTRY)
+    faults = range_faults(
+        RopeModel(**keys, drag=-1.0, speed_limit=0.0), ENTRY_RANGE_MESSAGE
+    )
     assert [(fault.code, fault.where, fault.message) for fault in faults] == [
         ("SIM050", "drag", "its drag must be 0 or more, not -1"),
         ("SIM050", "speed_limit", "its speed_limit must be above 0, not 0"),

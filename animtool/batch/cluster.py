@@ -31,18 +31,17 @@ from animtool.batch.cluster_client import (
 from animtool.batch.cluster_worker import (
     DISK,
     INPUTS,
-    InputCheck,
     WorkerCheck,
+    build_task,
     builder_versions,
+    check_task,
 )
 from animtool.batch.delivery import Delivery
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
-from animtool.batch.manifest import file_digest
 from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import (
-    AnimtoolError,
     Fault,
     OptionError,
     Severity,
@@ -62,10 +61,6 @@ MAX_WORKERLESS = 300.0
 MAX_UNSEEN = 90.0
 # Number of times that an item is sent again after its worker was lost.
 MAX_LOSSES = 3
-# If there are more inputs, only every n-th is checked.
-MAX_INPUTS = 10_000
-# Larger inputs are not compared by content before the first item [bytes].
-MAX_COMPARED = 10_000_000
 RESUME = "finished items are recorded; run the same command again to resume"
 
 
@@ -119,66 +114,6 @@ def _fetch_results(
         except BaseException as error:
             value = error
         results.put((future, value))
-
-
-def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
-    """Yield the inputs that a worker must see; every n-th if there are many."""
-    paths = list(dict.fromkeys(path.absolute() for path in work.inputs))
-    for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
-        state = delivery.note(path)
-        if state is not None and path.is_file():
-            is_compared = state.size <= MAX_COMPARED and len(paths) <= MAX_INPUTS
-            with suppress(AnimtoolError, OSError):
-                yield InputCheck(
-                    str(path), state.size, file_digest(path) if is_compared else ""
-                )
-
-
-def _check_task(
-    name: str, versions: Mapping[str, str]
-) -> Callable[[bytes], tuple[str, str, str]]:
-    """Return a task that checks a worker: its host, and code and reason if unfit.
-
-    A worker drops out of its cluster if it cannot import names in a message. Therefore
-    the function is sent as code, and its animtool arguments as bytes.
-    """
-
-    def ask(pickled: bytes) -> tuple[str, str, str]:
-        import platform
-
-        from distributed import get_worker
-
-        host = platform.node()
-        try:
-            from animtool.batch.cluster_worker import admit
-
-            return (host, *admit(get_worker(), name, versions, pickled))
-        except Exception as error:
-            from importlib.metadata import PackageNotFoundError, version
-
-            try:
-                actual = f"animtool {version('animtool')}"
-            except PackageNotFoundError:
-                actual = "no animtool"
-            reason = f"it has {actual} instead of {versions['animtool']}: "
-            return host, "BAT036", f"{reason}{type(error).__name__}: {error}"
-
-    return ask
-
-
-def _build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
-    """Return a task that builds an item on a checked worker, sent as code."""
-
-    def build(pickled: bytes) -> ItemOutcome | None:
-        import pickle
-
-        from distributed import get_worker
-
-        from animtool.batch.cluster_worker import build_on
-
-        return build_on(get_worker(), name, pickle.loads(pickled))
-
-    return build
 
 
 @dataclass(slots=True, eq=False)
@@ -237,9 +172,9 @@ class _Farm:
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
-        self.build = _build_task(self.name)  # pickled only once
+        self.build = build_task(self.name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
-        inputs = tuple(_inputs(self.work, self.delivery))
+        inputs = tuple(self.delivery.checks(self.work.inputs))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
 
     def outcomes(self) -> Iterator[ItemOutcome | Fault]:
@@ -326,7 +261,7 @@ class _Farm:
 
     def _ask(self, worker: _ClusterWorker) -> None:
         self._submit(
-            _check_task(self.name, builder_versions()),
+            check_task(self.name, builder_versions()),
             self.check,
             _SentItem(worker, None),
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from functools import cache
 from pathlib import Path
@@ -189,3 +189,50 @@ class WorkerProcesses:
         del worker
         for process in [*self._idle, *self._busy]:
             process.end()
+
+
+def check_task(
+    name: str, versions: Mapping[str, str]
+) -> Callable[[bytes], tuple[str, str, str]]:
+    """Return a task that checks a worker: its host, and code and reason if unfit.
+
+    A worker drops out of its cluster if it cannot import names in a message. Therefore
+    the function is sent as code, and its animtool arguments as bytes.
+    """
+
+    def ask(pickled: bytes) -> tuple[str, str, str]:
+        import platform
+
+        from distributed import get_worker
+
+        host = platform.node()
+        try:
+            from animtool.batch.cluster_worker import admit
+
+            return (host, *admit(get_worker(), name, versions, pickled))
+        except Exception as error:
+            from importlib.metadata import PackageNotFoundError, version
+
+            try:
+                actual = f"animtool {version('animtool')}"
+            except PackageNotFoundError:
+                actual = "no animtool"
+            reason = f"it has {actual} instead of {versions['animtool']}: "
+            return host, "BAT036", f"{reason}{type(error).__name__}: {error}"
+
+    return ask
+
+
+def build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
+    """Return a task that builds an item on a checked worker, sent as code."""
+
+    def build(pickled: bytes) -> ItemOutcome | None:
+        import pickle
+
+        from distributed import get_worker
+
+        from animtool.batch.cluster_worker import build_on
+
+        return build_on(get_worker(), name, pickle.loads(pickled))
+
+    return build

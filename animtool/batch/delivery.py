@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import field, replace
 from pathlib import Path
 
+from animtool.batch.cluster_worker import InputCheck
 from animtool.batch.manifest import FileRecord, file_digest
 from animtool.batch.spec import path_of_name
 from animtool.batch.work import ItemOutcome
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
+
+# If there are more inputs, only every n-th is checked.
+MAX_INPUTS = 10_000
+# Larger inputs are not compared by content before the first item [bytes].
+MAX_COMPARED = 10_000_000
 
 
 @dataclass(slots=True)
@@ -31,6 +37,17 @@ class Delivery:
         if absolute_path not in self._states:
             self._states[absolute_path] = FileState.of(absolute_path)
         return self._states[absolute_path]
+
+    def checks(self, inputs: Iterable[Path]) -> Iterator[InputCheck]:
+        """Yield the inputs that a worker must see; every n-th if there are many."""
+        paths = list(dict.fromkeys(path.absolute() for path in inputs))
+        for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
+            state = self.note(path)
+            if state is not None and path.is_file():
+                is_compared = state.size <= MAX_COMPARED and len(paths) <= MAX_INPUTS
+                with suppress(AnimtoolError, OSError):
+                    digest = file_digest(path) if is_compared else ""
+                    yield InputCheck(str(path), state.size, digest)
 
     def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
         """Return the inputs whose local content differs from what the item recorded."""
@@ -62,7 +79,7 @@ class Delivery:
                 return None
             outputs.append(replace(record, state=state))
         written_at = max(
-            (record.state.changed for record in outputs if record.state), default=0
+            (record.state.changed_at for record in outputs if record.state), default=0
         )
         return replace(outcome, outputs=tuple(outputs), at=written_at)
 

@@ -28,9 +28,9 @@ from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
-from animtool.core.files.output import inside
+from animtool.core.files.output import is_inside
 from animtool.core.files.reading import MatchedFile
-from animtool.core.names import check_unused, is_named
+from animtool.core.names import check_unused, has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
 from animtool.scene.sources.open import source_stem
@@ -87,7 +87,7 @@ def check_effects(
     names = () if spec.variants is None else spec.variants.names
     faults = []
     for path, shot in sorted(shots_by_source.items()):
-        if not is_named(path, "scene"):
+        if not has_kind_suffix(path, "scene"):
             if names:
                 message = "variants need a scene"
                 hint = (
@@ -151,7 +151,7 @@ class Batch:
         if item.files:
             return list(item.files)
         source = item.file.path if self.sample is None else self.sample
-        if self.sample is None and is_named(item.file.path, "scene"):
+        if self.sample is None and has_kind_suffix(item.file.path, "scene"):
             source = self.item_task.source(item)
         return self.item_task.outputs(item, source)
 
@@ -232,7 +232,7 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     by_scene: dict[Path, SceneValues] = {}
     for shot in shots:
         path = spec.scene or shot.media.path
-        if path not in by_scene and is_named(path, "scene"):
+        if path not in by_scene and has_kind_suffix(path, "scene"):
             names, file = {**shot.names, **spec.rows[0]}, shot.media
             values = overrides.values.get(file.path, {})
             item = Item(1, file, file.path, names, variables=values)
@@ -266,7 +266,9 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
     paths = [file.path for file in files]
-    kinds = {(path.suffix.lower(), is_named(path, "scene")): path for path in paths}
+    kinds = {
+        (path.suffix.lower(), has_kind_suffix(path, "scene")): path for path in paths
+    }
     return ItemTask(
         spec.scene, dict(spec.variables), spec.options, tuple(kinds.values())
     )
@@ -283,7 +285,7 @@ def _check_variables(
     }
     if sample is not None:
         used_in_output |= set(getattr(sample, "variables", ()))
-    elif any(is_named(path, "scene") for path in item_task.kinds):
+    elif any(has_kind_suffix(path, "scene") for path in item_task.kinds):
         # Each holds its faults until the items are built.
         used_in_output |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
@@ -348,7 +350,8 @@ class _Items:
         item = Item(number, file, output, overrides, (), row, variables, shot.shot)
         named_by_scene = getattr(self.sample, "output", None) is not None
         if outputs is None and (
-            named_by_scene or (spec.scene is None and is_named(file.path, "scene"))
+            named_by_scene
+            or (spec.scene is None and has_kind_suffix(file.path, "scene"))
         ):
             item = self.item_task.named(item)
         return item
@@ -384,7 +387,7 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     faults = [
         Fault("DOC014", f"{str(folder)!r} is outside {roots_text}", path, (), hint)
         for folder in folders
-        if not any(inside(folder, root) for root in spec.roots)
+        if not any(is_inside(folder, root) for root in spec.roots)
         for path in [None if spec.path is None else str(spec.path)]
     ]
     if faults:

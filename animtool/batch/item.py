@@ -26,9 +26,9 @@ from animtool.batch.records import (
 from animtool.batch.spec import BatchSpec, relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
-from animtool.core.files.output import inside, name_problem
+from animtool.core.files.output import is_inside, name_problem
 from animtool.core.files.reading import MatchedFile
-from animtool.core.names import is_named, nearest
+from animtool.core.names import has_kind_suffix, nearest
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.values import plain_value
@@ -163,7 +163,7 @@ class NamedOutputs:
         key = folder, root
         if key not in self._inside:
             try:
-                self._inside[key] = inside(folder, root)
+                self._inside[key] = is_inside(folder, root)
             except OSError:
                 self._inside[key] = False
         return self._inside[key]
@@ -328,7 +328,7 @@ class ItemTask:
     def source(self, item: Item) -> Source:
         """Return the source: a loaded scene, or a file."""
         path = item.file.path if self.scene is None else self.scene
-        if not is_named(path, "scene"):
+        if not has_kind_suffix(path, "scene"):
             return path
         from animtool.scene.file.read import load_scene
 
@@ -409,7 +409,7 @@ class ItemTask:
     def described(self, item: Item, root: Path) -> dict[str, object]:
         """Return everything except files that affects how an item is built."""
         description: dict[str, object] = {"input": relative_name(item.file.path, root)}
-        if self.scene is not None or is_named(item.file.path, "scene"):
+        if self.scene is not None or has_kind_suffix(item.file.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
                 names[key] = relative_name(Path(names[key]), root)

@@ -35,7 +35,7 @@ from animtool.batch.records import (
 from animtool.batch.spec import path_of_name
 from animtool.core.errors import Fault, LockedError, OutputError, excerpt
 from animtool.core.files.leftovers import is_running
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
@@ -85,7 +85,7 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
     if not failures:
         path.unlink(missing_ok=True)
         return
-    with replacing(path) as temporary, LineWriter(temporary, HEAD) as writer:
+    with replacement_path(path) as temporary, LineWriter(temporary, HEAD) as writer:
         writer.write(_line(key, why) for key, why in failures.items())
 
 

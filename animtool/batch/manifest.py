@@ -28,10 +28,10 @@ from animtool.batch.records import (
     texts_in,
 )
 from animtool.core.errors import Fault
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.files.reading import FileState, open_input
 from animtool.core.record import dataclass
-from animtool.core.values import picked
+from animtool.core.values import template_values
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 
 # Limits of digests and clock values.
@@ -54,7 +54,7 @@ class FileRecord:
         return {
             "path": self.path,
             "size": self.state.size,
-            "changed": self.state.changed,
+            "changed": self.state.changed_at,
             "inode": self.state.inode,
             "sha256": self.sha256,
         }
@@ -98,7 +98,7 @@ class ItemRecord:
             "inputs": [numbers[record] for record in self.inputs],
             "outputs": [record.as_dict() for record in self.outputs],
             "at": self.at,
-            **picked(self, "scores+"),
+            **template_values(self, "scores+"),
         }
 
     @classmethod
@@ -279,7 +279,7 @@ def rewrite_manifest(
 ) -> None:
     """Rewrite a manifest atomically."""
     with (
-        replacing(path) as temporary,
+        replacement_path(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,
     ):
         writer.claim(known)

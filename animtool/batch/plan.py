@@ -130,7 +130,7 @@ class Planner:
                 # A file as young as the record may have changed after it without a
                 # different state.
                 state = file.state if reason is BuildReason.INPUT else None
-                is_young = state is not None and state.changed >= record.at
+                is_young = state is not None and state.changed_at >= record.at
                 current = self._unchanged_record(file, young=is_young)
                 if current is None:
                     return Decision(item, reason, file.path)

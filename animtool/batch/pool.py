@@ -35,7 +35,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OutputError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.process.signals import without_interrupts
-from animtool.core.process.supervisor import CRASHES, crash_fault, without_main
+from animtool.core.process.supervisor import CRASH_SIGNALS, crash_fault, without_main
 from animtool.core.record import dataclass
 
 # One thread each, since there are as many processes as processors; more threads would
@@ -195,7 +195,7 @@ class _Pool:
             worker.process.join(JOIN_TIMEOUT)
             code = worker.process.exitcode or 0
             # A process killed from outside was not crashed by the file that it read.
-            if worker.path and -code in CRASHES and code != -9:
+            if worker.path and -code in CRASH_SIGNALS and code != -9:
                 yield self._fail_item(worker, crash_fault(worker.path, -code))
                 return
             message = f"the process that built it {_how_it_ended(worker.process)}"

@@ -11,11 +11,11 @@ from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.plan import BuildReason
 from animtool.batch.work import ItemOutcome, ItemStatus, Measured
-from animtool.core.arguments import Calling
+from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.record import dataclass
-from animtool.core.values import picked
+from animtool.core.values import template_values
 from animtool.motion.scores import PassScores, badness
 
 # Number of slowest items, and of largest errors, in a summary.
@@ -62,7 +62,7 @@ class ItemReport:
             outcome.scores,
         )
 
-    def worded(self, calling: Calling) -> ItemReport:
+    def worded(self, calling: ArgumentNamer) -> ItemReport:
         """Return a copy whose texts name arguments for an interface."""
         faults, notices = (
             tuple(fault.worded(calling) for fault in texts)
@@ -110,7 +110,7 @@ class BatchReport:
     @property
     def summary(self) -> dict[str, object]:
         """The report without its items, as plain values."""
-        return picked(self, "'batch' *counts seconds~ notices+")
+        return template_values(self, "'batch' *counts seconds~ notices+")
 
     @property
     def counts(self) -> dict[str, int]:

@@ -21,7 +21,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import FileState, Inputs, note_input, recorded_inputs
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.process.supervisor import follow_parent, report_reading
 from animtool.core.readers import BVH, DOCUMENT, READERS, USD
 from animtool.core.record import dataclass
@@ -123,7 +123,7 @@ class ItemBuilder:
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(self._output(path) for path in paths)
         written_at = max(
-            file.state.changed for file in outputs if file.state is not None
+            file.state.changed_at for file in outputs if file.state is not None
         )
         return ItemOutcome(
             item.number,
@@ -147,7 +147,7 @@ class ItemBuilder:
             if cached is None or cached.path != name:
                 cached = record_of(path, name, state)
                 # A younger file may later have the same state with another content.
-                if state is not None and state.changed < written_at:
+                if state is not None and state.changed_at < written_at:
                     self._digests[state] = cached
             records.append(cached)
         # The file is unchanged after reading it again for its digest.
@@ -235,7 +235,7 @@ def needed_modules(item_task: ItemTask) -> list[str]:
 
 
 def _by_kind(item_task: ItemTask) -> Iterator[str]:
-    scenes = any(is_named(path, "scene") for path in item_task.kinds)
+    scenes = any(has_kind_suffix(path, "scene") for path in item_task.kinds)
     if item_task.scene is not None or scenes:
         yield from SCENE_MODULES
     if item_task.options.rig_layer is not None:

@@ -69,7 +69,7 @@ class TriangulateOptions:
         "angle",
         help="Smallest angle between rays; points seen only under smaller angles are "
         "excluded.",
-        written=2.0,
+        text_default=2.0,
     )
     keep_moved: bool = option(
         False,
@@ -161,7 +161,7 @@ class SolveOptions:
     noise: float = option(
         0.0005,
         "length",
-        written="0.5mm",
+        text_default="0.5mm",
         metavar="LENGTH",
         help="Expected shift of a marker on its bone, as skin moves. Larger where "
         "the capture shows more.",

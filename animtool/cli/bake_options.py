@@ -24,7 +24,7 @@ from animtool.cli.options import (
 )
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import exists
-from animtool.core.names import check_unused, is_named
+from animtool.core.names import check_unused, has_kind_suffix
 from animtool.core.options import options_of
 from animtool.scene.bake.options import BakeOptions
 
@@ -44,7 +44,7 @@ def opened_sources(
             hint = "animtool batch FOLDER -o out/ bakes the files in it"
             message = "cannot be read: it is a folder"
             raise FormatError(Fault("IO001", message, str(source), (), hint))
-        if not is_named(source, "scene"):
+        if not has_kind_suffix(source, "scene"):
             sources_opened.append(source)
             continue
         from animtool.scene.file.read import load_scene

@@ -32,7 +32,7 @@ from animtool.cli.options import (
     set_option,
 )
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.process.signals import TerminatedError
 from animtool.core.record import dataclass
 
@@ -317,7 +317,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     """Return the batch: the batch file's values, overridden by options."""
     from animtool.batch.spec import BatchSpec
 
-    jobs = [text for text in inputs if is_named(Path(text), "batch")]
+    jobs = [text for text in inputs if has_kind_suffix(Path(text), "batch")]
     if jobs and len(inputs) > 1:
         raise click.UsageError(f"{jobs[0]} is a batch file: pass it alone.")
     _refuse_output(inputs, params["output"])

@@ -23,8 +23,7 @@ cut_options = stacked(
         type=FILE,
         metavar="FILE",
         help="A timeline that OpenTimelineIO reads: each clip becomes an item. A "
-        "timeline among the inputs does the same; the others are searched for "
-        "media.",
+        "timeline among the inputs does the same; the others are searched for media.",
     ),
     click.option(
         "--handles",

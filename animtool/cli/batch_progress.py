@@ -14,7 +14,7 @@ from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import ItemStatus
 from animtool.cli.console import Console
-from animtool.core.arguments import Calling
+from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import AnimtoolError, Fault, counted
 from animtool.core.quantities import escaped, length_text
 from animtool.report.text import Each, Template, columns
@@ -52,7 +52,7 @@ def ended_text(entry: ItemReport, number: int, total: int) -> str:
     return f"{prefix} ({entry.reason}) {entry.seconds:.2f} s"
 
 
-def openjd_lines(other: Listener, calling: Calling) -> Listener:
+def openjd_lines(other: Listener, calling: ArgumentNamer) -> Listener:
     """Return a listener that writes OpenJD lines to stdout and forwards to another."""
 
     class OpenJdLines(Listener):
@@ -92,7 +92,7 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
 
 
 @contextmanager
-def openjd_failure(calling: Calling, *, asked: bool) -> Iterator[None]:
+def openjd_failure(calling: ArgumentNamer, *, asked: bool) -> Iterator[None]:
     """Report a fatal error as an OpenJD line too, if requested."""
     try:
         yield

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
-from animtool.core.arguments import Argument, Calling, flag, in_file, worded
+from animtool.core.arguments import Argument, ArgumentNamer, flag, in_file, worded
 from animtool.core.errors import Fault, Severity
 from animtool.core.plugins import load_object
-from animtool.core.process.supervisor import note_said
+from animtool.core.process.supervisor import note_output
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
@@ -112,14 +112,14 @@ class Console:
     verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # whether Python tracebacks are shown
-    calling: Calling = as_flag  # the command's spelling of arguments
+    calling: ArgumentNamer = as_flag  # the command's spelling of arguments
     context: click.Context | None = None  # of the command
 
     def result(self, *lines: str) -> None:
         """Write result lines to stdout, control characters escaped."""
         escaped_lines = (escaped(worded(line, self.calling)) for line in lines)
         sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
-        note_said()
+        note_output()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
         """Write a record or plain values as JSON to stdout, or as one ASCII line."""
@@ -131,7 +131,7 @@ class Console:
     def document(self, text: str) -> None:
         """Write a document to stdout unescaped."""
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
-        note_said()
+        note_output()
 
     def say(self, text: str) -> None:
         """Write a line of the summary to stderr, unless quiet."""
@@ -163,9 +163,12 @@ class Console:
                     and fault.severity is not Severity.NOTE
                     and not self.json_log
                 ):
-                    from animtool.core.source_lines import Sources, excerpt_lines
+                    from animtool.core.source_lines import (
+                        SourceLineCache,
+                        excerpt_lines,
+                    )
 
-                    sources = sources or Sources()
+                    sources = sources or SourceLineCache()
                     lines = map(escaped, excerpt_lines(fault, sources))
                     text = "\n".join([text, *lines])
                 self._write(log_entry, text)
@@ -262,7 +265,7 @@ class Console:
     def _write(self, entry: dict[str, object], text: str) -> None:
         """Write escaped text with animtool's colors, or an entry as JSON."""
         sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
-        note_said()
+        note_output()
 
     def _color(self, text: str, code: str) -> str:
         return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text

@@ -26,7 +26,7 @@ from animtool.cli.outputs import (
 )
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.errors import counted
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.report.text import Template
 
@@ -107,7 +107,11 @@ def convert(
     from animtool.core.writers import holds_rig, take_writer
     from animtool.scene.convert.takes import convert as run_convert
 
-    of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
+    of_rig = (
+        has_kind_suffix(source, "rig")
+        or has_kind_suffix(output, "rig")
+        or params["physics"]
+    )
     of_rig = of_rig or (is_rig_only(source) and holds_rig(output))
     outputs = [output] if of_rig else take_writer(output).files(output)
     if of_rig:

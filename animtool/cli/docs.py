@@ -11,7 +11,13 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
-from animtool.core.pages import KINDS, PageEntry, all_pages, find_page, page_markdown
+from animtool.core.pages import (
+    PAGE_KINDS,
+    PageEntry,
+    all_pages,
+    find_page,
+    page_markdown,
+)
 from animtool.core.record import dataclass
 
 # Generated pages.
@@ -142,7 +148,7 @@ def _open(console: Console, name: str) -> bool:
 
 def _entries() -> list[PageEntry]:
     """Return all pages sorted by kind."""
-    order = list(KINDS.values())
+    order = list(PAGE_KINDS.values())
     pages = [*all_pages(), COMMANDS_PAGE, CODES_PAGE]
     return sorted(pages, key=lambda page: (order.index(page.kind), page.name))
 

@@ -33,8 +33,7 @@ _GROUPS: dict[str, str] = {
     "Output": (
         "output as split rig-layer prim-path placement force-fit bones to-units to-up "
         "root-motion sparse keep-curves reduce reduce-at physics write-map "
-        "write-rig write-template keep-stopped until name overwrite "
-        "skip-existing check"
+        "write-rig write-template keep-stopped until name overwrite skip-existing check"
     ),
     "Time": "fps range start samples keep-samples",
     "Caches": "deform velocities normals chunk",

@@ -39,7 +39,7 @@ from animtool.cli.outputs import (
     writing_options,
     written_options_record,
 )
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
 
 FIRST = "first"
@@ -186,7 +186,7 @@ def ik(console: Console, /, **params: Any) -> None:
     reached is named, with how far it is off; without -o that is all. --match writes
     such a file from poses.
     """
-    if is_named(params["rig"], "targets"):
+    if has_kind_suffix(params["rig"], "targets"):
         text = f"{params['rig']} holds targets: did you swap RIG and --targets?"
         raise click.UsageError(text)
     if params["match"]:

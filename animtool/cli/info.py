@@ -20,9 +20,9 @@ from animtool.cli.options import (
     source_options_record,
     stage_option,
 )
-from animtool.core.errors import counted, listed, percent
-from animtool.core.names import check_unused, is_named
-from animtool.core.quantities import plain
+from animtool.core.errors import counted, listed, percent_text
+from animtool.core.names import check_unused, has_kind_suffix
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.report.text import Each, Line, Template
 
@@ -195,7 +195,7 @@ def _extreme(extreme: Extreme, unit: str) -> str:
     name = next(
         (part for part in path_parts if part.startswith("agent")), path_parts[0]
     )
-    return f"{plain(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
+    return f"{plain_number(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
 def _system_counts(counts: dict[str, int]) -> str:
@@ -225,7 +225,7 @@ PRINTERS: dict[str, Callable[..., str]] = {
         " ".join(f"{x:.3g}" for x in side) for side in sides
     ),
     "feet": lambda feet: ", ".join(
-        f"{side} {percent(foot.standing)} of frames, {counted(foot.steps, 'step')}"
+        f"{side} {percent_text(foot.standing)} of frames, {counted(foot.steps, 'step')}"
         for side, foot in feet.items()
     ),
     "extreme": _extreme,
@@ -320,11 +320,11 @@ def _describe(path: Path, params: dict[str, Any], used_variables: set[str]) -> A
         from animtool.report.describe_markers import describe_markers
 
         return describe_markers(path, read_marker_file(path, params))
-    if is_named(path, "scene"):
+    if has_kind_suffix(path, "scene"):
         return _scene(path, params, used_variables)
-    if is_named(path, "rig") or is_rig_only(path):
+    if has_kind_suffix(path, "rig") or is_rig_only(path):
         return _rig(path)
-    if is_named(path, "targets"):
+    if has_kind_suffix(path, "targets"):
         from animtool.report.describe_rig import describe_targets
 
         return describe_targets(path)

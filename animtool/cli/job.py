@@ -19,7 +19,7 @@ from animtool.cli.options import (
     count_or_auto,
     format_option,
 )
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.report.text import Template
 
 WRITTEN = Template(
@@ -93,7 +93,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     from animtool.batch.file import load_batch
     from animtool.batch.plan import check_output_files
 
-    if not is_named(batch_file, "batch"):
+    if not has_kind_suffix(batch_file, "batch"):
         raise click.UsageError(f"{batch_file} is not a batch file: use *.batch.yaml.")
     spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
     resolved_batch = find_batch(with_cuts(spec, params))

@@ -23,11 +23,11 @@ from animtool.core.errors import (
 )
 from animtool.core.process.signals import (
     TerminatedError,
-    ending,
-    interrupt,
+    ending_signal,
     obey_signals,
     obeyed_signals,
     outlast_signals,
+    raise_again,
     receive_signals,
 )
 from animtool.core.process.supervisor import (
@@ -302,8 +302,8 @@ def _run(arguments: Sequence[str], console: Console) -> int:
         receive_signals()
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
         sys.stdout.flush()
-        if ending():
-            interrupt()
+        if ending_signal():
+            raise_again()
         outlast_signals()
     except SystemExit:
         if (sys.stdout, sys.stderr) == streams:
@@ -312,9 +312,9 @@ def _run(arguments: Sequence[str], console: Console) -> int:
         sys.stdout, sys.stderr = streams
         code = _report(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
-        if ending():
+        if ending_signal():
             # The exception of the signal was swallowed, or replaced by another error.
-            interrupt()
+            raise_again()
         if console.debug:
             raise
         code = _report(console, error)

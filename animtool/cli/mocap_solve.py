@@ -27,7 +27,7 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.core.errors import percent
+from animtool.core.errors import percent_text
 from animtool.core.quantities import length_text
 from animtool.report.text import SECONDS, Template
 
@@ -143,7 +143,7 @@ def _strays(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers rejected in some frames."""
     strays = [marker for marker in markers if marker.outliers > 0.01]
     strays.sort(key=lambda marker: -marker.outliers)
-    return [f"{marker.name} ({percent(marker.outliers)})" for marker in strays]
+    return [f"{marker.name} ({percent_text(marker.outliers)})" for marker in strays]
 
 
 def _swapped_markers(solve: MarkerSolve) -> list[str]:

@@ -322,17 +322,17 @@ def declared(
     if option.kind == "switch":
         return click.option(flag, param, is_flag=True, help=text)
     if option.kind == "count":
-        kind: Any = Count(option.least)
+        kind: Any = Count(option.min_count)
     elif option.kind == "name":
         kind = _OneOf(option.choices)
     else:
         kind, click_default = _TYPES[option.kind]
         flag_and_metavar = flag_and_metavar or click_default
-    default = default if option.written is None else option.written
+    default = default if option.text_default is None else option.text_default
     if option.kind == "processes":
         default = None  # commands choose the number; scripts must set it
     return click.option(
-        *filter(None, (option.short, flag)),
+        *filter(None, (option.short_flag, flag)),
         param,
         type=kind,
         metavar=flag_and_metavar,

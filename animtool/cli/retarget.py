@@ -29,7 +29,7 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.core.errors import listed, percent
+from animtool.core.errors import listed, percent_text
 from animtool.core.options import options_of
 from animtool.core.quantities import angle_text, length_text
 from animtool.report.text import SECONDS, Template
@@ -69,7 +69,8 @@ def _angle(radians: float) -> str:
 def _stopped_joints(clamped_joints: Mapping[str, float]) -> list[str]:
     most_clamped = sorted(clamped_joints.items(), key=lambda item: -item[1])
     return [
-        f"{name} ({percent(fraction)} of frames)" for name, fraction in most_clamped
+        f"{name} ({percent_text(fraction)} of frames)"
+        for name, fraction in most_clamped
     ]
 
 
@@ -77,7 +78,7 @@ def _score_text(value: float, printer: str) -> str:
     """Format a score; empty for a missing one."""
     if math.isnan(value):
         return ""
-    printers = {"angle": _angle, "percent": percent, "times": "{:.3g}".format}
+    printers = {"angle": _angle, "percent": percent_text, "times": "{:.3g}".format}
     return printers[printer](value)
 
 

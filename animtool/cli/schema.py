@@ -36,7 +36,7 @@ def completion(console: Console, shell: str) -> None:
 
 # Models by kind of file, or functions that return one.
 MODELS = {
-    "batch": "animtool.batch.file:BatchModel",
+    "batch": "animtool.batch.schema:BatchModel",
     "cameras": "animtool.capture.cameras.file:CamerasModel",
     "clip": "animtool.clip.schema:ClipModel",
     "landmarks": "animtool.capture.face.file:LandmarksModel",

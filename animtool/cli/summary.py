@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import counted, excerpt
-from animtool.core.quantities import duration_text, plain, size_text
+from animtool.core.quantities import duration_text, plain_number, size_text
 from animtool.report.text import Each, Line, Table, Template
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
         if key not in largest_by_unit or error.error > largest_by_unit[key].error:
             largest_by_unit[key] = error
     error_texts = [
-        f"{' '.join([plain(error.error), error.unit or '']).strip()} ({error.target})"
+        f"{plain_number(error.error)} {error.unit or ''}".rstrip()
+        + f" ({error.target})"
+        + f" ({error.target})"
         for error in largest_by_unit.values()
         if error.error > ROUNDING
     ]
@@ -154,7 +156,7 @@ def _difference(curves: Sequence[CurveReport]) -> str:
     """Format the largest curve error and its curve."""
     largest = max(curves, key=lambda curve: curve.difference)
     curve_text = f" (control {largest.name!r})" if largest.difference else ""
-    return f"{plain(largest.difference, 2)}{curve_text}"
+    return f"{plain_number(largest.difference, 2)}{curve_text}"
 
 
 def _precision_text(take: TakeReport) -> str:

@@ -17,7 +17,7 @@ from animtool.cli.options import (
     read_values,
     record_option,
 )
-from animtool.core.options import clashes
+from animtool.core.options import clash_messages
 from animtool.validation.options import ReportOptions, ValidateOptions
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
 
     options = ValidateOptions(**read_values(ValidateOptions, params)).resolved()
     choices = ReportOptions(**read_values(ReportOptions, params))
-    for message in clashes(choices):
+    for message in clash_messages(choices):
         raise click.UsageError(f"{message}.")
     files, match_warnings = match_files(listed_paths(paths))
     missing = [options.of(f) for f in match_warnings if options.counts(f.code)]

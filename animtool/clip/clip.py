@@ -15,7 +15,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import MAX_FRAMES, Clock, time_codes
 from animtool.core.errors import Fault, FormatError, OptionError, counted
-from animtool.core.names import flow, number, scaled, text
+from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.plugins import load_object
 from animtool.core.rates import FractionLike, rate_label, rate_option
 from animtool.core.record import dataclass
@@ -185,18 +185,19 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
     """
     units = _units(clip, rig)
     angle = "rad" if units.angle == 1.0 else "deg"
+    ends = [decimal_text(float(end)) for end in (clip.first, clip.last)]
     text_lines = [
         "clip: animtool/1",
-        f"name: {text(clip.name)}",
-        f"rig: {text(rig_file)}",
+        f"name: {yaml_scalar(clip.name)}",
+        f"rig: {yaml_scalar(rig_file)}",
         f"units: {{length: {unit_name(units.length)}, angle: {angle}}}",
-        f"fps: {text(str(clip.fps)) if clip.fps.denominator > 1 else clip.fps}",
-        f"range: {flow([number(float(clip.first)), number(float(clip.last))])}",
+        f"fps: {yaml_scalar(str(clip.fps)) if clip.fps.denominator > 1 else clip.fps}",
+        f"range: {flow_list(ends)}",
         "channels:" if clip.channels else "channels: []",
     ]
     for channel in clip.channels:
         unit = units.of(channel.target, channel.euler)
-        text_lines.append(f"- target: {text(channel.target)}")
+        text_lines.append(f"- target: {yaml_scalar(channel.target)}")
         text_lines += [f"  {line}" for line in curve_lines(channel, unit)]
     return "\n".join(text_lines) + "\n"
 
@@ -222,7 +223,7 @@ def _numbers_in(clip: Clip, marked: ClipUnits) -> Iterator[float]:
 
 
 def _round_trips(values: Iterable[float], unit: float) -> bool:
-    return all(float(scaled(value, unit)) * unit == value for value in values)
+    return all(float(scaled_decimal(value, unit)) * unit == value for value in values)
 
 
 def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
@@ -259,7 +260,7 @@ def _key(
     if row[3:]:
         x, y, z, w = row
         row = [w, x, y, z]
-    yield f"t: {number(float(channel.times[k]))}"
+    yield f"t: {decimal_text(float(channel.times[k]))}"
     yield f"v: {_value(row, unit)}"
     if channel.interps[k] is not interp:
         yield f"interp: {channel.interps[k]}"
@@ -268,16 +269,17 @@ def _key(
         ("in", "out"), channel.tangents[k], handles, strict=True
     ):
         if handle_tangent is Tangent.FREE:
-            yield f"{name}: {flow([number(dt), _value(dv, unit)])}"
+            yield f"{name}: {flow_list([decimal_text(dt), _value(dv, unit)])}"
         elif handle_tangent is not tangent:
             yield f"{name}: {handle_tangent}"
     if channel.tcb[k].any():
-        yield f"tcb: {flow([number(value) for value in channel.tcb[k].tolist()])}"
+        tcb = [decimal_text(value) for value in channel.tcb[k].tolist()]
+        yield f"tcb: {flow_list(tcb)}"
 
 
 def _value(row: Sequence[float], unit: float) -> str:
-    numbers = [scaled(value, unit) for value in row]
-    return numbers[0] if len(numbers) == 1 else flow(numbers)
+    numbers = [scaled_decimal(value, unit) for value in row]
+    return numbers[0] if len(numbers) == 1 else flow_list(numbers)
 
 
 def _commonest(choices: Sequence[Choice], default: Choice) -> Choice:

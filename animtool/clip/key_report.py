@@ -13,7 +13,7 @@ from animtool.clip.coordinates import JointMotion
 from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.maths import so3
@@ -161,10 +161,10 @@ def _on_top(
             largest_angle = (
                 so3.angle_between(rotations, driven_rotation).max() / units.angle
             )
-            amount = f"{plain(largest_angle)} {angle}"
+            amount = f"{plain_number(largest_angle)} {angle}"
         elif track.part in {"slide", "translation"}:
             largest_angle = np.linalg.norm(track.samples, axis=1).max() / units.length
-            amount = f"{plain(largest_angle)} {unit_name(units.length)}"
+            amount = f"{plain_number(largest_angle)} {unit_name(units.length)}"
         else:
             continue
         joint = rig.joints[track.index].name
@@ -185,14 +185,13 @@ def _off_type(
             verb = (
                 "turns" if joint.type is not JointType.PIN else ("rotates off its axis")
             )
-            amount = f"{plain(motion.rotation_error / units.angle)} {angle}"
+            amount = f"{plain_number(motion.rotation_error / units.angle)} {angle}"
         elif track.part == "local_translation":
             verb = (
                 "moves off its axis" if joint.type is JointType.PRISMATIC else "moves"
             )
-            amount = (
-                f"{plain(motion.shift_error / units.length)} {unit_name(units.length)}"
-            )
+            shift_error = plain_number(motion.shift_error / units.length)
+            amount = f"{shift_error} {unit_name(units.length)}"
         else:
             continue
         message = f"joint {joint.name!r} of type {joint.type} {verb}, by up to {amount}"

@@ -51,7 +51,7 @@ class Clause:
 
 Part: TypeAlias = str | Argument | Clause
 # Maps an argument to its name in an interface; None if it has none there.
-Calling: TypeAlias = Callable[[Argument], str | None]
+ArgumentNamer: TypeAlias = Callable[[Argument], str | None]
 
 
 def in_python(argument: Argument) -> str | None:
@@ -116,11 +116,11 @@ class Text(str):
 
     def __add__(self, other: str) -> Text:
         """Return both texts joined, with their arguments."""
-        return Text((*self.parts, *_parts(other)))
+        return Text((*self.parts, *_split_clauses(other)))
 
     def __radd__(self, other: str) -> Text:
         """Return both texts joined, with their arguments."""
-        return Text((*_parts(other), *self.parts))
+        return Text((*_split_clauses(other), *self.parts))
 
 
 def argument(name: str, value: object = None) -> str:
@@ -139,7 +139,7 @@ def argument(name: str, value: object = None) -> str:
 def clause(text: str) -> str:
     """Return a part of a text that is omitted if an argument in it has no name.
 
-    >>> marked("at night" + clause(f", not {argument('command.quiet')}"))
+    >>> as_text("at night" + clause(f", not {argument('command.quiet')}"))
     'at night'
     """
     return f"{_OPEN}{text}{_CLOSE}"
@@ -154,59 +154,59 @@ def flag(name: str, value: str = "") -> str:
     return f"--{name} {value}".rstrip()
 
 
-def marked(text: str) -> str:
+def as_text(text: str) -> str:
     """Return a text with `argument` markers as a `Text`.
 
-    >>> marked(f"{argument('keep_samples', True)} keeps them")
+    >>> as_text(f"{argument('keep_samples', True)} keeps them")
     'keep_samples=True keeps them'
     """
     if isinstance(text, Text) or not (_BEGIN in text or _OPEN in text):
         return text
-    return Text(_parts(text))
+    return Text(_split_clauses(text))
 
 
-def worded(text: str, calling: Calling) -> str:
+def worded(text: str, namer: ArgumentNamer) -> str:
     """Return a text with its arguments named for an interface.
 
-    >>> worded(marked(f"{argument('up', 'Z')} says it"), in_file)
+    >>> worded(as_text(f"{argument('up', 'Z')} says it"), in_file)
     'up: Z says it'
     """
-    text = marked(text)
-    return _join_parts(text.parts, calling) if isinstance(text, Text) else text
+    text = as_text(text)
+    return _join_parts(text.parts, namer) if isinstance(text, Text) else text
 
 
-def _join_parts(parts: tuple[Part, ...], calling: Calling) -> str:
-    return "".join(_part_text(part, calling) for part in parts)
+def _join_parts(parts: tuple[Part, ...], namer: ArgumentNamer) -> str:
+    return "".join(_part_text(part, namer) for part in parts)
 
 
-def _part_text(part: Part, calling: Calling) -> str:
+def _part_text(part: Part, namer: ArgumentNamer) -> str:
     if isinstance(part, Argument):
-        return calling(part) or getattr(calling, "elsewhere", in_file)(part)
+        return namer(part) or getattr(namer, "elsewhere", in_file)(part)
     if isinstance(part, Clause):
         arguments = [
             argument_part
             for argument_part in part.parts
             if isinstance(argument_part, Argument)
         ]
-        return _join_parts(part.parts, calling) if all(map(calling, arguments)) else ""
+        return _join_parts(part.parts, namer) if all(map(namer, arguments)) else ""
     return part
 
 
-def _parts(text: str) -> tuple[Part, ...]:
+def _split_clauses(text: str) -> tuple[Part, ...]:
     if isinstance(text, Text):
         return text.parts
     parts: list[Part] = []
     position = 0
     for match in _CLAUSE.finditer(text):
         parts += [
-            *_arguments(text[position : match.start()]),
-            Clause(_arguments(match[1])),
+            *_split_arguments(text[position : match.start()]),
+            Clause(_split_arguments(match[1])),
         ]
         position = match.end()
-    return (*parts, *_arguments(text[position:]))
+    return (*parts, *_split_arguments(text[position:]))
 
 
-def _arguments(text: str) -> tuple[Part, ...]:
+def _split_arguments(text: str) -> tuple[Part, ...]:
     """Return the parts of a text without clauses."""
     parts: list[Part] = []
     position = 0

@@ -29,18 +29,42 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
     dtype('float64')
     """
     try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
+        array = np.ascontiguousarray(values, np.float64)
     except (TypeError, ValueError) as error:
         # Texts, and lists of different lengths.
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must be numbers of shape ({expected})") from error
     lengths = array.shape
-    fits = len(lengths) == len(shape)
-    if fits:
-        for expected_length, length in zip(shape, lengths):  # noqa: B905 - of one length
-            if expected_length != length and expected_length.__class__ is not str:
-                fits = False
-    if not fits:
+    # Callers mostly know all lengths, or all but the first.
+    fits = lengths == shape or (
+        lengths[1:] == shape[1:] and bool(lengths) and shape[0].__class__ is str
+    )
+    if not fits and not _fits(lengths, shape):
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")
     return array
+
+
+def _fits(lengths: tuple[int, ...], shape: tuple[int | str, ...]) -> bool:
+    return len(lengths) == len(shape) and all(
+        isinstance(expected, str) or expected == length
+        for expected, length in zip(shape, lengths, strict=True)
+    )
+
+
+def output_array(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
+    """Return the caller's output array, or a new one of zeros.
+
+    For many frames, allocating memory takes about as long as the arithmetic.
+
+    Raises:
+        ValueError: It has another shape or type, or is not contiguous.
+
+    >>> output_array(None, (1, 2)).tolist()
+    [[0.0, 0.0]]
+    """
+    if out is None:
+        return np.zeros(shape)
+    if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
+        raise ValueError(f"out must be float64 {shape}, in C order")
+    return out

@@ -20,8 +20,8 @@ from animtool.core.timecode import is_timecode
 MAX_DEPTH = 50
 # The parser's time grows with the square of the number of key parts. Matches start only
 # where no part or escape precedes, so that the search takes linear time.
-_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
+_KEY_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -34,20 +34,20 @@ def parse_toml(text: str) -> dict[str, Any]:
 
     long_key = _LONG_KEY.search(text)
     if long_key is not None:
-        raise _too_deep(f" (at line {text.count(chr(10), 0, long_key.start()) + 1})")
+        raise _depth_error(f" (at line {text.count(chr(10), 0, long_key.start()) + 1})")
     try:
         tables = tomllib.loads(text)
     except RecursionError as error:
-        raise _too_deep() from error
+        raise _depth_error() from error
     level: list[Any] = [tables]
     for _ in range(MAX_DEPTH):
         level = [inner for value in level for inner in _nested_values(value)]
         if not level:
             return tables
-    raise _too_deep()
+    raise _depth_error()
 
 
-def _too_deep(position: str = "") -> ValueError:
+def _depth_error(position: str = "") -> ValueError:
     return ValueError(f"it is nested deeper than {MAX_DEPTH}{position}")
 
 
@@ -59,7 +59,7 @@ def _nested_values(value: Any) -> Iterable[Any]:
 
 
 # Folders of version control systems at the top of a checkout.
-VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
+VERSION_CONTROL_FOLDERS = (".git", ".hg", ".svn", ".jj")
 
 
 # One petabyte.
@@ -101,17 +101,17 @@ def find_config(path: Path) -> Config:
         config_file, project = folder / "animtool.toml", folder / "pyproject.toml"
         note_input(config_file)
         if config_file.is_file():
-            return _config(config_file, _table(config_file))
+            return _config(config_file, _project_table(config_file))
         note_input(project)
         if project.is_file():
-            tools = _table(project).get("tool", {})
+            tools = _project_table(project).get("tool", {})
             table = tools.get("animtool") if isinstance(tools, dict) else None
             if table is not None:
                 return _config(project, table)
     return Config()
 
 
-def _table(path: Path) -> dict[str, Any]:
+def _project_table(path: Path) -> dict[str, Any]:
     try:
         return _parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
@@ -235,12 +235,12 @@ def _checkout(folder: Path) -> Path | None:
     for folder_above in (folder, *folder.parents):
         if not _may_be_project(folder_above):
             return None
-        if any((folder_above / name).exists() for name in VERSION_CONTROL):
+        if any((folder_above / name).exists() for name in VERSION_CONTROL_FOLDERS):
             return folder_above
     return None
 
 
-def project_around(folder: Path, target: Path) -> Path | None:
+def innermost_project(folder: Path, target: Path) -> Path | None:
     """Return the innermost project with both paths in it; None without one."""
     parent_folders = (
         parent_folder
@@ -252,10 +252,10 @@ def project_around(folder: Path, target: Path) -> Path | None:
 
 
 def _may_be_project(folder: Path) -> bool:
-    return folder not in {Path(folder.anchor), _home()}
+    return folder not in {Path(folder.anchor), _home_folder()}
 
 
-def _home() -> Path | None:
+def _home_folder() -> Path | None:
     try:
         return Path.home().resolve()
     except (OSError, RuntimeError):

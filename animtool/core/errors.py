@@ -8,10 +8,10 @@ from dataclasses import field, replace
 from enum import IntEnum, StrEnum
 from typing import ClassVar, NoReturn, TypeAlias
 
-from animtool.core.arguments import Calling, marked, worded
+from animtool.core.arguments import ArgumentNamer, as_text, worded
 from animtool.core.quantities import escaped
 from animtool.core.record import dataclass
-from animtool.core.values import picked
+from animtool.core.values import template_values
 
 # Number of names in a brief message.
 MAX_BRIEF_NAMES = 12
@@ -77,12 +77,12 @@ class Fault:
         for name in ("message", "hint", "brief"):
             text = getattr(self, name)
             if text:
-                object.__setattr__(self, name, marked(text))
+                object.__setattr__(self, name, as_text(text))
 
-    def worded(self, calling: Calling) -> Fault:
+    def worded(self, namer: ArgumentNamer) -> Fault:
         """Return a copy whose texts name arguments for an interface."""
-        message, brief = (worded(text, calling) for text in (self.message, self.brief))
-        hint = self.hint and worded(self.hint, calling)
+        message, brief = (worded(text, namer) for text in (self.message, self.brief))
+        hint = self.hint and worded(self.hint, namer)
         return replace(self, message=message, hint=hint, brief=brief)
 
     def in_file(self, path: object) -> Fault:
@@ -109,7 +109,7 @@ class Fault:
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""
-        return picked(self, self.json_keys)
+        return template_values(self, self.json_keys)
 
 
 def warning(
@@ -262,16 +262,16 @@ class ToleranceError(AnimtoolError):
 
 
 def first_faults(
-    faults: Sequence[Fault], most: int, path: str | None = None, more: str = ""
+    faults: Sequence[Fault], max_faults: int, path: str | None = None, more: str = ""
 ) -> list[Fault]:
     """Return the first faults and, if there are more, one that counts the others.
 
     more: What else to say of these.
     """
-    if len(faults) <= most:
+    if len(faults) <= max_faults:
         return list(faults)
-    rest = f"{len(faults) - most} more faults are not shown{more}"
-    return [*faults[:most], Fault("DOC011", rest, path)]
+    summary = f"{len(faults) - max_faults} more faults are not shown{more}"
+    return [*faults[:max_faults], Fault("DOC011", summary, path)]
 
 
 def listed(items: Sequence[object], most: int = 5) -> str:
@@ -283,7 +283,7 @@ def listed(items: Sequence[object], most: int = 5) -> str:
     return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
 
 
-def naming(
+def names_fault(
     code: str,
     message: str,
     names: Sequence[str],
@@ -293,7 +293,7 @@ def naming(
 ) -> Fault:
     """Return a fault that lists all names; its brief form lists the first few.
 
-    >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
+    >>> names_fault("USD102", "missing: ", list("abcdefghijklmn")).brief
     'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
     """
     full = message + listed(names, len(names))
@@ -310,10 +310,10 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {plural or noun + 's'}"
 
 
-def circle(names: Sequence[str]) -> str:
+def joined_cycle(names: Sequence[str]) -> str:
     """Return the names of a cycle joined by arrows, shortened if there are many.
 
-    >>> circle(["a", "b", "a"])
+    >>> joined_cycle(["a", "b", "a"])
     'a → b → a'
     """
     names_shown = list(names)
@@ -326,10 +326,10 @@ def circle(names: Sequence[str]) -> str:
     return " → ".join(names_shown)
 
 
-def percent(fraction: float) -> str:
+def percent_text(fraction: float) -> str:
     """Return a fraction in percent, to two significant digits.
 
-    >>> percent(0.0123), percent(5.4973), percent(2e-12)
+    >>> percent_text(0.0123), percent_text(5.4973), percent_text(2e-12)
     ('1.2%', '550%', '0%')
     """
     value = float(f"{100 * fraction:.2g}")

@@ -33,7 +33,7 @@ def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
 
     suite = ElementTree.Element("testsuite", name=name)
     for case in cases:
-        _add(suite, case)
+        _add_case(suite, case)
     find_all = suite.findall
     suite.attrib |= {
         "tests": str(len(suite)),
@@ -48,7 +48,7 @@ def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
-def _add(suite: Element, case: JunitCase) -> None:
+def _add_case(suite: Element, case: JunitCase) -> None:
     from xml.etree.ElementTree import SubElement
 
     path = PurePath(case.name)

@@ -17,18 +17,18 @@ UNKNOWN = "?"
 # Number of valid names that are searched for a hint.
 MAX_NAMES = 2000
 # Number of these that are compared letter by letter.
-MAX_COMPARED = 40
+MAX_COMPARED_NAMES = 40
 # Less similar names are different words: position and restitution have 0.63.
 MIN_SIMILARITY = 0.65
 # Longer names are not misspellings.
 MAX_LENGTH = 120
 # Number of names that a hint lists, the nearest first: most lists of keys are shorter.
-MAX_LISTED = 24
+MAX_LISTED_NAMES = 24
 # Pattern of variable names.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 # Kinds that the first line of a file may name, and its file name too. A batch names a
 # scene, and others their rig, which is therefore last.
-KINDS = (
+FILE_KINDS = (
     "batch",
     "cameras",
     "clip",
@@ -47,11 +47,11 @@ def kind_suffixes(kind: str) -> tuple[str, ...]:
     return tuple(f".{kind}.{text}" for text in ("yaml", "yml", "json"))
 
 
-def is_named(path: Path, kind: str) -> bool:
+def has_kind_suffix(path: Path, kind: str) -> bool:
     """Return whether a path has the suffix of a rig, scene, batch or targets file.
 
-    >>> is_named(Path("Hero.rig.yaml"), "rig"), is_named(Path("walk.bvh"), "scene")
-    (True, False)
+    >>> has_kind_suffix(Path("Hero.rig.yaml"), "rig")
+    True
     """
     return path.name.lower().endswith(kind_suffixes(kind))
 
@@ -65,7 +65,7 @@ def is_variable_name(text: str) -> bool:
     return re.fullmatch(VARIABLE_NAME, text) is not None
 
 
-def check_known(name: str, names: Iterable[str], what: str, code: str) -> None:
+def check_known(name: str, names: Iterable[str], noun: str, code: str) -> None:
     """Raise for an unknown name, with the nearest known one.
 
     >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
@@ -75,7 +75,7 @@ mean 'rk4'?
     """
     names = list(names)
     if name not in names:
-        message = f"unknown {what} {excerpt(name)}"
+        message = f"unknown {noun} {excerpt(name)}"
         raise OptionError(Fault(code, message, hint=nearest(name, names)))
 
 
@@ -89,15 +89,15 @@ def nearest(name: str, names: Iterable[str]) -> str:
     """
     unique_names = list(dict.fromkeys(islice(names, MAX_NAMES)))
     unique_names = [known_name for known_name in unique_names if known_name != UNKNOWN]
-    best_match = similar(name, unique_names)
+    best_match = most_similar(name, unique_names)
     if best_match:
         return f"did you mean {best_match!r}?"
     if not unique_names:
         return "none are defined"
-    sorted_names = by_likeness(name, unique_names)
-    omitted_count = len(sorted_names) - MAX_LISTED
+    sorted_names = sort_by_similarity(name, unique_names)
+    omitted_count = len(sorted_names) - MAX_LISTED_NAMES
     omitted_text = f" and {omitted_count} more" if omitted_count > 0 else ""
-    return f"allowed: {', '.join(sorted_names[:MAX_LISTED])}{omitted_text}"
+    return f"allowed: {', '.join(sorted_names[:MAX_LISTED_NAMES])}{omitted_text}"
 
 
 def check_unused(
@@ -146,26 +146,26 @@ MAX_DIGITS, DEFAULT_DIGITS = 17, 15
 _UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
-def number(value: float) -> str:
+def decimal_text(value: float) -> str:
     """Return the shortest decimal of a float; zero has no sign.
 
-    >>> number(0.1), number(2.0), number(1e-20), number(-0.0)
+    >>> decimal_text(0.1), decimal_text(2.0), decimal_text(1e-20), decimal_text(-0.0)
     ('0.1', '2', '1e-20', '0')
     """
     value += 0.0
     return f"{value:.0f}" if value == int(value) and abs(value) < 1e15 else repr(value)
 
 
-def scaled(value: float, unit: float) -> str:
+def scaled_decimal(value: float, unit: float) -> str:
     """Return the shortest decimal that, times a unit, gives a float.
 
     If there is none, since products skip some floats, the nearest is used.
 
-    >>> scaled(0.0254, 0.0254), scaled(math.radians(35), math.radians(1))
-    ('1', '35')
+    >>> scaled_decimal(0.0254, 0.0254), scaled_decimal(math.pi / 6, math.pi / 180)
+    ('1', '30')
     """
     if unit == 1.0:
-        return number(value)
+        return decimal_text(value)
     quotient = value / unit
     for digits in range(DEFAULT_DIGITS, MAX_DIGITS + 1):
         rounded = float(f"{quotient:.{digits}g}")
@@ -175,17 +175,17 @@ def scaled(value: float, unit: float) -> str:
             math.nextafter(rounded, 0),
         ):
             if candidate * unit == value:
-                return number(candidate)
-    return number(quotient)
+                return decimal_text(candidate)
+    return decimal_text(quotient)
 
 
-def text(value: str) -> str:
+def yaml_scalar(value: str) -> str:
     """Return text quoted for YAML.
 
     Raises:
         FormatError: It contains a control character, which readers refuse (DOC023).
 
-    >>> text("hips"), text("no: 1"), text("12")
+    >>> yaml_scalar("hips"), yaml_scalar("no: 1"), yaml_scalar("12")
     ('hips', '"no: 1"', '"12"')
     """
     unquoted = value
@@ -195,7 +195,7 @@ def text(value: str) -> str:
     needs_no_quotes = unquoted.isascii() and unquoted.isalnum() and value[0].isalpha()
     if needs_no_quotes and value.lower() not in reserved_words:
         return value
-    if problem := unreadable(value):
+    if problem := unreadable_character(value):
         message = (
             f"the name {excerpt(value)} contains {problem!r}, which file names may not"
         )
@@ -205,26 +205,26 @@ def text(value: str) -> str:
     return f'"{escaped}"'
 
 
-def unreadable(value: str) -> str:
+def unreadable_character(value: str) -> str:
     r"""Return the first control character that files must not contain, if any.
 
-    >>> unreadable("a\x1bb"), unreadable("a\n")
+    >>> unreadable_character("a\x1bb"), unreadable_character("a\n")
     ('\x1b', '')
     """
     match = _UNREADABLE_CHARACTERS.search(value)
     return match[0] if match else ""
 
 
-def flow(items: list[str]) -> str:
+def flow_list(items: list[str]) -> str:
     """Return a list on one line.
 
-    >>> flow(["1", "2"])
+    >>> flow_list(["1", "2"])
     '[1, 2]'
     """
     return f"[{', '.join(items)}]"
 
 
-def similar(
+def most_similar(
     name: str, names: Iterable[str], cutoff: float = MIN_SIMILARITY
 ) -> str | None:
     """Return the name most similar to another, above a cutoff 0 to 1, or None.
@@ -232,7 +232,7 @@ def similar(
     Of many names the first 2000 are considered, and of these the 40 that share most
     letter pairs. A name of more than 120 letters is similar to none.
 
-    >>> similar("ebow", ["hand", "elbow"]), similar("ebow", ["hip"])
+    >>> most_similar("ebow", ["hand", "elbow"]), most_similar("ebow", ["hip"])
     ('elbow', None)
     """
     if len(name) > MAX_LENGTH:
@@ -242,10 +242,10 @@ def similar(
         for candidate in islice(names, MAX_NAMES)
         if len(candidate) <= MAX_LENGTH
     ]
-    if len(candidates) > MAX_COMPARED:
-        pairs = _pairs(name)
+    if len(candidates) > MAX_COMPARED_NAMES:
+        pairs = _letter_pairs(name)
         candidates.sort(
-            key=lambda candidate: len(pairs & _pairs(candidate)), reverse=True
+            key=lambda candidate: len(pairs & _letter_pairs(candidate)), reverse=True
         )
     folded = name.casefold()
     for candidate in candidates:
@@ -253,29 +253,29 @@ def similar(
             return candidate
     from difflib import get_close_matches  # every command imports this module
 
-    matches = get_close_matches(name, candidates[:MAX_COMPARED], 1, cutoff)
+    matches = get_close_matches(name, candidates[:MAX_COMPARED_NAMES], 1, cutoff)
     return matches[0] if matches else None
 
 
-def by_likeness(name: str, names: Iterable[str]) -> list[str]:
+def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
     """Return names sorted by the letter pairs they share with another.
 
-    >>> by_likeness("arms", ["hip", "arm", "forearm"])
+    >>> sort_by_similarity("arms", ["hip", "arm", "forearm"])
     ['arm', 'forearm', 'hip']
     """
-    pairs = _pairs(name.lower())
+    pairs = _letter_pairs(name.lower())
 
-    def unlike(known: str) -> float:
-        known_pairs = _pairs(known.lower())
+    def dissimilarity(known: str) -> float:
+        known_pairs = _letter_pairs(known.lower())
         return -2 * len(pairs & known_pairs) / max(len(pairs) + len(known_pairs), 1)
 
-    return sorted(names, key=unlike)
+    return sorted(names, key=dissimilarity)
 
 
-def distinct(names: Iterable[str]) -> list[str]:
+def numbered_names(names: Iterable[str]) -> list[str]:
     """Return distinct names: later duplicates get a numeric suffix.
 
-    >>> distinct(["a", "b", "a", "a_2", "a"])
+    >>> numbered_names(["a", "b", "a", "a_2", "a"])
     ['a', 'b', 'a_2', 'a_2_2', 'a_3']
     """
     used_names: dict[str, None] = {}
@@ -290,5 +290,5 @@ def distinct(names: Iterable[str]) -> list[str]:
     return list(used_names)
 
 
-def _pairs(text: str) -> set[str]:
+def _letter_pairs(text: str) -> set[str]:
     return {text[i : i + 2] for i in range(len(text) - 1)}

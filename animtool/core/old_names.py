@@ -44,7 +44,7 @@ def new_name(name: str) -> str | None:
     return parent and f"{parent}.{child_name}"
 
 
-class _OldNames:
+class _OldNameFinder:
     """Finds moved modules by their old names.
 
     It has the methods that `importlib.abc` requires of a finder and a loader; importing
@@ -138,4 +138,4 @@ def _warn(old: str, new: str) -> None:
 
 
 # Added last: used only when an old name is imported.
-sys.meta_path.append(cast(Any, _OldNames()))
+sys.meta_path.append(cast(Any, _OldNameFinder()))

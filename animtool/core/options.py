@@ -24,7 +24,7 @@ from typing import (
     get_type_hints,
 )
 
-from animtool.core.arguments import argument, marked
+from animtool.core.arguments import argument, as_text
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
@@ -48,16 +48,16 @@ class Key:
     read: Callable[[Any], Any] | None = None  # converts the key's value to the field's
 
 
-def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
+def key(text: str, example: Any, default: Any = MISSING, **settings: Any) -> Any:
     """Return the dataclass field of a key.
 
     Args:
         text: Description.
         example: Example value.
         default: Default value; without one the key is required.
-        said: Other arguments of `Key`.
+        settings: Other arguments of `Key`.
     """
-    return field(default=default, metadata={"key": Key(text, example, **said)})
+    return field(default=default, metadata={"key": Key(text, example, **settings)})
 
 
 class _DocOfKeys:
@@ -72,7 +72,7 @@ class _DocOfKeys:
         texts_by_name = {
             name: text
             for base in reversed(owner.__mro__)
-            for text, name in re.findall(_ATTRIBUTE, _plain_docstring(base), re.M)
+            for text, name in re.findall(_ATTRIBUTE_LINE, _plain_docstring(base), re.M)
         }
         description = {name: option.about for name, option in options_of(owner).items()}
         description |= {name: key.description for name, key in keys_of(owner).items()}
@@ -88,7 +88,7 @@ class _DocOfKeys:
 
 
 # An attribute in a docstring, with its continuation lines.
-_ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
+_ATTRIBUTE_LINE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 
 def _plain_docstring(owner: type[Any]) -> str:
@@ -117,7 +117,9 @@ class Option:
     # Options that it excludes, with the message if it is not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
     goes_with: str = ""  # another option that it requires, if any
-    lacking: str = ""  # message if that option is missing, if it is not the default
+    missing_message: str = (
+        ""  # message if that option is missing, if it is not the default
+    )
     scene: Key | None = None
     batch: Key | None = None
     help: str = ""  # help on the command line; empty if commands declare their own
@@ -125,11 +127,11 @@ class Option:
         None  # placeholder of the value in help; None uses that of its kind
     )
     choices: tuple[str, ...] = ()  # on the command line; for a switch, off and on
-    least: int = 0  # minimum of a count
+    min_count: int = 0  # minimum of a count
     reason: str = ""  # why a source may not have it
     # Default in the command line's unit, if that differs.
-    written: str | float | None = None
-    short: str = ""  # one-letter flag
+    text_default: str | float | None = None
+    short_flag: str = ""  # one-letter flag
 
     @property
     def about(self) -> str:
@@ -140,7 +142,7 @@ class Option:
         key = self.scene or self.batch
         if key is None and self.kind in {"switch", "answer"} and self.choices:
             return ""
-        text = key.description if key else marked(self.help)
+        text = key.description if key else as_text(self.help)
         return f"{text} {_UNITS.get(self.kind, '')}".rstrip()
 
 
@@ -154,7 +156,7 @@ def option(
     *,
     default_factory: Any = MISSING,
     both: Key | None = None,
-    **said: Any,
+    **settings: Any,
 ) -> Any:
     """Return the dataclass field of an option.
 
@@ -163,13 +165,13 @@ def option(
         kind: Kind of the value.
         default_factory: As in `dataclasses.field`.
         both: Key of both scenes and batches.
-        said: Other arguments of `Option`.
+        settings: Other arguments of `Option`.
     """
-    inherits_docs = Option(kind, **{"scene": both, "batch": both, **said})
+    declaration = Option(kind, **{"scene": both, "batch": both, **settings})
     return field(
         default=default,
         default_factory=default_factory,
-        metadata={"option": inherits_docs},
+        metadata={"option": declaration},
     )
 
 
@@ -202,7 +204,7 @@ def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]
 
 Record = TypeVar("Record")
 # Types of text values: lengths are text, angles are in degrees.
-_WRITTEN: dict[OptionKind, type] = {"length": str, "angle": float}
+_TEXT_VALUE_TYPES: dict[OptionKind, type] = {"length": str, "angle": float}
 
 
 def with_text_values(
@@ -217,11 +219,11 @@ def with_text_values(
         hints, options = get_type_hints(record), options_of(record)
         new_fields = []
         for name in dict.fromkeys((*first, *options)):
-            written = _WRITTEN.get(options[name].kind)
+            written = _TEXT_VALUE_TYPES.get(options[name].kind)
             default_value = record.__dataclass_fields__[name].default
-            default = default_value if written is None else options[name].written
+            default = default_value if written is None else options[name].text_default
             new_fields.append((name, written or hints[name], default))
-        inherits_docs = {
+        class_namespace = {
             "__module__": record_type.__module__,
             "__doc__": record_type.__doc__,
         }
@@ -229,7 +231,7 @@ def with_text_values(
             record_type.__name__,
             new_fields,
             bases=(record_type,),
-            namespace=inherits_docs,
+            namespace=class_namespace,
             frozen=True,
         )
         return written_record
@@ -248,9 +250,9 @@ def chosen_options(record: Any) -> dict[str, Option]:
     }
 
 
-def option_marker(name: str, inherits_docs: Option) -> str:
+def option_marker(name: str, declaration: Option) -> str:
     """Return the marker of an option in a text."""
-    return argument(name, {"switch": True, "answer": False}.get(inherits_docs.kind))
+    return argument(name, {"switch": True, "answer": False}.get(declaration.kind))
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
@@ -266,7 +268,7 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
     }
 
 
-def clashes(record: Any) -> list[str]:
+def clash_messages(record: Any) -> list[str]:
     """Return messages about chosen options that exclude or require others."""
     options, chosen = options_of(record), chosen_options(record)
     names = {name: option_marker(name, option) for name, option in options.items()}
@@ -280,16 +282,16 @@ def clashes(record: Any) -> list[str]:
                 messages.append(message or default_message)
         if option_a.goes_with and option_a.goes_with not in chosen:
             default_message = f"{names[name]} needs {names[option_a.goes_with]}"
-            messages.append(option_a.lacking or default_message)
+            messages.append(option_a.missing_message or default_message)
     return messages
 
 
 # Message template for a number of an entry in a file.
-OF_ENTRY = "its {name} must be {bound}, not {value:g}"
+ENTRY_RANGE_MESSAGE = "its {name} must be {bound}, not {value:g}"
 # Upper limit of options without another limit.
 MAX_NUMBER = 1e9
 # Message template for an argument.
-OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
+ARGUMENT_RANGE_MESSAGE = "{name} must be {bound}, not {value:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,9 +300,9 @@ class Range:
 
     bound: str  # description, as in "must be above 0"
     code: str
-    least: float
-    most: float = math.inf
-    reached: bool = True  # whether the minimum itself is valid
+    minimum: float
+    maximum: float = math.inf
+    includes_minimum: bool = True  # whether the minimum itself is valid
     finite: bool = False  # whether infinity is invalid
     count: int = 0  # number of components; 0 for a scalar
 
@@ -309,52 +311,58 @@ class Range:
         if value is None:
             return True
         values = value if self.count else (value,)
-        return len(values) == (self.count or 1) and all(map(self._holds, values))
+        return len(values) == (self.count or 1) and all(
+            map(self._holds_component, values)
+        )
 
-    def _holds(self, value: float) -> bool:
-        in_range = self.least <= value <= self.most
+    def _holds_component(self, value: float) -> bool:
+        in_range = self.minimum <= value <= self.maximum
         if self.finite and not math.isfinite(value):
             return False
-        return in_range and (self.reached or value > self.least)
+        return in_range and (self.includes_minimum or value > self.minimum)
 
 
-def above(least: float, code: str, *, finite: bool = False) -> Range:
+def above(minimum: float, code: str, *, finite: bool = False) -> Range:
     """Return a range above an excluded minimum.
 
     >>> above(0, "SIM004", finite=True).bound
     'finite and above 0'
     """
-    bound = _bound(f"above {least:g}", finite=finite)
-    return Range(bound, code, least, reached=False, finite=finite)
+    bound = _bound_text(f"above {minimum:g}", finite=finite)
+    return Range(bound, code, minimum, includes_minimum=False, finite=finite)
 
 
-def or_more(least: float, code: str, *, finite: bool = False) -> Range:
+def or_more(minimum: float, code: str, *, finite: bool = False) -> Range:
     """Return a range with a lower bound, worded "0 or more"."""
     return Range(
-        _bound(f"{least:g} or more", finite=finite), code, least, finite=finite
+        _bound_text(f"{minimum:g} or more", finite=finite), code, minimum, finite=finite
     )
 
 
-def at_least(least: float, code: str, *, finite: bool = False) -> Range:
+def at_least(minimum: float, code: str, *, finite: bool = False) -> Range:
     """Return a range with a lower bound, worded "at least 1e-06"."""
-    bound = _bound(f"at least {least:g}", finite=finite)
-    return Range(bound, code, least, finite=finite)
+    bound = _bound_text(f"at least {minimum:g}", finite=finite)
+    return Range(bound, code, minimum, finite=finite)
 
 
 def within(
-    least: float, code: str, most: float = MAX_NUMBER, *, reached: bool = True
+    minimum: float,
+    code: str,
+    maximum: float = MAX_NUMBER,
+    *,
+    includes_minimum: bool = True,
 ) -> Range:
     """Return a range between two finite numbers.
 
-    >>> within(0, "SIM062", 1.0, reached=False).bound
+    >>> within(0, "SIM062", 1.0, includes_minimum=False).bound
     'more than 0 and at most 1'
     """
-    bound = f"{least:g} or more" if reached else f"more than {least:g}"
-    bound += f" and at most {most:g}"
-    return Range(bound, code, least, most, reached, finite=True)
+    bound = f"{minimum:g} or more" if includes_minimum else f"more than {minimum:g}"
+    bound += f" and at most {maximum:g}"
+    return Range(bound, code, minimum, maximum, includes_minimum, finite=True)
 
 
-def _bound(text: str, *, finite: bool) -> str:
+def _bound_text(text: str, *, finite: bool) -> str:
     return f"finite and {text}" if finite else text
 
 
@@ -384,7 +392,7 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
     }
 
 
-def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
+def range_faults(record: Any, message: str = ARGUMENT_RANGE_MESSAGE) -> list[Fault]:
     """Return a fault for each number of a record that is out of range.
 
     >>> from animtool.systems.springs import SpringOptions
@@ -411,7 +419,7 @@ class Checked:
 
     def problems(self) -> list[tuple[str, str]]:
         """Return the invalid options, each with the reason."""
-        faults = range_faults(self, OF_ENTRY)
+        faults = range_faults(self, ENTRY_RANGE_MESSAGE)
         return [(str(fault.where), fault.message) for fault in faults]
 
     def faults(self, where: str) -> list[Fault]:

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 
 _DOCS = resources.files("animtool") / "docs"
 # Folders of pages, and the kind of their pages.
-KINDS = {
+PAGE_KINDS = {
     "tutorials": "Tutorials",
     "howto": "How-to guides",
     "reference": "Reference",
@@ -23,7 +23,7 @@ KINDS = {
     "": "More",
 }
 # Names of earlier pages, and the pages that refer to their new location.
-MOVED = {"guide": "reference/index", "formats": "reference/files"}
+MOVED_PAGES = {"guide": "reference/index", "formats": "reference/files"}
 # Pages by the subject that users search for.
 SUBJECTS = {
     "bring": "howto/fbx-and-gltf",
@@ -58,16 +58,16 @@ class PageEntry:
 
     @property
     def kind(self) -> str:
-        """Kind of the page: one of the values of `KINDS`."""
+        """Kind of the page: one of the values of `PAGE_KINDS`."""
         folder = self.name.partition("/")[0] if "/" in self.name else ""
-        return KINDS.get(folder, KINDS[""])
+        return PAGE_KINDS.get(folder, PAGE_KINDS[""])
 
 
 @cache
 def all_pages() -> tuple[PageEntry, ...]:
     """Return every page except rule pages, by kind and name."""
     docs = cast(Path, _DOCS)
-    order = list(KINDS.values())
+    order = list(PAGE_KINDS.values())
     entries = [
         PageEntry(path.relative_to(docs).with_suffix("").as_posix(), _title(path))
         for path in docs.rglob("*.md")
@@ -94,7 +94,7 @@ def find_page(topic: str) -> PageEntry:
     'tutorials/desk-lamp'
     """
     name = topic.lower().removesuffix(".md").strip("/")
-    name = (MOVED | SUBJECTS).get(name, name)
+    name = (MOVED_PAGES | SUBJECTS).get(name, name)
     pages = all_pages()
     matches = [page for page in pages if page.name == name]
     matches = matches or [page for page in pages if page.name.split("/")[-1] == name]
@@ -105,11 +105,11 @@ def find_page(topic: str) -> PageEntry:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in matches)}"
     else:
-        message, hint = f"unknown page {topic!r}", _hint(name)
+        message, hint = f"unknown page {topic!r}", _topic_hint(name)
     raise OptionError(Fault("CLI009", message, hint=hint))
 
 
-def _hint(topic: str) -> str:
+def _topic_hint(topic: str) -> str:
     """Return the pages on a subject, or the page with the nearest name."""
     pages = [page for page in all_pages() if page.name != "changelog"]
     counts = {page.name: _mentions(page, topic) for page in pages}

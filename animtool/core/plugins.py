@@ -29,18 +29,18 @@ def lazy_names(
     equal a module name. Names of modules are looked up as modules. An old name returns
     the object of its new name, with a warning.
 
-    >>> get, _ = lazy_names("animtool", {"Fault": "animtool.core.errors"})
-    >>> get("Fault")
+    >>> import_name, _ = lazy_names("animtool", {"Fault": "animtool.core.errors"})
+    >>> import_name("Fault")
     <class 'animtool.core.errors.Fault'>
     """
     names = vars(sys.modules[package])
 
-    def get(name: str) -> object:
+    def import_name(name: str) -> object:
         """Import a public name when it is first used."""
         if name in old_names:
             text = f"{name} is now called {old_names[name]}"
             warnings.warn(text, DeprecationWarning, stacklevel=2)
-            return get(old_names[name])
+            return import_name(old_names[name])
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = importlib.import_module(modules[name])
@@ -51,7 +51,7 @@ def lazy_names(
     def listed() -> list[str]:
         return sorted(modules)
 
-    return get, listed
+    return import_name, listed
 
 
 Kind = TypeVar("Kind")
@@ -72,16 +72,16 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name.
 
     Reading them takes tens of milliseconds; it is therefore deferred until a table
-    lacks an entry, or `may_have` reports some.
+    lacks an entry, or `may_have_plugins` reports some.
     """
-    if not may_have(group):
+    if not may_have_plugins(group):
         return {}
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=group)}
 
 
-def may_have(group: str) -> bool:
+def may_have_plugins(group: str) -> bool:
     """Return whether a package has entry points of a group, without loading it.
 
     If packages are not all in folders, it returns True.
@@ -180,22 +180,24 @@ class FormatTable(Generic[Entry]):
         suffix = path.suffix.lower()
         if suffix in self.builtin:
             return self.builtin[suffix]
-        point = self._points().get(suffix) if suffix else None
+        point = self._points_by_suffix().get(suffix) if suffix else None
         return None if point is None else load_plugin(point, self.kind)
 
-    def _points(self) -> dict[str, EntryPoint]:
+    def _points_by_suffix(self) -> dict[str, EntryPoint]:
         """Return the entry points by suffix, with its dot."""
         return {f".{name}": p for name, p in sorted(plugin_points(self.group).items())}
 
     def plugin_suffixes(self) -> list[str]:
         """Return the suffixes that only plug-ins have."""
-        return [suffix for suffix in self._points() if suffix not in self.builtin]
+        return [
+            suffix for suffix in self._points_by_suffix() if suffix not in self.builtin
+        ]
 
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
     ) -> list[ListedEntry]:
         """Return every entry, built-in ones first, plug-ins loaded."""
-        points = self._points()
+        points = self._points_by_suffix()
 
         def find(suffix: str) -> Entry:
             if suffix in self.builtin:

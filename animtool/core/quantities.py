@@ -20,13 +20,13 @@ import re
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Control characters, line ends, zero-width characters, changes of text direction, and
 # joiners except between joined letters.
-_UNSEEN = (
+_INVISIBLE = (
     f"{CONTROL}\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
     "\ufeff\ufff9-\ufffb\ufffe\uffff\U000e0000-\U000e007f"
 )
 _JOINER = "(?<![^\x00-\x7f])[\u200c\u200d]|[\u200c\u200d](?![^\x00-\x7f])"
-_COMMAND = r"#(?=#\w{0,9}\[)"
-_CHARACTERS_TO_ESCAPE = re.compile(f"[{_UNSEEN}]|{_JOINER}|{_COMMAND}")
+_PIPELINE_COMMAND = r"#(?=#\w{0,9}\[)"
+_CHARACTERS_TO_ESCAPE = re.compile(f"[{_INVISIBLE}]|{_JOINER}|{_PIPELINE_COMMAND}")
 _LEADING_COLON = re.compile(r"\A(\s*):(?=:)")
 _SHORT_ESCAPES = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
@@ -82,7 +82,7 @@ def _escape_json(match: re.Match[str]) -> str:
 
 
 # Minimum for using a unit, its size, and its name.
-_LENGTHS = (
+_LENGTH_UNITS = (
     (1.0, 1.0, "m"),
     (1e-6, 1e-3, "mm"),
     (1e-9, 1e-6, "µm"),
@@ -94,27 +94,27 @@ MAX_ZEROS = 15
 MIN_LENGTH = 1e-12
 # Smaller angles are rounding errors of float64 [deg].
 MIN_ANGLE = 1e-6
-_DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
-_SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
+_DURATION_UNITS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
+_SIZE_UNITS = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
 
-def floored(value: float) -> float:
+def floor_to_two_digits(value: float) -> float:
     """Return the largest number of two digits that is not above a positive one.
 
-    >>> floored(0.00128), floored(0.0349)
+    >>> floor_to_two_digits(0.00128), floor_to_two_digits(0.0349)
     (0.0012, 0.034)
     """
     exponent = math.floor(math.log10(value)) - 1
     return float(f"{math.floor(value / 10.0**exponent)}e{exponent}")
 
 
-def plain(value: float, digits: int = 3) -> str:
+def plain_number(value: float, digits: int = 3) -> str:
     """Return a number with some significant digits and no exponent.
 
     Beyond some fifteen zeros it has an exponent.
 
-    >>> plain(1614.2), plain(0.000267), plain(26.2), plain(0.0), plain(5e-324)
-    ('1610', '0.000267', '26.2', '0', '4.94e-324')
+    >>> [plain_number(value) for value in (1614.2, 0.000267, 26.2, 0.0, 5e-324)]
+    ['1610', '0.000267', '26.2', '0', '4.94e-324']
     """
     if not math.isfinite(value):
         return f"{value:g}"
@@ -137,7 +137,7 @@ def length_text(meters: float, digits: int = 3) -> str:
     """
     if 0 < abs(meters) < MIN_LENGTH:
         return "below 0.001 nm"
-    return _text(meters, _LENGTHS, "mm", digits)
+    return _unit_text(meters, _LENGTH_UNITS, "mm", digits)
 
 
 def angle_text(degrees: float, digits: int = 3) -> str:
@@ -147,8 +147,8 @@ def angle_text(degrees: float, digits: int = 3) -> str:
     ('26.25°', '0.000267°', 'below 0.000001°', '0°')
     """
     if 0 < abs(degrees) < MIN_ANGLE:
-        return f"below {plain(MIN_ANGLE)}°"
-    return f"{plain(degrees, digits)}°"
+        return f"below {plain_number(MIN_ANGLE)}°"
+    return f"{plain_number(degrees, digits)}°"
 
 
 def duration_text(seconds: float, digits: int = 3) -> str:
@@ -157,7 +157,7 @@ def duration_text(seconds: float, digits: int = 3) -> str:
     >>> duration_text(1.61e-3), duration_text(72.4), duration_text(3e-5)
     ('1.61 ms', '72.4 s', '30 µs')
     """
-    return _text(seconds, _DURATIONS, "s", digits)
+    return _unit_text(seconds, _DURATION_UNITS, "s", digits)
 
 
 def size_text(size: float, digits: int = 3) -> str:
@@ -166,10 +166,10 @@ def size_text(size: float, digits: int = 3) -> str:
     >>> size_text(5160), size_text(20)
     ('5.16 kB', '20 B')
     """
-    return _text(size, _SIZES, "B", digits)
+    return _unit_text(size, _SIZE_UNITS, "B", digits)
 
 
-def _text(
+def _unit_text(
     value: float,
     units: tuple[tuple[float, float, str], ...],
     zero: str,
@@ -178,4 +178,4 @@ def _text(
     if not value:
         return f"0 {zero}"
     _, unit, name = next(entry for entry in units if abs(value) >= entry[0])
-    return f"{plain(value / unit, digits)} {name}"
+    return f"{plain_number(value / unit, digits)} {name}"

@@ -164,7 +164,7 @@ def rate_from_float(fps: float) -> Fraction:
     if not 0 < fps < float("inf"):
         raise ValueError(f"{fps!r} is not a positive number")
     exact_rate = Fraction(fps)
-    known_rate = _BROADCAST.get(f"{fps:g}")
+    known_rate = _BROADCAST_RATES.get(f"{fps:g}")
     if known_rate is not None:
         return known_rate
     integer, broadcast = round(exact_rate), round(exact_rate * 1001 / 1000)
@@ -178,7 +178,7 @@ def rate_from_float(fps: float) -> Fraction:
 
 
 # Common decimals for the broadcast rates.
-_BROADCAST = {
+_BROADCAST_RATES = {
     "23.976": Fraction(24000, 1001),
     "23.98": Fraction(24000, 1001),
     "29.97": Fraction(30000, 1001),
@@ -198,7 +198,7 @@ def exact_number(text: FractionLike) -> Fraction:
     >>> exact_number("1e-3")
     Fraction(1, 1000)
     """
-    text = (text if isinstance(text, str) else _digits(text)).strip()
+    text = (text if isinstance(text, str) else _number_text(text)).strip()
     exponent = text.lower().partition("e")[2]
     # Numbers of millions of digits would take hours.
     if len(text) > MAX_DIGITS or len(exponent) > len("-300"):
@@ -218,10 +218,10 @@ def parse_rate(text: FractionLike) -> Fraction:
     Fraction(30000, 1001)
     """
     if not isinstance(text, str):
-        text = _digits(text)
+        text = _number_text(text)
     text = text.strip()
-    if text in _BROADCAST:
-        return _BROADCAST[text]
+    if text in _BROADCAST_RATES:
+        return _BROADCAST_RATES[text]
     try:
         rate = exact_number(text)
     except (ValueError, ArithmeticError) as error:
@@ -236,7 +236,7 @@ def parse_rate(text: FractionLike) -> Fraction:
     return rate
 
 
-def _digits(number: object) -> str:
+def _number_text(number: object) -> str:
     """Return a number as text for `Fraction`; other values unchanged."""
     if isinstance(number, float):
         return f"{number:.12g}"

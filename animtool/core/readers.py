@@ -16,7 +16,7 @@ from animtool.core.files.reading import (
     exists,
     not_a_file_reason,
     open_input,
-    unreadable,
+    unreadable_error,
 )
 from animtool.core.plugins import FormatTable, ListedEntry, load_object, suffix_text
 from animtool.core.record import dataclass
@@ -61,29 +61,29 @@ class Reader:
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
         """Return the function that opens a rig; see `source_opener`."""
-        return _opener(self.rig, "rig", path)
+        return _load_opener(self.rig, "rig", path)
 
     def source_opener(self, path: Path) -> Callable[..., Any]:
         """Return the opener of a source (unsupported: IO002; broken: IO003)."""
-        return _opener(self.source, "motion", path)
+        return _load_opener(self.source, "motion", path)
 
     def prim_opener(self, path: Path) -> Callable[..., Any]:
         """Return the function that opens an object; see `source_opener`."""
-        return _opener(self.prim, "prim", path)
+        return _load_opener(self.prim, "prim", path)
 
     def take_names(self, path: Path) -> list[str]:
         """Return the names of a file's takes, if it may have several."""
         if not self.takes:
             return []
-        return list(_opener(self.takes, "takes", path)(path))
+        return list(_load_opener(self.takes, "takes", path)(path))
 
     def markers_opener(self, path: Path) -> Callable[..., Any]:
         """Return the function that opens markers; see `source_opener`."""
-        return _opener(self.markers, "markers", path)
+        return _load_opener(self.markers, "markers", path)
 
 
 # A zip file of a stage and its dependencies.
-PACKAGE = ".usdz"
+USD_PACKAGE_SUFFIX = ".usdz"
 
 BVH = Reader(
     "Biovision Hierarchy",
@@ -155,22 +155,22 @@ STO = Reader(
 )
 
 _MARKER_OPTIONS = ("unit", "up", "fps", "rig", "template", "progress")
-_SOLVE = "animtool.capture.solve.source:open_markers_source"
+_OPEN_MARKERS = "animtool.capture.solve.source:open_markers_source"
 C3D = Reader(
     "C3D markers",
-    source=_SOLVE,
+    source=_OPEN_MARKERS,
     options=_MARKER_OPTIONS,
     markers="animtool.formats.c3d.read:read_c3d",
 )
 TRC = Reader(
     "TRC markers",
-    source=_SOLVE,
+    source=_OPEN_MARKERS,
     options=_MARKER_OPTIONS,
     markers="animtool.formats.trc.read:read_trc",
 )
 ARRAYS = Reader(
     "arrays of markers",
-    source=_SOLVE,
+    source=_OPEN_MARKERS,
     options=(*_MARKER_OPTIONS, "cameras"),
     markers="animtool.formats.marker_arrays:read_markers",
 )
@@ -180,7 +180,7 @@ READERS: dict[str, Reader] = {
     ".usd": USD,
     ".usda": USD,
     ".usdc": USD,
-    PACKAGE: USD,
+    USD_PACKAGE_SUFFIX: USD,
     ".glb": GLTF,
     ".gltf": GLTF,
     ".vrm": GLTF,
@@ -213,7 +213,7 @@ TIMELINE_SUFFIXES = (
 
 
 # Formats of applications, with the formats to export to.
-EXPORTS: dict[str, tuple[str, str]] = {
+EXPORT_HINTS: dict[str, tuple[str, str]] = {
     ".ma": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".mb": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".anim": (
@@ -254,8 +254,8 @@ _TABLE = FormatTable(READERS, PLUGIN_GROUP, Reader)
 # Number of bytes that are searched for the root element of an .xml file, and the root
 # elements of timelines, which OpenTimelineIO reads.
 HEAD_BYTES = 65_536
-_ROOT = re.compile(rb"<(?![?!])\s*([^\s/>]{1,100})")
-_COMMENTS = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
+_ROOT_ELEMENT = re.compile(rb"<(?![?!])\s*([^\s/>]{1,100})")
+_XML_COMMENTS = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
 _TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
 
 
@@ -266,7 +266,7 @@ def xml_root(path: Path) -> str:
             head = file.read(HEAD_BYTES)
     except FormatError:
         return ""
-    match = _ROOT.search(_COMMENTS.sub(b"", head.replace(b"\0", b"")))
+    match = _ROOT_ELEMENT.search(_XML_COMMENTS.sub(b"", head.replace(b"\0", b"")))
     return match[1].decode("utf-8", "replace") if match else ""
 
 
@@ -328,8 +328,8 @@ def find_reader(path: Path) -> Reader:
     reason = not_a_file_reason(path)
     if reason is not None:
         missing = FileNotFoundError() if not exists(path) else reason
-        raise unreadable(path, missing)
-    if path.suffix.lower() in EXPORTS:
+        raise unreadable_error(path, missing)
+    if path.suffix.lower() in EXPORT_HINTS:
         raise OptionError(export_fault(path))
     message = f"{suffix_text(path)} is not a format that animtool reads"
     hint = f"allowed: {', '.join(readable_suffixes())}"
@@ -344,7 +344,7 @@ def find_reader(path: Path) -> Reader:
 
 def export_fault(path: Path) -> Fault:
     """Return the fault of a file to export to a readable format (IO002)."""
-    about, hint = EXPORTS[path.suffix.lower()]
+    about, hint = EXPORT_HINTS[path.suffix.lower()]
     message = f"{path.suffix} is not read: it is {about}"
     return Fault("IO002", message, str(path), (), hint)
 
@@ -359,7 +359,7 @@ _INSTEAD = {
 }
 
 
-def _opener(target: str, content: str, path: Path) -> Callable[..., Any]:
+def _load_opener(target: str, content: str, path: Path) -> Callable[..., Any]:
     if not target:
         message = f"{path.suffix} files hold no {content}"
         hint = _INSTEAD.get(content)
@@ -378,9 +378,9 @@ def listed_readers() -> list[ListedEntry]:
     >>> listed_readers()[0].name
     '.bvh'
     """
-    return _TABLE.listed(_opens, lambda reader: reader.about)
+    return _TABLE.listed(_contents, lambda reader: reader.about)
 
 
-def _opens(reader: Reader) -> tuple[str, ...]:
+def _contents(reader: Reader) -> tuple[str, ...]:
     objects = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
     return tuple(name for name, target in objects.items() if target)

@@ -153,14 +153,14 @@ def _methods(
         "__match_args__": positional_names,
     }
     if flags.repr:
-        methods["__repr__"] = _shower(
+        methods["__repr__"] = _repr_method(
             [e.name for e in declared_fields.values() if e.repr]
         )
     if flags.eq:
-        methods["__eq__"] = _comparer(
+        methods["__eq__"] = _eq_method(
             [record_field.name for record_field in compared_fields]
         )
-        methods["__hash__"] = _hasher(
+        methods["__hash__"] = _hash_method(
             [record_field.name for record_field in hashed_fields]
         )
     if flags.frozen:
@@ -223,7 +223,7 @@ def _initializer(
                     )
                 )
             ):
-                _refuse(self, positional, named)
+                _raise_argument_error(self, positional, named)
             for name, value in values.items():
                 put(self, name, value)
         if has_post_init:
@@ -239,7 +239,7 @@ def _is_repeated_or_unknown(
     return any(name in keyword_arguments for names in known_names for name in names)
 
 
-def _refuse(
+def _raise_argument_error(
     record: Any, positional: tuple[Any, ...], keyword_arguments: Mapping[str, Any]
 ) -> None:
     """Raise Python's error for arguments that do not fit."""
@@ -295,7 +295,7 @@ def _getter(names: list[str]) -> Callable[[Any], Any]:
     return lambda _: ()
 
 
-def _comparer(names: list[str]) -> Callable[[Any, Any], Any]:
+def _eq_method(names: list[str]) -> Callable[[Any, Any], Any]:
     values = _getter(names)
 
     def __eq__(self: Any, other: object) -> Any:  # noqa: N807
@@ -307,7 +307,7 @@ def _comparer(names: list[str]) -> Callable[[Any, Any], Any]:
     return __eq__
 
 
-def _hasher(names: list[str]) -> Callable[[Any], int]:
+def _hash_method(names: list[str]) -> Callable[[Any], int]:
     values = _getter(names)
 
     def __hash__(self: Any) -> int:  # noqa: N807
@@ -316,7 +316,7 @@ def _hasher(names: list[str]) -> Callable[[Any], int]:
     return __hash__
 
 
-def _shower(names: list[str]) -> Callable[[Any], str]:
+def _repr_method(names: list[str]) -> Callable[[Any], str]:
     def __repr__(self: Any) -> str:  # noqa: N807
         kind = type(self)
         # A record that contains itself through a list would recurse forever.

@@ -153,25 +153,25 @@ def _parse_page(text: str) -> tuple[Rule, str]:
     """Return the code that a page's front matter declares, and the text of the page."""
     _, front_matter, page_body = text.split("---\n", 2)
     values = dict(line.split(": ", 1) for line in front_matter.splitlines())
-    kinds = frozenset(map(Kind, _list(values.get("kind", ""))))
+    kinds = frozenset(map(Kind, _list_value(values.get("kind", ""))))
     rule = Rule(
         values["code"],
-        _text(values["title"]),
+        _text_value(values["title"]),
         Severity(values["severity"]),
         next(iter(kinds)) if len(kinds) == 1 else kinds or None,
         values.get("check", ""),
         "takes" in values,
-        _text(values.get("hint", "")),
-        _list(values.get("replaces", "")),
+        _text_value(values.get("hint", "")),
+        _list_value(values.get("replaces", "")),
     )
     return rule, f"# {rule.code}: {rule.title}\n{page_body}"
 
 
-def _text(value: str) -> str:
+def _text_value(value: str) -> str:
     return str(json.loads(value)) if value.startswith('"') else value
 
 
-def _list(value: str) -> tuple[str, ...]:
+def _list_value(value: str) -> tuple[str, ...]:
     return tuple(value.strip("[]").split(", ")) if value else ()
 
 
@@ -183,7 +183,7 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     """
     rules = dict(builtin_rules())
     failed: list[Fault] = []
-    for entry_point in _points():
+    for entry_point in _rule_points():
         rule_or_fault = _load_rule(entry_point)
         if isinstance(rule_or_fault, Rule):
             rules[rule_or_fault.code] = rule_or_fault
@@ -195,7 +195,7 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
 def listed_rules() -> list[ListedEntry]:
     """Return the rules of plug-ins, loaded, and the kinds of files that they check."""
     listed = []
-    for point in _points():
+    for point in _rule_points():
         loaded = _load_rule(point)
         if isinstance(loaded, Rule):
             kind, about = ", ".join(sorted(loaded.kinds)), loaded.title
@@ -265,7 +265,7 @@ def find_rule(code: str) -> Rule:
     return rules[name]
 
 
-def _points() -> list[EntryPoint]:
+def _rule_points() -> list[EntryPoint]:
     return [point for _, point in sorted(plugin_points(PLUGIN_GROUP).items())]
 
 

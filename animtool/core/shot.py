@@ -30,12 +30,12 @@ class MediaTimecode:
     Attributes:
         rate: Frame rate of the labels.
         first: Time of the media's first frame [s].
-        drop: Whether labels are drop-frame.
+        drop_frame: Whether labels are drop-frame.
     """
 
     rate: Fraction
     first: Fraction = Fraction(0)
-    drop: bool = False
+    drop_frame: bool = False
 
     def label(self, seconds: Fraction) -> str:
         """Return the time code of a media time [s]; without a rate the seconds.
@@ -46,7 +46,7 @@ class MediaTimecode:
         time = self.first + seconds
         try:
             frame = math.floor(time * self.rate + FRAME_TOLERANCE)
-            return timecode_label(frame, self.rate, drop=self.drop)
+            return timecode_label(frame, self.rate, drop=self.drop_frame)
         except ValueError:
             return f"{float(time):.7g} s"
 

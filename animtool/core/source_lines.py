@@ -21,7 +21,7 @@ CONTEXT_BEFORE = 32
 
 
 @dataclass(slots=True)
-class Sources:
+class SourceLineCache:
     """Source lines of files; the last file is cached."""
 
     path: str | None = None  # path of the cached file
@@ -42,10 +42,10 @@ def _lines(path: Path) -> list[str]:
         return []
 
 
-def cut(line: str, column: int) -> Iterator[str]:
+def crop_line(line: str, column: int) -> Iterator[str]:
     """Yield a source line, and a line with a caret below a 1-based column.
 
-    >>> list(cut("joints: []", 9))
+    >>> list(crop_line("joints: []", 9))
     ['joints: []', '        ^']
     """
     line_part = line.rstrip()
@@ -62,7 +62,7 @@ def cut(line: str, column: int) -> Iterator[str]:
     yield " " * (column - 1 - offset) + "^"
 
 
-def excerpt_lines(fault: Fault, sources: Sources) -> tuple[str, ...]:
+def excerpt_lines(fault: Fault, sources: SourceLineCache) -> tuple[str, ...]:
     """Return the source line of a fault, and a caret line; empty without a line."""
     if fault.path is None or not fault.lines:
         return ()
@@ -70,6 +70,6 @@ def excerpt_lines(fault: Fault, sources: Sources) -> tuple[str, ...]:
     line = sources.line(fault.path, number)
     if line is None or not line.strip():
         return ()
-    text, caret = cut(line, fault.column or len(line) - len(line.lstrip()) + 1)
+    text, caret = crop_line(line, fault.column or len(line) - len(line.lstrip()) + 1)
     margin = f"{number:>5} | "
     return margin + text, " " * (len(margin) - 2) + "| " + caret

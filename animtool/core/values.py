@@ -49,7 +49,7 @@ def _plain_parts(value: Any) -> Any:
     """Return containers as plain values."""
     keys = getattr(value, "json_keys", None)
     if isinstance(keys, str):
-        return picked(value, keys)
+        return template_values(value, keys)
     if is_dataclass(value):
         return _fields_of(value)
     if hasattr(value, "tolist"):  # an array, or an element of one
@@ -65,20 +65,21 @@ def _fields_of(record: Any) -> dict[str, Any]:
     }
 
 
-def picked(record: Any, keys: str) -> dict[str, Any]:
+def template_values(record: Any, keys: str) -> dict[str, Any]:
     """Return values of a record by a template of keys.
 
     >>> from fractions import Fraction
-    >>> picked(Fraction(1, 3), "over=denominator numerator one=denominator{real}")
+    >>> template = "over=denominator numerator one=denominator{real}"
+    >>> template_values(Fraction(1, 3), template)
     {'over': 3, 'numerator': 1, 'one': {'real': 3}}
     """
-    return _values_of(record, parsed(keys))
+    return _values_of(record, parse_template(keys))
 
 
-def at_path(value: Any, path: str) -> Any:
+def value_at_path(value: Any, path: str) -> Any:
     """Return a nested field or mapping value; None below None.
 
-    >>> at_path({"a": 3.5}, "a.real")
+    >>> value_at_path({"a": 3.5}, "a.real")
     3.5
     """
     for name in filter(None, path.split(".")):
@@ -102,7 +103,7 @@ _TOKEN = re.compile(r"\s*(?:(\})|'([^']+)'|(\*)?(?:(\w+)=)?([\w.]*)([?+#~]*)(\{)
 
 
 @cache
-def parsed(template: str) -> tuple[JsonKey, ...]:
+def parse_template(template: str) -> tuple[JsonKey, ...]:
     """Return the keys of a template.
 
     Raises:
@@ -136,17 +137,17 @@ def _parse_keys(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
 def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for json_key in keys:
-        value = at_path(record, json_key.path)
+        value = value_at_path(record, json_key.path)
         if json_key.sign == "'":
             values[json_key.key] = VERSION
         elif not json_key.key:
-            values |= _spread(record, value, json_key)
+            values |= _spread_value(record, value, json_key)
         elif not _is_left_out(value, json_key.sign):
             values[json_key.key] = _value_of_key(value, json_key)
     return values
 
 
-def _spread(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
+def _spread_value(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
     """Return the keys of a value, or all fields of the record."""
     if value is None:
         return {}

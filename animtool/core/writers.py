@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import exists
-from animtool.core.names import KINDS, is_named
+from animtool.core.names import FILE_KINDS, has_kind_suffix
 from animtool.core.plugins import FormatTable, ListedEntry, load_object, suffix_text
 from animtool.core.record import dataclass
 
@@ -113,12 +113,12 @@ LIVELINK = Writer(
     holds=frozenset({"shapes"}),
     samples="weights of ARKit's shapes",
 )
-_MOT = "animtool.formats.mot.write:mot_text"
+_MOT_TEXT = "animtool.formats.mot.write:mot_text"
 MOT, STO = (
     Writer(
         name,
         about,
-        text=_MOT,
+        text=_MOT_TEXT,
         holds=frozenset({"joints"}),
         samples="samples of joint coordinates",
         numbered=True,
@@ -187,7 +187,11 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     writer = writer_of(path)
     if writer is not None and writer.holds_motion:
         inner_suffix = Path(path.stem).suffix.lower().removeprefix(".")
-        if writer is not CLIP or inner_suffix not in KINDS or inner_suffix == "clip":
+        if (
+            writer is not CLIP
+            or inner_suffix not in FILE_KINDS
+            or inner_suffix == "clip"
+        ):
             return writer
         message = f"is the name of a {inner_suffix} file, which holds no motion"
     elif writer is not None:
@@ -197,8 +201,8 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
         if not path.suffix:
             message = "has no suffix, which tells the format"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
-    if writer is None and path.suffix.lower() in _READ_ONLY:
-        message, hint = _read_only(path)
+    if writer is None and path.suffix.lower() in _READ_ONLY_FORMATS:
+        message, hint = _read_only_error_parts(path)
     if not path.suffix and path.name and exists(path) and path.is_dir():
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
@@ -211,7 +215,7 @@ _ROBOT_HINT = (
     "write .rig.yaml or USD of the robot, and USD, .mot or .clip.yaml of its motion"
 )
 # Read-only formats, and their replacements for writing, by suffix.
-_READ_ONLY = {
+_READ_ONLY_FORMATS = {
     ".fbx": (
         "FBX",
         "write .usdc for Maya, Houdini, Unreal and Blender, .glb for Blender, Unity "
@@ -223,9 +227,9 @@ _READ_ONLY = {
 }
 
 
-def _read_only(path: Path) -> tuple[str, str]:
+def _read_only_error_parts(path: Path) -> tuple[str, str]:
     """Return the message and hint of a read-only format."""
-    name, hint = _READ_ONLY[path.suffix.lower()]
+    name, hint = _READ_ONLY_FORMATS[path.suffix.lower()]
     return f"{name} is read, and not written", hint
 
 
@@ -235,7 +239,7 @@ def holds_rig(path: Path) -> bool:
     >>> holds_rig(Path("arm.usda")), holds_rig(Path("arm.bvh"))
     (True, False)
     """
-    writer = RIG if is_named(path, "rig") else writer_of(path)
+    writer = RIG if has_kind_suffix(path, "rig") else writer_of(path)
     return writer is not None and bool(writer.rig)
 
 
@@ -252,13 +256,13 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
 
 def rig_writer(path: Path) -> Callable[..., Any]:
     """Return the function that writes a rig to a file (else OUT004)."""
-    writer = RIG if is_named(path, "rig") else writer_of(path)
+    writer = RIG if has_kind_suffix(path, "rig") else writer_of(path)
     if writer is None or not writer.rig:
         message = f"suffix {path.suffix!r} cannot hold a rig"
         suffixes = [suffix for suffix, one in WRITERS.items() if one.rig]
         hint = f"allowed: {', '.join(sorted(suffixes))}"
-        if path.suffix.lower() in _READ_ONLY:
-            message, hint = _read_only(path)
+        if path.suffix.lower() in _READ_ONLY_FORMATS:
+            message, hint = _read_only_error_parts(path)
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., Any], load_object(writer.rig))
 
@@ -294,10 +298,10 @@ def listed_writers() -> list[ListedEntry]:
     >>> listed_writers()[0].name
     '.bvh'
     """
-    return _TABLE.listed(_writes, lambda writer: writer.about)
+    return _TABLE.listed(_contents, lambda writer: writer.about)
 
 
-def _writes(writer: Writer) -> tuple[str, ...]:
+def _contents(writer: Writer) -> tuple[str, ...]:
     contents: dict[str, Any] = {
         "motion": writer.holds_motion,
         "markers": writer.markers,

@@ -3,59 +3,32 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from animtool.core.arguments import flag
-from animtool.core.errors import Fault, excerpt, listed
-from animtool.core.names import KINDS, by_likeness, nearest, similar
+from animtool.core.errors import Fault
 from animtool.core.options import Key
-from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.documents.forms import (
-    components,
-    example_hint,
-    form_hint,
-    missing_key_hint,
-    paired_entries,
-)
-from animtool.documents.other_words import AXES, OTHER_KEYS, options_meant
-from animtool.documents.placeholders import (
-    annotation_at,
-    fields_at,
-    fields_of,
-    models_of,
-    placeholder_of,
-    replaced,
-)
-from animtool.documents.value_faults import (
-    expected_structures,
-    is_angles,
-    type_fault,
-    value_hint,
-    values_message,
+from animtool.documents.model_faults import (
+    LocatedFaults,
+    ModelFaults,
+    key_meant,
+    note_renamed,
+    wrong_values,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
-from animtool.documents.yaml_text import flow_text
-from animtool.documents.yaml_values import flow_value
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
     ModelMetaclass = type(BaseModel)
 
-# Faulty values to replace by placeholders before validation stops.
-MAX_REPLACED = 200
-# Unknown keys of an entry of which one is named, and not each.
-MIN_UNKNOWN = 2
-
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
-LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
 class _KeyedModels(ModelMetaclass):
@@ -113,29 +86,7 @@ def validated(document: Document, model: type[Model]) -> Model:
         except ValidationError as error:
             if value is document.value:
                 value = copy.deepcopy(value)
-            _Faults(document, model, value).replace_faulty(error)
-
-
-def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
-    """Return the fault of each wrong value outside of a model."""
-    by_location = _by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
-    ancestors = {
-        location[:depth]
-        for location, _ in by_location
-        for depth in range(len(location))
-    }
-    located: LocatedFaults = []
-    unpaired: set[Location] = set()  # lists of numbers where pairs are needed
-    for (location, _), faults in by_location.items():
-        if location in ancestors or location[:-1] in unpaired:
-            continue
-        hint = value_hint(location[-1], faults) if location else None
-        is_entry = len(location) > 1 and isinstance(location[-1], int)
-        if is_entry and hint is None and expected_structures(faults) == {"a list"}:
-            unpaired.add(location[:-1])
-            hint = "write pairs, such as [[1, 0], [24, 1]]"
-        located.append((location, Fault("SCN002", values_message(faults), hint=hint)))
-    return located
+            ModelFaults(document, model, value).replace_faulty(error)
 
 
 def unknown_options(
@@ -146,26 +97,8 @@ def unknown_options(
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
         if key not in names
-        for hint, _ in [_key_meant(key, names)]
+        for hint, _ in [key_meant(key, names)]
     ]
-
-
-def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
-    """Return a hint for an unknown key, and the key that was likely meant."""
-    normalized = key.replace("_", "").lower()
-    other_key = next(
-        (
-            candidate
-            for candidate in OTHER_KEYS.get(normalized, ())
-            if candidate in names
-        ),
-        None,
-    )
-    if other_key is not None:
-        return f"the key is {other_key!r}", other_key
-    if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
-        return f"allowed: {', '.join(by_likeness(key, names))}", None
-    return nearest(key, names), similar(key, names)
 
 
 def record_of_options(
@@ -178,7 +111,7 @@ def record_of_options(
     keys = {name: name for name in known_options}
     for (key, *_), _fault in faults:
         # A misspelt key is not missing too.
-        meant = _key_meant(str(key), names)[1]
+        meant = key_meant(str(key), names)[1]
         if meant is not None and meant not in known_options:
             known_options[meant], keys[meant] = options[str(key)], str(key)
     try:
@@ -209,314 +142,5 @@ def renamed_options(
             result[key] = value
             continue
         result[name] = value
-        _note_renamed(document, (*at, key), name)
+        note_renamed(document, (*at, key), name)
     return result
-
-
-def _note_renamed(document: Document, location: Location, name: str) -> None:
-    """Warn of a renamed key (DOC102)."""
-    *parent, key = location
-    document.spellings[*parent, name] = str(key)
-    message = f"the key {key!r} is now called {name!r}"
-    hint = f"animtool migrate FILE {flag('overwrite')} renames it"
-    document.warn("DOC102", (*parent, name), message, hint)
-
-
-@dataclass(slots=True)
-class _Faults:
-    """Faults of a value, recorded and replaced by placeholders in the value."""
-
-    document: Document  # where faults are recorded
-    model: type[BaseModel]  # model of the value
-    value: Any  # the document's value, with placeholders
-
-    def replace_faulty(self, error: ValidationError) -> None:
-        """Record the faults of a validation attempt and replace the faulty values."""
-        errors = error.errors(include_url=False)
-        by_location = _by_location(self.value, errors[:MAX_REPLACED])
-        ancestors = {
-            location[:depth]
-            for location, _ in by_location
-            for depth in range(len(location))
-        }
-        by_kind: dict[str, list[tuple[Location, str]]] = {}
-        for key, faults in by_location.items():
-            by_kind.setdefault(faults[0]["type"], []).append(key)
-        known = frozenset(self.document.doubts)
-        # In this order: a misspelt key is not missing too.
-        unknown = [location for location, _ in by_kind.pop("extra_forbidden", ())]
-        entries = {at[:-1] for at in unknown if at[:-1] and isinstance(at[-2], int)}
-        strange = {at for at in sorted(entries, key=str) if self._no_known_key(at)}
-        for location in unknown:
-            if location[:-1] not in strange:
-                self._unknown_key(location)
-        for location, missing in by_kind.pop("missing", ()):
-            self._missing_key(location, missing)
-        for key in [key for keys in by_kind.values() for key in keys]:
-            # In a union, the author meant the member with the most deeply nested
-            # faults.
-            new = self.document.doubts - known
-            if key[0] not in ancestors | new and key[0][:-1] not in new:
-                self._wrong_value(key[0], by_location[key])
-        if len(errors) > MAX_REPLACED:
-            self.document.check()
-
-    def _unknown_key(self, location: Location) -> None:
-        *steps, key = location
-        mapping = tuple(steps)
-        names = fields_at(self.model, self.value, mapping)
-        node = self.value
-        for step in mapping:
-            node = node[step]
-        if self._vector_of_keys(mapping):
-            return
-        if key not in node or self._paired_key(mapping, node):
-            return
-        value = node.pop(key)
-        kind = next((name for name in KINDS if name in self.value), "")
-        renamed_key = new_key(kind, location, value)
-        if renamed_key in names and renamed_key not in node:
-            node[renamed_key] = value
-            _note_renamed(self.document, location, renamed_key)
-            return
-        if self._depends_on_kind(location):
-            return
-        if str(key).startswith("-"):
-            self._tight_dash(location, node)
-            return
-        message = f"unknown key {excerpt(str(key))}"
-        hint, meant_key = _key_meant(str(key), names)
-        if hint.startswith("allowed"):
-            hint = self._key_of_sibling(mapping, node, str(key)) or hint
-        self.document.add("DOC020", location, message, hint, at_key=True)
-        if meant_key and meant_key not in node:
-            # Its names may be referenced, but whether it was meant is unknown.
-            node[meant_key] = value
-            self.document.spellings[*mapping, meant_key] = str(key)
-            self.document.guesses.add((*mapping, meant_key))
-
-    def _key_of_sibling(
-        self, mapping: Location, node: dict[str, Any], key: str
-    ) -> str | None:
-        """Return a hint that names a sibling mapping where an unknown key is valid."""
-        for sibling, value in node.items():
-            within = value[0] if isinstance(value, list) and value else value
-            inner = (0,) if within is not value else ()
-            if isinstance(within, dict):
-                location = (*mapping, sibling, *inner)
-                if key in fields_at(self.model, self.value, location):
-                    return f"it is a key of {sibling!r}: write it there"
-        return None
-
-    def _no_known_key(self, mapping: Location) -> bool:
-        """Record once that a list entry has no known key."""
-        node = self.value
-        for step in mapping:
-            node = node[step]
-        names = fields_at(self.model, self.value, mapping)
-        unknown = [key for key in node if key not in names]
-        if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
-            return False
-        models = models_of(annotation_at(self.model, self.value, mapping), node)
-        is_pair = bool(paired_entries(models, node))
-        if is_pair or any(_key_meant(str(key), names)[1] for key in unknown):
-            return False
-        message = f"no known key in {_cut_names(unknown)}"
-        self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
-        self._put_placeholder(mapping)
-        return True
-
-    def _tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
-        """Record a list entry that was parsed as a key."""
-        *outer, key = location
-        hint = f"write '- {str(key)[1:].strip()}: …'"
-        self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
-        for other, value in list(mapping.items()):
-            if value is None:  # the list's key
-                self._put_placeholder((*outer, other))
-
-    def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
-        """Record and correct an entry that pairs two names, such as {Hips: hips}."""
-        models = models_of(annotation_at(self.model, self.value, mapping), node)
-        entries = paired_entries(models, node) if len(mapping) > 1 else []
-        if not entries:
-            return False
-        key = next(iter(node))
-        message = f"unknown key {excerpt(str(key))}"
-        hint = f"write {', '.join(map(flow_value, entries))}"
-        self.document.add("DOC020", (*mapping, key), message, hint, at_key=True)
-        node.clear()
-        node.update(entries[0])
-        for name in entries[0]:
-            self.document.spellings[*mapping, name] = str(key)
-        return True
-
-    def _missing_key(self, mapping: Location, key: str) -> None:
-        location = (*mapping, key)
-        if location in self.document.spellings:
-            return
-        if not self._depends_on_kind(location):
-            hint = missing_key_hint(self.model, self.value, location)
-            self.document.add("DOC021", mapping, f"key {key!r} is missing", hint)
-        self._put_placeholder(location)
-
-    def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
-        """Record once that a list's entries have the wrong form."""
-        *outer, last = location
-        if not isinstance(last, int) or not outer or not expected_structures(faults):
-            return False
-        hint = form_hint(self.model, self.value, tuple(outer), expects_list=True)
-        if hint is None:
-            return False
-        entries = self._value_at(tuple(outer))
-        if len(entries) == 3 and "rotat" in str(outer[-1]):
-            hint = "write a quaternion [w, x, y, z]"
-            message = "3 numbers where 4 are needed"
-            self.document.add("DOC022", tuple(outer), message, hint)
-            self._put_placeholder(tuple(outer))
-            return True
-        if not hint.startswith("write ") and not all(
-            isinstance(entry, int | float) for entry in entries
-        ):
-            return False
-        self.document.add("DOC022", location, values_message(faults), hint)
-        self._put_placeholder(tuple(outer))
-        return True
-
-    def _value_at(self, location: Location) -> Any:
-        node = self.value
-        for step in location:
-            node = node[step]
-        return node
-
-    def _vector_of_keys(self, mapping: Location) -> bool:
-        """Record once that a vector is written as {x: …, y: …, z: …}."""
-        if mapping in self.document.doubts:
-            return True
-        value = self._value_at(mapping)
-        numbers = components(value)
-        if numbers is None or not mapping:
-            return False
-        hint = f"write {flow_text(str(mapping[-1]), numbers)}"
-        message = f"{excerpt(flow_value(value))[1:-1]} is not a list"
-        self.document.add("DOC022", mapping, message, hint)
-        self._put_placeholder(mapping)
-        return True
-
-    def _wrong_value(self, location: Location, faults: list[Any]) -> None:
-        if faults[0]["type"] == "union_tag_not_found":
-            tag = faults[0]["ctx"]["discriminator"].strip("'")
-            misspelt = similar(tag, map(str, faults[0]["input"]))
-            if misspelt is not None:
-                # A misspelt key is not missing too.
-                self._unknown_key((*location, misspelt))
-                return
-        if faults[0]["type"].startswith("union_tag"):
-            location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
-        value = faults[0]["input"]
-        if self._wrong_entry(location, faults):
-            return
-        if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
-            self._tight_dash((*location, next(iter(value))), {})
-        elif not self._depends_on_kind(location):
-            hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
-            hint = hint or self._form_hint(location, faults)
-            self.document.add("DOC022", location, values_message(faults), hint)
-        self._put_placeholder(location)
-
-    def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return a hint with the right form of a key's value."""
-        value, structures = faults[0]["input"], expected_structures(faults)
-        commas = self.document.decimal_commas(location)
-        if structures and commas is not None:
-            return commas
-        if is_angles(faults):
-            hint = "write a quaternion [w, x, y, z]"
-            if location[-1] == "orientation":
-                angles = {"euler": "XYZ", "keys": [{"t": 1, "v": value}]}
-                hint += f", or for angles {flow_text('orientation', angles)}"
-            return hint
-        axis = AXES.get(str(value).upper())
-        if axis is not None and structures == {"a list"}:
-            numbers = flow_value([round(number) for number in axis])
-            return f"write three numbers: {value} is {numbers}"
-        if structures:
-            expects_list = structures == {"a list"}
-            return form_hint(
-                self.model, self.value, location, expects_list=expects_list
-            )
-        if type_fault(faults):
-            return example_hint(self.model, self.value, location)
-        return None
-
-    def _depends_on_kind(self, location: Location) -> bool:
-        """Return whether a key exists in only some kinds, and the kind is faulty."""
-        for depth, key in enumerate(location):
-            mapping = location[:depth]
-            unknown = self.document.doubts | self.document.guesses
-            if (*mapping, "type") in unknown and key != "type":
-                kinds = models_of(annotation_at(self.model, self.value, mapping))
-                kinds_with_key = [kind for kind in kinds if key in fields_of(kind)]
-                if kinds_with_key and len(kinds_with_key) < len(kinds):
-                    return True
-        return False
-
-    def _put_placeholder(self, location: Location) -> None:
-        """Replace a value by a placeholder; if that failed before, its parent."""
-        while location in self.document.doubts:
-            location = location[:-1]
-        if not location:
-            self.document.check()
-        annotation = annotation_at(self.model, self.value, location)
-        self.document.doubts.add(location)
-        replaced(self.value, location, placeholder_of(annotation))
-
-
-def _cut_names(names: Sequence[Any]) -> str:
-    return listed([excerpt(str(name)) for name in names])
-
-
-def _by_location(
-    value: Any, errors: Sequence[Any]
-) -> dict[tuple[Location, str], list[Any]]:
-    """Group faults by location and missing key."""
-    groups: dict[tuple[Location, str], list[Any]] = {}
-    for fault in errors:
-        missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        groups.setdefault((_fault_location(value, fault), missing_key), []).append(
-            fault
-        )
-    return groups
-
-
-def _fault_location(value: Any, fault: Any) -> Location:
-    """Return the location of a fault, without names of union members."""
-    node, steps = value, []
-    for step in fault["loc"]:
-        try:
-            node = node[step]
-        except (KeyError, IndexError, TypeError):
-            continue
-        steps.append(step)
-    return tuple(steps)
-
-
-def _entry_hint(location: Location, fault: Any) -> str | None:
-    """Return a hint on how to write an entry that is only a name, such as a pass."""
-    value = fault["input"]
-    if fault["type"] != "dict_type":
-        return None
-    if len(location) > 1 and isinstance(location[-2], int):
-        # Of an entry that is named by its only key, the value.
-        name = str(location[-1])
-        options = options_meant(name, value)
-        return (
-            f"write {flow_text(name, options)}"
-            if options
-            else (f"write {name}: {{OPTION: VALUE}}")
-        )
-    if not isinstance(location[-1], int):
-        return None
-    if not isinstance(value, str) or not value.isidentifier():
-        return None
-    return f"write '{value}: {{}}'"

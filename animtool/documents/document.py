@@ -10,8 +10,8 @@ from typing import Any
 
 from animtool.core.errors import Fault, FormatError, Severity, first_faults
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
-from animtool.core.files.signatures import DOCUMENT, expects
-from animtool.core.names import KINDS
+from animtool.core.files.signatures import DOCUMENT, expects_format
+from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
 from animtool.documents.yaml_values import Marks, read_values
@@ -272,7 +272,9 @@ def positioned(fault: Fault) -> Fault:
     return replace(fault, lines=(line,), column=column)
 
 
-@expects("DOC007", DOCUMENT, "write the name of a file that ends in .yaml or .json")
+@expects_format(
+    "DOC007", DOCUMENT, "write the name of a file that ends in .yaml or .json"
+)
 def read_document(path: Path) -> Document:
     """Read a YAML or JSON file.
 
@@ -308,7 +310,7 @@ def document_of(text: str, path: Path) -> Document:
 
 def kind_named(path: Path, default: str = "rig") -> str:
     """Return the kind in a file's name: ``targets`` of ``hero.targets.yaml``."""
-    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in KINDS]
+    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in FILE_KINDS]
     return kinds[-1] if kinds else default
 
 

@@ -16,8 +16,8 @@ from typing import Any, cast
 import yaml
 
 from animtool.core.errors import FormatError
-from animtool.core.names import flow, number
-from animtool.core.names import text as plain_text
+from animtool.core.names import decimal_text, flow_list
+from animtool.core.names import yaml_scalar as plain_text
 from animtool.core.record import dataclass
 from animtool.documents.document import Location, document_of, spelled
 from animtool.documents.yaml_values import compose
@@ -250,8 +250,8 @@ def _end(node: Any) -> int:
 def _flow(value: Any) -> str:
     """Return a value as YAML on one line."""
     if isinstance(value, list):
-        return flow([_flow(entry) for entry in value])
-    return plain_text(value) if isinstance(value, str) else number(value)
+        return flow_list([_flow(entry) for entry in value])
+    return plain_text(value) if isinstance(value, str) else decimal_text(value)
 
 
 def _plain_or_quoted(value: str) -> str:

@@ -129,8 +129,7 @@ class IgnoreModel(FileModel):
         default=None,
         min_length=1,
         description="Location of the finding, or of something around it; list "
-        "entries by number or name, `*` for any. Default: anywhere in "
-        "the file.",
+        "entries by number or name, `*` for any. Default: anywhere in the file.",
         examples=["joints[knee_l].limits"],
     )
     why: str = Field(
@@ -276,7 +275,7 @@ def _type_and_default(
     for constraint in constraints:
         if isinstance(constraint, Range) and ranges == "schema":
             type_ = Annotated[
-                type_, (Ge if constraint.reached else Gt)(constraint.least)
+                type_, (Ge if constraint.includes_minimum else Gt)(constraint.minimum)
             ]
         elif isinstance(constraint, Le) or (
             isinstance(constraint, Range) and ranges == "model"

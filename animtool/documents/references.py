@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from animtool.core.config import find_config, project_around
+from animtool.core.config import find_config, innermost_project
 from animtool.core.files.reading import (
     exists,
     nearest_file,
@@ -76,7 +76,7 @@ def _outside_hint(path: Path, name: str, written: bool) -> str:
             f"into {folder}, and write its name here"
         )
     settings = find_config(path).path
-    if settings is None and (around := project_around(folder, target)) is not None:
+    if settings is None and (around := innermost_project(folder, target)) is not None:
         return f"an empty {around / 'animtool.toml'} makes that folder the project"
     root = path_from_folder(
         target.parent, folder if settings is None else settings.parent

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from animtool.core.errors import counted, excerpt
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.documents.other_words import MORE_VALUES, OTHER_VALUES
 from animtool.documents.yaml_values import flow_value, plain_scalar
 
@@ -243,7 +243,7 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             for replacement in (OTHER_VALUES.get(word), MORE_VALUES.get(word)):
                 if replacement in names:
                     return f"{value!r} is called {replacement!r} here"
-            meant = similar(value, names)
+            meant = most_similar(value, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"
     return None

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import excerpt
 from animtool.core.files.output import name_problem
-from animtool.core.names import VARIABLE_NAME, is_variable_name, similar
+from animtool.core.names import VARIABLE_NAME, is_variable_name, most_similar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
@@ -280,7 +280,7 @@ class _Resolver:
             message = f"unknown variable {name!r}"
             hint = f"give it a value under {DEFAULTS}:"
             hint += clause(f", or with {argument('set', f'{name}=VALUE')}")
-            similar_names = similar(name, sorted(self.values))
+            similar_names = most_similar(name, sorted(self.values))
             hint = f"did you mean {similar_names!r}?" if similar_names else hint
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

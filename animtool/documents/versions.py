@@ -8,8 +8,8 @@ from typing import Any
 
 from animtool.core.arguments import flag
 from animtool.core.errors import FormatError, excerpt
-from animtool.core.files.signatures import DOCUMENT, other_format
-from animtool.core.names import KINDS
+from animtool.core.files.signatures import DOCUMENT, format_mismatch
+from animtool.core.names import FILE_KINDS
 from animtool.documents.document import Document, Location, kind_named
 
 # A step converts a file's values to the next version.
@@ -17,7 +17,7 @@ Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]
 
 # Migration steps by kind and source version.
-STEPS: dict[str, dict[int, Step]] = {kind: {} for kind in KINDS}
+STEPS: dict[str, dict[int, Step]] = {kind: {} for kind in FILE_KINDS}
 # Keys renamed within a version, by kind and location; None is any entry of a list. The
 # old name is still read.
 RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
@@ -96,10 +96,9 @@ def version_of(
         kind: Expected kind; None allows every kind in the table.
 
     Raises:
-        FormatError: It has another kind (DOC009), or an unknown version
-            (DOC012).
+        FormatError: It has another kind (DOC009), or an unknown version (DOC012).
     """
-    kinds_in_file = [name for name in KINDS if name in document.value]
+    kinds_in_file = [name for name in FILE_KINDS if name in document.value]
     path_kind = kind_named(document.path, "")
     if kind is None and path_kind in table and path_kind not in kinds_in_file:
         kind = path_kind
@@ -107,7 +106,7 @@ def version_of(
     if named_kind not in kinds_in_file or _of_another_kind(
         document, named_kind, kinds_in_file[0]
     ):
-        other = other_format("DOC009", document.path, DOCUMENT)
+        other = format_mismatch("DOC009", document.path, DOCUMENT)
         if other is not None:
             raise FormatError(other)
         message = "the first line is missing"

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, NoReturn, cast
 import yaml
 
 from animtool.core.errors import Fault, FormatError, excerpt
-from animtool.core.names import KINDS, VARIABLE_NAME, unreadable
+from animtool.core.names import FILE_KINDS, VARIABLE_NAME, unreadable_character
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import yaml_fault
@@ -298,7 +298,7 @@ class _YamlReader:
         text: str = event.value
         if not event.implicit[0]:
             # Only quoted escapes can produce one.
-            if problem := unreadable(text):
+            if problem := unreadable_character(text):
                 message = f"a text contains the control character {problem!r}"
                 self.fault("DOC023", message, position, "remove it")
             return text
@@ -372,7 +372,7 @@ class _Open:
         elif value in self.keys:
             message = f"duplicate key {excerpt(value)}"
             hint = f"the first is on line {self.keys[value]}"
-            if self.keys[value] == 1 and value in KINDS:
+            if self.keys[value] == 1 and value in FILE_KINDS:
                 hint += ", and states what the file is"
             reader.fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])

@@ -31,7 +31,7 @@ class LoopOptions:
     longest: float = option(
         10.0, "amount", metavar="SECONDS", help="Longest cycle to search for."
     )
-    repeats: int = option(1, "count", help="Number of repeats.", least=1)
+    repeats: int = option(1, "count", help="Number of repeats.", min_count=1)
     blend: int = option(
         10,
         "count",

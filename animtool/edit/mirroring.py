@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, listed, percent
+from animtool.core.errors import Fault, OptionError, Severity, listed, percent_text
 from animtool.core.record import dataclass
 from animtool.edit.tree import joint_index
 from animtool.maths import so3
@@ -314,8 +314,9 @@ def _asymmetries(
         f"mirror: the rest pose is not symmetric: {rig.names[largest]!r} is "
         f"{distances[largest]:.3g} m from the mirror image of "
         f"{rig.names[int(partners[largest])]!r}, "
-        f"{percent(distances[largest] / rig_size)} of the "
-        f"rig's size; joints that differ by more than {percent(SYMMETRY_TOLERANCE)}: "
+        f"{percent_text(distances[largest] / rig_size)} of the "
+        "rig's size; joints that differ by more than "
+        f"{percent_text(SYMMETRY_TOLERANCE)}: "
         f"{count}"
     )
     hint = "each joint moves from its own rest pose, so the result differs by as much"

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.quantities import angle_text, length_text, plain
+from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.record import dataclass
 from animtool.edit.between import Between
 from animtool.edit.travel import FramePositions
@@ -79,7 +79,7 @@ def straight_notices(
     for error in straight_errors(between, positions):
         if error.size <= thresholds.get(error.channel, NEGLIGIBLE_WEIGHT):
             continue
-        size = plain(error.size)
+        size = plain_number(error.size)
         kind, names = "joint", list(rig.names)
         if error.channel == "translations":
             size = length_text(error.size)

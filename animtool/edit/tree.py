@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
-from animtool.core.names import nearest, similar
+from animtool.core.names import most_similar, nearest
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -55,7 +55,7 @@ def joints_matching(
 
 
 def _unknown(rig: Rig, name: str, option: str) -> OptionError:
-    suggestions = similar(name, rig.names)
+    suggestions = most_similar(name, rig.names)
     message = (
         f"{option}: unknown joint {excerpt(name)}; the rig has {listed(rig.names)}"
     )

@@ -134,8 +134,7 @@ class TextRows:
         """Parse the numbers ``(R, width)``; NaN where a row is too short.
 
         ``error`` returns, from a message and a line number, the error to raise for a
-        cell that
-        is not a number, or a row with more than ``width`` numbers.
+        cell that is not a number, or a row with more than ``width`` numbers.
         """
         size = width * len(self.texts)
         if size > max(SMALL_TABLE, MAX_PADDING * int(self.filled.sum())):
@@ -164,8 +163,7 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
     """Collect the lines from ``begin`` on as rows of numbers.
 
     A line without the separator is split at blanks. Commas are decimal if they are not
-    the
-    separator and no line has a point.
+    the separator and no line has a point.
     """
     texts, numbers, cell_counts, cells = [], [], [], []
     double_separator, filled_gap = separator * 2, separator + b"nan" + separator

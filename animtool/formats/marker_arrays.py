@@ -13,7 +13,7 @@ import numpy.typing as npt
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import Fault, listed
 from animtool.core.files.reading import open_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
@@ -26,7 +26,7 @@ _UNIT = re.compile(r"_(mm|cm|m|in)")
 DEFAULT_PREFIX = "markers"
 
 
-@expects("MKR012", "an archive of arrays")
+@expects_format("MKR012", "an archive of arrays")
 def read_markers(
     path: Path | str,
     *,
@@ -40,10 +40,9 @@ def read_markers(
 
     The file has the texts ``marker_names``, the number ``fs`` (frames per second), and
     positions ``(F, M, 3)`` in an array whose name ends in its unit: ``_mm``, ``_cm``,
-    ``_m``
-    or ``_in``. What `write_marker_arrays` adds is read too. If the number of points
-    differs
-    from that of the names, the points are unlabelled: ``*0``, ``*1`` and so on.
+    ``_m`` or ``_in``. What `write_marker_arrays` adds is read too. If the number of
+    points differs from that of the names, the points are unlabelled: ``*0``, ``*1`` and
+    so on.
 
     Args:
         path: The file; ``take.npz#unlabelled_mm`` also selects the array.

@@ -55,8 +55,7 @@ def open_markers(
     Raises:
         FormatError: It cannot be read or is malformed.
         OptionError: The suffix is not that of a marker file (IO002), or fps is not a
-            frame
-            rate (SCN022).
+            frame rate (SCN022).
     """
     path = Path(path)
     opener = find_reader(file_of(path)).markers_opener(path)

@@ -12,8 +12,15 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, naming
-from animtool.core.names import distinct
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    Severity,
+    counted,
+    excerpt,
+    names_fault,
+)
+from animtool.core.names import numbered_names
 from animtool.core.rates import (
     HIGHEST_WRITTEN_RATE,
     LOWEST_WRITTEN_RATE,
@@ -118,8 +125,7 @@ class MarkerFile:
         """Return unique marker names; unlabelled ones begin with ``*``.
 
         The prefix of a subject, as in ``Anna:LFHD``, is removed if all labels have the
-        same, or
-        if it is the requested subject. Duplicate names get a number (MKR101).
+        same, or if it is the requested subject. Duplicate names get a number (MKR101).
         """
         clean_labels = [label.strip() for label in labels]
         prefixes = {
@@ -133,14 +139,14 @@ class MarkerFile:
             f"*{i}" if is_unlabelled(name) else name
             for i, name in enumerate(clean_labels)
         ]
-        unique = distinct(label_names)
+        unique = numbered_names(label_names)
         renamed = [
             unique_name
             for source_name, unique_name in zip(label_names, unique, strict=True)
             if source_name != unique_name
         ]
         if renamed:
-            warning = naming(
+            warning = names_fault(
                 "MKR101", "duplicate names; later ones became ", renamed,
                 self.path, "rename them in the capture software", Severity.WARNING,
             )  # fmt: skip
@@ -151,8 +157,7 @@ class MarkerFile:
         """Return positions [m] with NaN for invalid ones.
 
         Invalid are points with an infinity or a number beyond float32 (MKR102), and
-        points
-        exactly at the origin, which many systems write for missing points.
+        points exactly at the origin, which many systems write for missing points.
 
         ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted, excerpt
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
@@ -227,7 +227,7 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     """Return the faults of a single goal."""
     faults = []
     if goal.joint not in rig.names:
-        suggestions = similar(goal.joint, rig.names)
+        suggestions = most_similar(goal.joint, rig.names)
         hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"unknown joint {excerpt(goal.joint)} of {rig.name!r}"
         faults.append(Fault("TGT001", message, where=where, hint=hint))

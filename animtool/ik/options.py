@@ -93,19 +93,19 @@ class TakeOptions:
         "name",
         choices=tuple(IkMethod),
         help="The solver.",
-        written=IkMethod.AUTO.value,
+        text_default=IkMethod.AUTO.value,
     )
     tolerance: float = option(
         parse_length(LENGTH_TOLERANCE),
         "length",
         help="Position tolerance.",
-        written=LENGTH_TOLERANCE,
+        text_default=LENGTH_TOLERANCE,
     )
     angle_tolerance: float = option(
         math.radians(ANGLE_TOLERANCE),
         "angle",
         help="Tolerance of orientations, aims and poles.",
-        written=ANGLE_TOLERANCE,
+        text_default=ANGLE_TOLERANCE,
     )
     restarts: int = option(
         50,

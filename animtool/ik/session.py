@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Goal, GoalKind, Targets, pack
 from animtool.ik.options import IkOptions
@@ -197,7 +197,7 @@ class Session:
         return packed, packed.targets
 
     def _unknown(self, name: str) -> OptionError:
-        suggestions = similar(name, self._goals)
+        suggestions = most_similar(name, self._goals)
         hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"the session has no goal {excerpt(name)}"
         return OptionError(Fault("TGT001", message, hint=hint))
@@ -243,7 +243,7 @@ def _goals_by_name(
         by_name[name] = None if isinstance(goal, str) else goal
     for name in (*by_name, *joints):
         if name not in rig.names:
-            suggestions = similar(name, rig.names)
+            suggestions = most_similar(name, rig.names)
             hint = f"did you mean {suggestions}?" if suggestions else None
             message = f"no joint of {rig.name!r} is {excerpt(name)}"
             faults.append(Fault("TGT001", message, hint=hint))

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import curve_lines
 from animtool.core.array_types import FloatArray
-from animtool.core.names import flow, number, scaled, text
+from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.ik.goals import PARTS, Goal
@@ -58,19 +58,19 @@ class _TargetsWriter:
         yield f"units: {{length: {unit_name(self.units.length)}, angle: {angle}}}"
         fps = tracks.fps
         if fps is not None:
-            yield f"fps: {text(str(fps)) if fps.denominator > 1 else fps}"
+            yield f"fps: {yaml_scalar(str(fps)) if fps.denominator > 1 else fps}"
         if tracks.first is not None and tracks.last is not None:
             yield f"range: {_flow([float(tracks.first), float(tracks.last)])}"
         yield "goals:"
         for track in tracks.goals:
-            yield f"- effector: {text(track.name)}"
+            yield f"- effector: {yaml_scalar(track.name)}"
             for line in self._goal(track):
                 yield f"  {line}"
 
     def _goal(self, track: GoalTrack) -> Iterator[str]:
         goal, chain = track.goal, track.chain
         if goal.root is not None and (chain is None or goal.root != chain.root):
-            yield f"root: {text(goal.root)}"
+            yield f"root: {yaml_scalar(goal.root)}"
         if any(goal.offset):
             yield f"offset: {_flow(goal.offset, self.units.length)}"
         for part in PARTS:
@@ -93,7 +93,7 @@ class _TargetsWriter:
                 yield f"{key}: {_flow(_in_file(np.array([row]))[0].tolist(), unit)}"
             case ArrayRows(name, rows):
                 self.arrays[name] = _in_file(rows) / unit
-                yield f"{key}: {text(name)}"
+                yield f"{key}: {yaml_scalar(name)}"
             case Keyed(channel):
                 yield f"{key}:"
                 unit = self.units.angle if channel.euler else unit
@@ -107,12 +107,12 @@ class _TargetsWriter:
             return
         first = weights.get(PARTS[0])
         if isinstance(first, Constant) and weights == dict.fromkeys(PARTS, first):
-            yield f"weight: {number(first.value[0])}"
+            yield f"weight: {decimal_text(first.value[0])}"
             return
         yield "weight:"
         for part, weight in weights.items():
             if isinstance(weight, Constant):
-                yield f"  {part}: {number(weight.value[0])}"
+                yield f"  {part}: {decimal_text(weight.value[0])}"
             elif isinstance(weight, Keyed):
                 yield f"  {part}:"
                 yield from _in_braces(_in_braces(curve_lines(weight.channel, 1.0)))
@@ -127,12 +127,12 @@ def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
         ("stretch", goal.stretch, stretch),
     ):
         if value != default:
-            yield f"{key}: {number(value)}"
+            yield f"{key}: {decimal_text(value)}"
     for key, spans in (("hold", track.spans), ("during", track.during)):
         if spans:
-            yield f"{key}: {flow([_flow(span) for span in spans])}"
+            yield f"{key}: {flow_list([_flow(span) for span in spans])}"
     if track.ease != DEFAULT_EASE:
-        yield f"ease: {number(track.ease)}"
+        yield f"ease: {decimal_text(track.ease)}"
 
 
 def _in_braces(lines: Iterator[str]) -> Iterator[str]:
@@ -145,4 +145,4 @@ def _in_file(values: FloatArray) -> FloatArray:
 
 
 def _flow(values: Sequence[float], unit: float = 1.0) -> str:
-    return flow([scaled(value, unit) for value in values])
+    return flow_list([scaled_decimal(value, unit) for value in values])

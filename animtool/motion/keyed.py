@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
 
@@ -33,7 +33,7 @@ def parse_choice(choices: type[Choice], word: str, option: str) -> Choice:
         message = (
             f"{option} is {excerpt(str(word))}; it is one of {', '.join(allowed_names)}"
         )
-        suggestion = similar(str(word), allowed_names)
+        suggestion = most_similar(str(word), allowed_names)
         hint = f"did you mean {suggestion}?" if suggestion else None
         raise OptionError(Fault("SCN025", message, hint=hint)) from error
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, Severity
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -144,3 +146,30 @@ def _placed_points(channel: Channel, placement: Placement) -> Channel:
         rest=placement.points(channel.rest),
         values=placement.points(channel.values),
     )
+
+
+def placement_notice(
+    rig: Rig,
+    where: str,
+    *,
+    kept: bool,
+    over: Placement | None = None,
+    stays: bool = False,
+) -> list[Fault]:
+    """Return a notice on a take's stage placement (USD124).
+
+    over: placement of the layer's rig; stays: whether a parent animated the placement,
+    which is now in the joints.
+    """
+    if rig.stands is None and not rig.rides:
+        return []
+    placement_text = f"stands {rig.stands.described()}" if rig.stands else ""
+    rides = "moves with a prim above its SkelRoot" if rig.rides else ""
+    message = f"the take {' and '.join(filter(None, (placement_text, rides)))}, "
+    message += "which is kept" if kept else "which is dropped"
+    if over is not None and not over.is_none:
+        message += f"; the rig has its placement {over.described()}"
+    if stays:
+        message += "; the motion from above is in its joints, and is kept"
+    hint = f"{argument('placement', 'drop' if kept else 'keep')} does the opposite"
+    return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

@@ -8,8 +8,8 @@ from dataclasses import field, replace
 from enum import StrEnum
 from typing import ClassVar
 
-from animtool.core.errors import percent
-from animtool.core.quantities import angle_text, length_text, plain
+from animtool.core.errors import percent_text
+from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.record import dataclass
 
 # Fraction of a good result's value below which a score is shown as 0.
@@ -71,7 +71,11 @@ class Score:
             return length_text(value)
         if self.unit is ScoreUnit.ANGLE:
             return angle_text(math.degrees(value))
-        return percent(value) if self.unit is ScoreUnit.FRACTION else plain(value)
+        return (
+            percent_text(value)
+            if self.unit is ScoreUnit.FRACTION
+            else plain_number(value)
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -212,8 +212,7 @@ class TakeStream:
         step: Time codes from one frame to the next.
         blocks: Motions of consecutive frames that share their rest and animated
             joints. Reading them may raise `animtool.core.errors.FormatError`.
-        notices: Warnings and notes about the source; complete once the blocks are
-            read.
+        notices: Warnings and notes about the source; complete once the blocks are read.
         details: Further information about the source, for reports.
         curve: The source's motion as a function of its time codes ``(F,)``; None if it
             has samples only.

@@ -69,8 +69,7 @@ class PreviewPage:
 
         Args:
             watch: Server to poll for changes, and the state of the page; None for a
-                static
-                page.
+                static page.
         """
         manifest = self.manifest
         if watch is not None:

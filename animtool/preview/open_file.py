@@ -22,7 +22,7 @@ from animtool.core.errors import (
     listed,
 )
 from animtool.core.files.reading import note_input
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.formats.marker_files import is_marker_file, open_markers
@@ -142,14 +142,14 @@ def open_file(
         OptionError: A file of its kind cannot be shown by itself (PRV001).
     """
     for kind, hint in _NOT_SHOWN.items():
-        if is_named(path, kind):
+        if has_kind_suffix(path, kind):
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
-    if is_named(path, "scene"):
+    if has_kind_suffix(path, "scene"):
         return _open_scene(path, options, context)
-    if is_named(path, "rig"):
+    if has_kind_suffix(path, "rig"):
         return _open_rig(path)
-    if is_named(path, "targets"):
+    if has_kind_suffix(path, "targets"):
         return _open_targets(path, alone=len(all_files) == 1)
     source = replace(
         fitting_options(options.source, path, all_files), prim_path=options.prim_path
@@ -171,7 +171,7 @@ def open_file(
     stream = open_source(path, source)
     file = OpenFile(path, unit_name(stream.rig.meters_per_unit), stream.rig.up)
     clip = None
-    if is_named(path, "clip"):
+    if has_kind_suffix(path, "clip"):
         clip = Clip.load(path, stream.rig)
     file.takes.append(take_of_stream(source_stem(path), stream, clip))
     return file

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from animtool.core.errors import counted
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
 from animtool.preview.open_file import OpenFile, ShownTake, open_file, shown_scene
 from animtool.preview.options import PreviewOptions
@@ -42,7 +42,7 @@ def page_steps(
     steps: list[PlanStep] = []
     with ExitStack() as context:
         for path in files:
-            if is_named(path, "scene"):
+            if has_kind_suffix(path, "scene"):
                 steps += _bake_steps(path, options)
             else:
                 steps.append(_read_step(open_file(path, options, files, context)))

@@ -90,8 +90,7 @@ class Preview:
 
         Raises:
             OptionError: The suffix is neither of a page nor of a picture (PRV002), or
-                the
-                file exists (OUT001); for pictures also as for
+                the file exists (OUT001); for pictures also as for
                 `animtool.write_pictures`.
             OutputError: It cannot be written (OUT002).
         """

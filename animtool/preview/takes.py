@@ -77,8 +77,7 @@ class BufferedMotion:
     """Motion of a take in memory as float32; constant joints are stored once.
 
     Values are rounded as a USD layer of the take would store them, so that a motion
-    makes
-    the same page from any file format.
+    makes the same page from any file format.
     """
 
     def __init__(self, blocks: Iterator[Motion], unit: float) -> None:

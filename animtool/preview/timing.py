@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from animtool.core.arguments import argument
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
@@ -77,7 +77,7 @@ def timed_take(
         start = frame_start(stream.start, stream.fps, fps, on_frame=True)
     origin = start
     # A rig at rest fits any frame range and rate.
-    is_rig = is_named(file.path, "rig")
+    is_rig = has_kind_suffix(file.path, "rig")
     new_rate = None if is_rig or (stream.fps == fps and stream.step == 1) else fps
     frame_range = None if is_rig else options.frame_range
     off_frame = stream.step != 1 or start.denominator != 1

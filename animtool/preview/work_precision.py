@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.sim.trials.trial import CostMeasure
@@ -96,7 +96,7 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         with (
             matplotlib.rc_context({"svg.hashsalt": "animtool"}),
             warnings.catch_warnings(),
-            replacing(path) as temporary,
+            replacement_path(path) as temporary,
         ):
             # Characters missing in a font are drawn as boxes, without a warning.
             warnings.filterwarnings("ignore", "Glyph", UserWarning)

@@ -167,9 +167,8 @@ def compare(
 
     In USD files with several skeletons, each is compared with the one of the same path,
     unless options select one. The second take is rotated to the up axis of the first,
-    and
-    lengths are compared in metres. Different units, up axes and first time codes are
-    reported as notes.
+    and lengths are compared in metres. Different units, up axes and first time codes
+    are reported as notes.
 
     Args:
         first: A file.

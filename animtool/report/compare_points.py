@@ -61,9 +61,8 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     """Compare the animated points of two stages by time from the first sample of each.
 
     Prims are matched by their paths below the default prim. The second stage is rotated
-    to
-    the up axis of the first, and lengths are compared in metres. Returns None for files
-    without points or with a character.
+    to the up axis of the first, and lengths are compared in metres. Returns None for
+    files without points or with a character.
     """
     from animtool.usd.caches.reader import open_points
 

@@ -24,17 +24,17 @@ from functools import cache
 from typing import Any, TypeAlias
 
 from animtool.core.clock import frame_label, span_label
-from animtool.core.errors import counted, listed, percent
+from animtool.core.errors import counted, listed, percent_text
 from animtool.core.quantities import (
     angle_text,
     duration_text,
     length_text,
-    plain,
+    plain_number,
     size_text,
 )
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.values import at_path
+from animtool.core.values import value_at_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +43,7 @@ class Each:
 
     Attributes:
         name: Name of the field, with a printer after a colon if it has no entries
-            itself;
-            entries of a mapping have ``key`` and ``value``.
+            itself; entries of a mapping have ``key`` and ``value``.
         lines: Templates of one entry; ``{self}`` is the entry, ``{number}`` counts
             them.
         most: Maximum number of entries to print; ``rest`` counts the others.
@@ -311,9 +310,9 @@ def _value(scope: _Scope, name: str) -> Any:
     first, _, attributes_path = name.partition(".")
     for record in scope:
         if first == "self":
-            return at_path(record, attributes_path)
+            return value_at_path(record, attributes_path)
         if first in record if isinstance(record, Mapping) else hasattr(record, first):
-            return at_path(record, name)
+            return value_at_path(record, name)
     record_types = ", ".join(type(record).__name__ for record in scope)
     raise AttributeError(f"{record_types}: no field {first!r}")
 
@@ -348,16 +347,19 @@ PRINTED: dict[str, Callable[..., Any]] = {
     "join": lambda value: ", ".join(map(str, value)),
     "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
     "corners": lambda value, digits="4": " to ".join(
-        f"({', '.join(plain(x, int(digits)) for x in corner)})" for corner in value
+        f"({', '.join(plain_number(x, int(digits)) for x in corner)})"
+        for corner in value
     ),
-    "plain": _digits(plain),
-    "percent": percent,
+    "plain": _digits(plain_number),
+    "percent": percent_text,
     "length": _digits(length_text),
-    "mm": _digits(plain, 1e3),
+    "mm": _digits(plain_number, 1e3),
     "kB": lambda value: f"{value / 1e3:.0f}",
     "angle": lambda value, *digits: angle_text(math.degrees(value), *map(int, digits)),
-    "degrees": lambda value, *digits: plain(math.degrees(value), *map(int, digits)),
-    "hundredths": _digits(plain, 100.0),
+    "degrees": lambda value, *digits: plain_number(
+        math.degrees(value), *map(int, digits)
+    ),
+    "hundredths": _digits(plain_number, 100.0),
     "duration": _digits(duration_text),
     "size": _digits(size_text),
     "rate": rate_label,

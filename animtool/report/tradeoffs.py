@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from animtool.core.quantities import length_text, plain
+from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
 from animtool.report.text import Each, Line, Table, Template, render, table_cells
 from animtool.sim.trials.trial import CostMeasure, Figure
@@ -75,7 +75,7 @@ def _missing_error(row: TrialRow) -> str:
     if step == 0:
         text += "; no step is stable"
     elif step is not None and math.isfinite(step):
-        text += f"; stable up to steps of {plain(step)} s"
+        text += f"; stable up to steps of {plain_number(step)} s"
     return text
 
 

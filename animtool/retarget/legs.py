@@ -207,8 +207,7 @@ def ankle_rotations(
         joints: Starts of thigh, shin and foot ``(F, 3, 3)`` [m].
         goal: Goal of the ankle ``(F, 3)`` [m].
         rotations: Current world rotations of thigh and shin ``(F, 4)``.
-        swivel: Rotation of the knee about the line from hip to ankle ``(F,)``
-            [rad].
+        swivel: Rotation of the knee about the line from hip to ankle ``(F,)`` [rad].
     """
     leg = leg_of(target, side)[:3]
     bone_rotations = limb_rotations(

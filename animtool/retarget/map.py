@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from animtool.core.errors import Fault
-from animtool.core.names import number, text
+from animtool.core.names import decimal_text, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Rig
@@ -77,7 +77,7 @@ def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
 
 def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     source_names, target_names = source.names, target.names
-    yield f"# {text(source.name)} onto {text(target.name)}"
+    yield f"# {yaml_scalar(source.name)} onto {yaml_scalar(target.name)}"
     yield "map: animtool/1"
     # Written so that users see the key and its values.
     yield "others: none  # auto maps joints that are not named here, as without a file"
@@ -93,8 +93,8 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
             continue
         else:
             source_text, target_text = (
-                text(source_names[pair.source]),
-                text(target_names[pair.target]),
+                yaml_scalar(source_names[pair.source]),
+                yaml_scalar(target_names[pair.target]),
             )
         role = f", role: {pair.role}" if pair.role else ""
         confidence_note = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
@@ -103,8 +103,11 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     if joint_map.twists:
         yield "twists:"
     for twist in joint_map.twists:
-        joint, bone = text(target_names[twist.target]), text(target_names[twist.bone])
-        fraction = number(round(twist.fraction, 6))
+        joint, bone = (
+            yaml_scalar(target_names[twist.target]),
+            yaml_scalar(target_names[twist.bone]),
+        )
+        fraction = decimal_text(round(twist.fraction, 6))
         yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped_names = {
         "source": [source_names[j] for j in joint_map.unmapped_source],
@@ -114,7 +117,7 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         yield "ignored:"
     for side, names in unmapped_names.items():
         if names:
-            yield from _wrapped_lines(f"  {side}: [", list(map(text, names)))
+            yield from _wrapped_lines(f"  {side}: [", list(map(yaml_scalar, names)))
 
 
 def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
@@ -133,5 +136,5 @@ def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
 
 def _flow(names: Sequence[str]) -> str:
     if len(names) == 1:
-        return text(names[0])
-    return f"[{', '.join(map(text, names))}]"
+        return yaml_scalar(names[0])
+    return f"[{', '.join(map(yaml_scalar, names))}]"

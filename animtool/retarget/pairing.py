@@ -159,8 +159,7 @@ def _crossed_sides(
     side_count = sum(role[-2:] in {"_l", "_r"} for role in anatomies[1].roles)
     message = (
         f"{counted(len(crossed_pairs), 'joint')} of {side_count} on the left and right "
-        "follow the "
-        f"other side: {listed(crossed_pairs, 6)}"
+        f"follow the other side: {listed(crossed_pairs, 6)}"
     )
     hint = "swap the sides in the map; to mirror a take, use the mirror pass"
     path = map_file.document.path if isinstance(map_file, MapFile) else map_file

@@ -22,8 +22,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_size, rest_world
-from animtool.rig.skeleton import Rig
-from animtool.rig.suspicious_shape import MAX_SIZE
+from animtool.rig.skeleton import MAX_SIZE, Rig
 
 # Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
 CHOSEN_SIZES, MIN_JOINTS = (0.01, 0.05), 8

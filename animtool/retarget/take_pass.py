@@ -95,8 +95,7 @@ def insufficient_pairs(
         return None
     message = (
         f"{len(paired_joints)} of {counted(len(counted_joints), 'moving joint')} of "
-        f"{source.name!r} "
-        f"are paired"
+        f"{source.name!r} are paired"
     )
     if limbs and not intact_limbs:
         message += f", and none of its limbs ({listed(sorted(limbs), MAX_LISTED)})"

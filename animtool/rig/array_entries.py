@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.names import nearest, similar
+from animtool.core.names import most_similar, nearest
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
@@ -217,7 +217,7 @@ class AttachmentReader:
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
             hint = nearest(entry.kind, kinds)
-            if similar(entry.kind, kinds, MISSPELLING_SIMILARITY):
+            if most_similar(entry.kind, kinds, MISSPELLING_SIMILARITY):
                 message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in required:

@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, circle
-from animtool.core.names import similar
+from animtool.core.errors import Fault, OptionError, joined_cycle
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import (
@@ -47,7 +47,7 @@ class DriverCycleError(ValueError):
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        cycle_text = circle([name.partition("/")[2] for name in cycle])
+        cycle_text = joined_cycle([name.partition("/")[2] for name in cycle])
         super().__init__(f"what is driven depends on itself: {cycle_text}")
 
 
@@ -104,13 +104,13 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
     elif part == TWIST and rig_joint.type is JointType.BALL:
         message = f"the twist of {joint!r} is locked: it is always 0"
-    elif suggestions := similar(part, parts):
+    elif suggestions := most_similar(part, parts):
         hint = f"did you mean {suggestions}? {hint}"
     return Fault("RIG033", message, hint=hint)
 
 
 def _similar_hint(name: str, names: Sequence[str]) -> str | None:
-    suggestions = similar(name, names)
+    suggestions = most_similar(name, names)
     return f"did you mean {suggestions}?" if suggestions else None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, Severity, naming
+from animtool.core.errors import Fault, FormatError, Severity, names_fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
@@ -249,7 +249,7 @@ def _fault(
     if not names:
         return Fault(code, message, where, (), hint, severity)
     message += "; joints with different rest poses: "
-    return naming(code, message, names, where, hint, severity)
+    return names_fault(code, message, names, where, hint, severity)
 
 
 def _numbers(fit: RigFit) -> str:

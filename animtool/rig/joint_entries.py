@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
-from animtool.core.errors import circle, counted
+from animtool.core.errors import counted, joined_cycle
 from animtool.core.names import nearest
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -217,7 +217,7 @@ def _parents_first(
                     *unfinished_names[unfinished_names.index(missing_parent) :],
                     missing_parent,
                 ]
-                cycle_text = circle(trail[::-1])
+                cycle_text = joined_cycle(trail[::-1])
                 message = f"the joints are their own ancestors: {cycle_text}"
                 hint = "remove the parent of the one that is the root"
                 document.add("RIG003", ("joints", entry.index), message, hint)

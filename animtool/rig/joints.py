@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
-from animtool.core.names import MAX_LENGTH, similar
+from animtool.core.names import MAX_LENGTH, most_similar
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.skeleton import WIDTHS, JointType, Rig
@@ -182,7 +182,9 @@ def part_hint(
         for part in (single, meant, f"{meant}.{axis}"):
             if part in fitting_parts:
                 return f"the part is .{part}"
-    near = next(filter(None, (similar(tail, fitting_parts) for tail in tails)), None)
+    near = next(
+        filter(None, (most_similar(tail, fitting_parts) for tail in tails)), None
+    )
     if near is not None:
         return f"did you mean '.{near}'?"
     if kind is None:

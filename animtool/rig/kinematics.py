@@ -59,7 +59,8 @@ def forward(
         rotations: Local unit quaternions ``(F, J, 4)``.
         scales: Local scales ``(F, J, 3)`` [1]; None means no scale.
         out: Arrays to fill and return, instead of new ones: for many frames, allocating
-            memory takes longer than the arithmetic. Must not overlap the inputs.
+            memory takes longer than the arithmetic. Of as many frames; must not overlap
+            the inputs.
 
     Raises:
         ValueError: A shape does not fit the rig.
@@ -72,14 +73,12 @@ def forward(
     [-1.0, 0.0, 0.0]
     """
     joints = len(rig.joints)
-    t = as_floats(translations, ("F", joints, 3), "translations")
+    frames = "F" if out is None else len(out.positions)
+    t = as_floats(translations, (frames, joints, 3), "translations")
     r = as_floats(rotations, (len(t), joints, 4), "rotations")
-    s = None if scales is None else as_floats(scales, (len(t), joints, 3), "scales")
+    s = None if scales is None else as_floats(scales, t.shape, "scales")
     if out is None:
-        shape = (len(t), joints, 3)
-        out = WorldTransforms(np.zeros(shape), np.zeros((*shape, 3)))
-    elif out.positions.shape != t.shape or out.linear.shape != (*t.shape, 3):
-        raise ValueError(f"out must have {len(t)} frames of {joints} joints")
+        out = WorldTransforms(np.empty(t.shape), np.empty((*t.shape, 3)))
     _kernels.forward_kinematics(rig.parents, t, r, s, out.positions, out.linear)
     return out
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.errors import Fault, FormatError
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.controls import Control
@@ -194,30 +193,3 @@ def at_origin(rig: Rig) -> Rig:
     if rig.stands is None:
         return rig
     return replace(placed_rig(rig, rig.stands.inverse()), stands=None)
-
-
-def placement_notice(
-    rig: Rig,
-    where: str,
-    *,
-    kept: bool,
-    over: Placement | None = None,
-    stays: bool = False,
-) -> list[Fault]:
-    """Return a notice on a take's stage placement (USD124).
-
-    over: placement of the layer's rig; stays: whether a parent animated the placement,
-    which is now in the joints.
-    """
-    if rig.stands is None and not rig.rides:
-        return []
-    placement_text = f"stands {rig.stands.described()}" if rig.stands else ""
-    rides = "moves with a prim above its SkelRoot" if rig.rides else ""
-    message = f"the take {' and '.join(filter(None, (placement_text, rides)))}, "
-    message += "which is kept" if kept else "which is dropped"
-    if over is not None and not over.is_none:
-        message += f"; the rig has its placement {over.described()}"
-    if stays:
-        message += "; the motion from above is in its joints, and is kept"
-    hint = f"{argument('placement', 'drop' if kept else 'keep')} does the opposite"
-    return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.plugins import load_object
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 # Limit of all joint paths together [character], since paths in chains grow
 # quadratically.
 MAX_PATHS = 500_000_000
+# Nothing that is animated is larger [m].
+MAX_SIZE = 30.0
 
 # BVH channel names.
 ChannelName: TypeAlias = Literal[
@@ -243,7 +245,7 @@ class Rig:
         1
         """
         if name not in self._index:
-            suggestions = similar(name, self._index)
+            suggestions = most_similar(name, self._index)
             hint = f"did you mean {suggestions}?" if suggestions else None
             message = f"unknown joint {excerpt(name)} of {self.name!r}"
             raise OptionError(Fault("RIG008", message, hint=hint))

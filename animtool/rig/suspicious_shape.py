@@ -11,13 +11,12 @@ from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.documents.document import Document
 from animtool.maths import so3
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import MAX_SIZE, Rig
 
 # Joints that every body with limbs has.
 HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
-# Nothing that is animated is larger, and no body is smaller; a wrong unit is off by a
-# factor of 39 or more [m].
-MAX_SIZE, MIN_BODY = 30.0, 0.05
+# No body is smaller; a wrong unit is off by a factor of 39 or more [m].
+MIN_BODY = 0.05
 # A rig smaller than this in metres is smaller than an ant [m].
 MIN_SIZE = 1e-3
 # Joints that are below the others where a body stands, and joints above them.

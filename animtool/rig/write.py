@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from animtool.core.names import flow, number, scaled, text
+from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.units import unit_name
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import SLIDE, Driver, split_coordinate
@@ -43,7 +43,7 @@ def rig_text(rig: Rig) -> str:
     units = _WrittenUnits(rig)
     text_lines = [
         "rig: animtool/1",
-        f"name: {text(rig.name)}",
+        f"name: {yaml_scalar(rig.name)}",
         f"units: {{length: {units.name}, angle: {units.angle_name}}}",
         f"up: {rig.up}",
         "joints:" if rig.joints else "joints: []",
@@ -66,7 +66,7 @@ def rig_text(rig: Rig) -> str:
                     ("stretch", _stretch(pose)),
                 ]
             )
-            text_lines.append(f"  {text(name)}: {entry}")
+            text_lines.append(f"  {yaml_scalar(name)}: {entry}")
     sections = {
         "meshes": map(_mesh, rig.meshes),
         "shapes": map(units.shape, rig.shapes),
@@ -95,13 +95,17 @@ class _WrittenUnits:
         self.angle_name = "rad" if self.radians == 1.0 else "deg"
 
     def length(self, value: float) -> str:
-        return scaled(value, self.meters)
+        return scaled_decimal(value, self.meters)
 
     def lengths(self, values: Sequence[float]) -> str:
-        return flow([self.length(value) for value in values])
+        return flow_list([self.length(value) for value in values])
 
     def range(self, pair: tuple[float, float] | None, unit: float) -> str | None:
-        return None if pair is None else flow([scaled(value, unit) for value in pair])
+        return (
+            None
+            if pair is None
+            else flow_list([scaled_decimal(value, unit) for value in pair])
+        )
 
     def joint(self, joint: Joint, parent: str | None, rig: Rig) -> str:
         scalar = joint.type in {JointType.PIN, JointType.PRISMATIC}
@@ -110,8 +114,8 @@ class _WrittenUnits:
         tips = [self.lengths(tip) for tip in joint.tips]
         return _flow_mapping(
             [
-                ("name", text(joint.name)),
-                ("parent", None if parent is None else text(parent)),
+                ("name", yaml_scalar(joint.name)),
+                ("parent", None if parent is None else yaml_scalar(parent)),
                 ("type", joint.type.value),
                 ("translate", self.lengths(joint.translation)),
                 ("rotate", _quaternion(joint.rotation) if is_rotated else None),
@@ -119,9 +123,9 @@ class _WrittenUnits:
                 ("limits", self.limits(joint)),
                 ("mimic", self.mimic(joint, rig)),
                 ("driven", self.driver(joint.driven, joint.type)),
-                ("mirror", text(joint.mirror) if joint.mirror else None),
-                ("tips", flow(tips) if tips else None),
-                ("channels", None if channels is None else flow(list(channels))),
+                ("mirror", yaml_scalar(joint.mirror) if joint.mirror else None),
+                ("tips", flow_list(tips) if tips else None),
+                ("channels", None if channels is None else flow_list(list(channels))),
             ]
         )
 
@@ -138,15 +142,18 @@ class _WrittenUnits:
             ),
         ]
         return _flow_mapping(
-            [("joint", text(collider.joint)), ("capsule", _flow_mapping(capsule))]
+            [
+                ("joint", yaml_scalar(collider.joint)),
+                ("capsule", _flow_mapping(capsule)),
+            ]
         )
 
     def mass(self, mass: Mass) -> str:
         has_axes = mass.axes != (0.0, 0.0, 0.0, 1.0)
         return _flow_mapping(
             [
-                ("joint", text(mass.joint)),
-                ("mass", number(mass.mass)),
+                ("joint", yaml_scalar(mass.joint)),
+                ("mass", decimal_text(mass.mass)),
                 ("centre", self.lengths(mass.centre) if any(mass.centre) else None),
                 ("inertia", _numbers(mass.inertia)),
                 ("axes", _quaternion(mass.axes) if has_axes else None),
@@ -163,7 +170,7 @@ class _WrittenUnits:
             return None
         swing = self.range(limits.swing, self.radians)
         if limits.swing is not None and limits.swing[0] == limits.swing[1]:
-            swing = scaled(limits.swing[0], self.radians)
+            swing = scaled_decimal(limits.swing[0], self.radians)
         twist = self.range(limits.twist, self.radians)
         twist = "locked" if limits.twist == (0.0, 0.0) else twist
         axis = _numbers(limits.twist_axis)
@@ -180,9 +187,9 @@ class _WrittenUnits:
         gain = joint.mimic.gain * units[1] / units[0]
         return _flow_mapping(
             [
-                ("joint", text(leader.name)),
-                ("gain", number(gain)),
-                ("offset", scaled(joint.mimic.offset, units[0])),
+                ("joint", yaml_scalar(leader.name)),
+                ("gain", decimal_text(gain)),
+                ("offset", scaled_decimal(joint.mimic.offset, units[0])),
             ]
         )
 
@@ -190,7 +197,7 @@ class _WrittenUnits:
         inbetweens = [
             _flow_mapping(
                 [
-                    ("at", number(inbetween.at)),
+                    ("at", decimal_text(inbetween.at)),
                     ("deltas", _file(inbetween.deltas)),
                     ("normals", _file(inbetween.normals)),
                 ]
@@ -199,12 +206,12 @@ class _WrittenUnits:
         ]
         return _flow_mapping(
             [
-                ("name", text(shape.name)),
-                ("mesh", text(shape.mesh) if shape.mesh else None),
+                ("name", yaml_scalar(shape.name)),
+                ("mesh", yaml_scalar(shape.mesh) if shape.mesh else None),
                 ("deltas", _file(shape.deltas)),
                 ("normals", _file(shape.normals)),
                 ("vertices", _file(shape.vertices)),
-                ("inbetweens", flow(inbetweens) if inbetweens else None),
+                ("inbetweens", flow_list(inbetweens) if inbetweens else None),
                 ("combine", _names(shape.combine) if shape.combine else None),
                 ("driven", self.driver(shape.driven)),
             ]
@@ -217,10 +224,10 @@ class _WrittenUnits:
         drives = [self.drive(drive) for drive in control.drives]
         return _flow_mapping(
             [
-                ("name", text(control.name)),
+                ("name", yaml_scalar(control.name)),
                 ("range", limits),
-                ("default", number(control.default) if control.default else None),
-                ("drives", flow(drives) if drives else None),
+                ("default", decimal_text(control.default) if control.default else None),
+                ("drives", flow_list(drives) if drives else None),
                 ("driven", self.driver(control.driven)),
             ]
         )
@@ -234,7 +241,7 @@ class _WrittenUnits:
         # Equal units up to rounding.
         factor = drive.unit / unit
         factor = 1.0 if math.isclose(factor, 1.0, rel_tol=1e-12) else factor
-        curve = flow([str(_numbers((x, y * factor))) for x, y in drive.curve])
+        curve = flow_list([str(_numbers((x, y * factor))) for x, y in drive.curve])
         expression, expression_text = drive.expression, None
         if expression is not None:
             expression_text = (
@@ -242,7 +249,7 @@ class _WrittenUnits:
             )
         return _flow_mapping(
             [
-                (kind, text(name)),
+                (kind, yaml_scalar(name)),
                 ("expr", None if expression_text is None else _quote(expression_text)),
                 ("curve", curve if drive.curve else None),
                 ("interp", "smooth" if drive.smooth else None),
@@ -271,8 +278,8 @@ class _WrittenUnits:
         scaled_points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
             [
-                ("by", text(driver.by)),
-                ("curve", flow([str(_numbers(point)) for point in scaled_points])),
+                ("by", yaml_scalar(driver.by)),
+                ("curve", flow_list([str(_numbers(point)) for point in scaled_points])),
                 ("interp", "smooth" if driver.smooth else None),
             ]
         )
@@ -346,12 +353,12 @@ def _unbound(rig: Rig) -> dict[str, Pose]:
 def _chain(chain: IkChain) -> str:
     return _flow_mapping(
         [
-            ("name", text(chain.name)),
-            ("root", text(chain.root)),
-            ("tip", text(chain.tip)),
+            ("name", yaml_scalar(chain.name)),
+            ("root", yaml_scalar(chain.root)),
+            ("tip", yaml_scalar(chain.tip)),
             ("goal", chain.goal),
             ("pole_dir", _numbers(chain.pole_dir)),
-            ("stretch", number(chain.stretch) if chain.stretch else None),
+            ("stretch", decimal_text(chain.stretch) if chain.stretch else None),
         ]
     )
 
@@ -359,13 +366,13 @@ def _chain(chain: IkChain) -> str:
 def _attachment(entry: Attachment) -> str:
     joints = ("joints", _names(entry.joints) if entry.joints else None)
     if entry.kind == AttachKind.STRANDS:
-        joints = ("joint", text(entry.joints[0]))
+        joints = ("joint", yaml_scalar(entry.joints[0]))
     return _flow_mapping(
         [
-            ("name", text(entry.name)),
-            ("kind", text(entry.kind)),
+            ("name", yaml_scalar(entry.name)),
+            ("kind", yaml_scalar(entry.kind)),
             joints,
-            ("mesh", text(entry.mesh) if entry.mesh else None),
+            ("mesh", yaml_scalar(entry.mesh) if entry.mesh else None),
             ("pins", _file(entry.pins)),
             ("points", _file(entry.points)),
         ]
@@ -385,7 +392,7 @@ def _mesh(mesh: Mesh) -> str:
         )
     return _flow_mapping(
         [
-            ("name", text(mesh.name)),
+            ("name", yaml_scalar(mesh.name)),
             ("points", _file(mesh.points)),
             ("faces", _file(mesh.faces)),
             ("normals", _file(mesh.normals)),
@@ -401,7 +408,7 @@ def _file(source: ArraySource | None) -> str | None:
     if isinstance(source, LoadedArray):
         message = "the array is in no file; animtool.rig.surfaces writes it to one"
         raise TypeError(message)
-    return None if source is None else text(source.text)
+    return None if source is None else yaml_scalar(source.text)
 
 
 def _quote(value: str) -> str:
@@ -415,11 +422,13 @@ def _flow_mapping(pairs: Pairs) -> str:
 
 
 def _names(names: Sequence[str]) -> str:
-    return flow([text(name) for name in names])
+    return flow_list([yaml_scalar(name) for name in names])
 
 
 def _numbers(values: Sequence[float] | None) -> str | None:
-    return None if values is None else flow([number(value) for value in values])
+    return (
+        None if values is None else flow_list([decimal_text(value) for value in values])
+    )
 
 
 def _quaternion(rotation: tuple[float, float, float, float]) -> str:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.sim.integrators.integrator import Step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import Run
@@ -74,7 +74,7 @@ def _too_small(trial: float, run: Run, target: float) -> bool:
 
 
 def _stop_below_floor(run: Run, trial: float) -> Status:
-    reason = f"the tolerance needs a step of {plain(trial)} s"
+    reason = f"the tolerance needs a step of {plain_number(trial)} s"
     suspect = run.equations.system.suspect(run.time, run.state)
     reason += f"; {suspect}" if suspect else ""
     return run.stop(Status.STEP_TOO_SMALL, reason)

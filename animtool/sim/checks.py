@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Form, Integrator, StepControl
 from animtool.sim.modes import allowed_step
@@ -47,7 +47,7 @@ def step_warnings(
     limit = allowed_step(integrator, modes)
     if limit is None or longest <= limit:
         return []
-    message = f"{integrator.name} is not stable with steps of {plain(longest)} s"
+    message = f"{integrator.name} is not stable with steps of {plain_number(longest)} s"
     return [warning("SIM101", message, _advice(limit))]
 
 
@@ -60,8 +60,7 @@ def stop_warning(
     advice = {
         Status.UNSTABLE: _advice(stats.stable_step),
         Status.STEP_TOO_SMALL: f"the smallest step is {options.floor:g} s: raise the "
-        "tolerance, soften the stiffest parts, or use radau "
-        "for stiff systems",
+        "tolerance, soften the stiffest parts, or use radau for stiff systems",
         Status.OUT_OF_BUDGET: "raise the budget or the tolerance, or use lsoda or "
         "radau for stiff systems",
         Status.NOT_SOLVED: "use a shorter step",
@@ -75,7 +74,7 @@ def _advice(stable_step: float | None) -> str:
         return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
         return f"no step is stable: use {STABLE_METHODS}"
-    return f"it is stable up to steps of {plain(stable_step)} s"
+    return f"it is stable up to steps of {plain_number(stable_step)} s"
 
 
 class EnergyWatch:

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.plugins import load_object
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.sim.run import Run
 from animtool.sim.system import Matrix
@@ -45,7 +45,7 @@ def advance(run: Run, target: float) -> Status:
         if status is not Status.OK:
             return status
         if h < run.options.floor and solver.t < run.end:
-            reason = f"the tolerance needs a step of {plain(h)} s"
+            reason = f"the tolerance needs a step of {plain_number(h)} s"
             return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, reason))
     run.time, run.state = target, _value(memory, target).reshape(shape)
     return Status.OK

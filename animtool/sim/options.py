@@ -8,7 +8,6 @@ from typing import Annotated
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import above, at_least, range_faults
 from animtool.core.record import dataclass
-from animtool.sim.integrators.adaptive import step_doubling
 from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.integrators.table import find_integrator
 
@@ -106,6 +105,8 @@ def _integrator_of(options: IntegrateOptions) -> Integrator:
     """
     integrator = find_integrator(options.method)
     if options.method == "adaptive_doubling" and options.base != "rk4":
+        from animtool.sim.integrators.adaptive import step_doubling
+
         return step_doubling(find_integrator(options.base))
     return integrator
 

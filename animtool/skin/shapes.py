@@ -22,10 +22,10 @@ from animtool.core.array_types import (
     FloatArray,
     IntArray,
     as_floats,
+    output_array,
 )
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
-from animtool.skin.skinning import result
 
 # Minimum distance of inbetween weights from 0, 1 and each other; UsdSkel skips closer
 # ones.
@@ -149,6 +149,8 @@ def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
     ``weights`` ``(F, S)`` [1].
     """
     values = as_floats(weights, ("F", len(shapes.names)), "weights")
+    if all(len(knots) == 2 for knots in shapes.knots):
+        return values
     weights_per_shape = [
         values[:, i : i + 1] if len(knots) == 2 else _hat_weights(knots, values[:, i])
         for i, knots in enumerate(shapes.knots)
@@ -186,13 +188,16 @@ def _blend(
     active = np.asarray(weights.any(axis=0), np.bool_)
     active_dense = np.asarray(columns.dense & active, np.bool_)
     active_sparse = np.asarray(~columns.dense & active, np.bool_)
-    blended_rows = result(out, (len(weights), *columns.rest.shape[1:]))
+    blended_rows = output_array(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if active_dense.any():
         _product(columns, weights, active, blended_rows.reshape(len(blended_rows), -1))
         points = blended_rows
     if active_sparse.any():
-        first, numbers, offsets = _active_offsets(columns, active_sparse)
+        first, numbers, offsets = columns.first, columns.columns, columns.offsets
+        # The kernel skips inactive columns of a single frame.
+        if len(weights) > 1:
+            first, numbers, offsets = _active_offsets(columns, active_sparse)
         _kernels.add_sparse(points, weights, first, numbers, offsets, blended_rows)
     elif not active_dense.any():
         blended_rows[:] = points

@@ -10,30 +10,17 @@ from enum import StrEnum
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.core.array_types import (
+    ArrayLike,
+    FloatArray,
+    IntArray,
+    as_floats,
+    output_array,
+)
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
-
-
-def result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return the caller's output array, or a new one of zeros.
-
-    For many frames, allocating memory takes about as long as the arithmetic.
-
-    Raises:
-        ValueError: It has another shape or type, or is not contiguous.
-
-    >>> result(None, (1, 2)).tolist()
-    [[0.0, 0.0]]
-    """
-    if out is None:
-        return np.zeros(shape)
-    if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
-        raise ValueError(f"out must be float64 {shape}, in C order")
-    return out
-
 
 # A bind matrix is singular if the determinant of its linear part, relative to the cube
 # of its largest element, is smaller than this.
@@ -163,7 +150,7 @@ def _skin(
     *,
     normals: bool,
 ) -> FloatArray:
-    skinned = result(out, (len(world.positions), influences.vertices, 3))
+    skinned = output_array(out, (len(world.positions), influences.vertices, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _transforms(skin, offsets[:, :3], world)

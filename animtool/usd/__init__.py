@@ -27,8 +27,7 @@ class _PxrFinder:
     """Finds modules of pxr and protects their import from interrupts.
 
     USD's C++ loader imports the modules that a module needs, and continues if an
-    interrupt
-    ends one of these imports: the program would then run with half of USD.
+    interrupt ends one of these imports: the program would then run with half of USD.
     """
 
     @staticmethod
@@ -48,8 +47,7 @@ class _UninterruptedLoader:
     """Delays signals until a module has been imported.
 
     It has the interface of `importlib.abc.Loader` without importing that, which loads
-    40
-    modules.
+    40 modules.
     """
 
     def __init__(self, loader: Any) -> None:

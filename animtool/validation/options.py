@@ -47,7 +47,7 @@ class ValidateOptions:
     jobs: int | None = option(
         1,
         "processes",
-        short="-j",
+        short_flag="-j",
         help="Number of processes.  [default: automatic]",
     )
     profile: str = option(
@@ -137,9 +137,9 @@ class ReportOptions:
     output: Path | None = option(
         None,
         "output",
-        short="-o",
+        short_flag="-o",
         goes_with="fix",
-        lacking=f"{argument('output')} {_FOR_FIX}",
+        missing_message=f"{argument('output')} {_FOR_FIX}",
         help=f"With {argument('fix', True)} and one USD file: write the repaired "
         "copy here.",
     )
@@ -147,7 +147,7 @@ class ReportOptions:
         False,
         "switch",
         goes_with="fix",
-        lacking=f"{argument('overwrite', True)} {_FOR_FIX}",
+        missing_message=f"{argument('overwrite', True)} {_FOR_FIX}",
         help=f"With {argument('fix', True)}: replace the file of -o; without -o, the "
         "USD files themselves.",
     )

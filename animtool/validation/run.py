@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from animtool.core.arguments import Calling
+from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import (
     AnimtoolError,
     ExitCode,
@@ -19,7 +19,7 @@ from animtool.core.errors import (
     Severity,
     excerpt,
 )
-from animtool.core.files.reading import matching_files, nearest_file, unreadable
+from animtool.core.files.reading import matching_files, nearest_file, unreadable_error
 from animtool.core.names import nearest
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
@@ -49,7 +49,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     texts = [text for path in paths if (text := str(path))]
     for text in texts:
         if "\0" in text:
-            raise unreadable(Path(text), "embedded null byte")
+            raise unreadable_error(Path(text), "embedded null byte")
     files: dict[Path, None] = {}
     unmatched_patterns = []
     for text in texts:
@@ -208,7 +208,7 @@ class Report:
         """Number of findings by severity."""
         return {str(kind): self.count(kind) for kind in Severity}
 
-    def worded(self, calling: Calling) -> Report:
+    def worded(self, calling: ArgumentNamer) -> Report:
         """Return the report with arguments spelled for an interface."""
         return replace(
             self,

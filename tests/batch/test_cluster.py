@@ -18,8 +18,9 @@ from support.cli import animtool
 from support.cluster import small_cluster
 
 from animtool.batch import cluster_worker
-from animtool.batch.cluster import _check_task, dask
+from animtool.batch.cluster import dask
 from animtool.batch.cluster_client import scheduler_address
+from animtool.batch.cluster_worker import check_task
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
@@ -171,7 +172,7 @@ def test_a_worker_without_animtool_can_be_told_of_items() -> None:
     pickle = pytest.importorskip("cloudpickle")
     read = "import pickle, sys; sys.modules['animtool'] = None; "
     read += "print(pickle.load(sys.stdin.buffer).__name__)"
-    sent = pickle.dumps(_check_task("name", {"animtool": "1"}))
+    sent = pickle.dumps(check_task("name", {"animtool": "1"}))
     command = [sys.executable, "-c", read]
     done = subprocess.run(command, input=sent, capture_output=True, check=True)
     assert done.stdout.strip() == b"ask"

@@ -15,7 +15,9 @@ def record(path: Path) -> FileRecord:
     """Return a file as another machine saw it: the same content, another state."""
     state = FileState.of(path)
     assert state is not None
-    return FileRecord(str(path), replace(state, inode=7, changed=7), file_digest(path))
+    return FileRecord(
+        str(path), replace(state, inode=7, changed_at=7), file_digest(path)
+    )
 
 
 def test_an_input_that_another_machine_has_otherwise(tmp_path: Path) -> None:
@@ -60,4 +62,4 @@ def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> 
     assert seen is not None
     state = FileState.of(path)
     assert state is not None
-    assert (seen.outputs[0].state, seen.at) == (state, state.changed)
+    assert (seen.outputs[0].state, seen.at) == (state, state.changed_at)

@@ -165,7 +165,7 @@ def test_executors_of_plug_ins(
     monkeypatch: pytest.MonkeyPatch, name: str, value: str, loads: bool
 ) -> None:
     point = EntryPoint(name, f"batch.test_executors:{value}", "animtool.executors")
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
+    monkeypatch.setattr("animtool.core.plugins.may_have_plugins", lambda _: True)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [point])
     listed = {entry.name: entry.uses for entry in listed_executors()}
     assert listed == {**dict.fromkeys(EXECUTORS, True), name: loads}

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.shapes import ShapeDeltas
@@ -283,5 +283,5 @@ def write_points(points: npt.NDArray[np.float32], path: Path) -> None:
         at = Sdf.AttributeSpec(spec, "points", kind).path
         for code, frame in enumerate(points, 1):
             layer.SetTimeSample(at, code, Vt.Vec3fArray.FromNumpy(frame))
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         layer.Export(str(temporary))

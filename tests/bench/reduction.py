@@ -20,7 +20,7 @@ from measuring import begin, parser, run_peer, taken_of
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tracks import euler_order
 from animtool.core.array_types import FloatArray
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler
 from animtool.maths.fit import evaluate_keys, fit_keys
 from animtool.motion.take import Take

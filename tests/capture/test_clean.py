@@ -19,7 +19,7 @@ from animtool.capture.clean import (
     scores_of,
 )
 from animtool.core.errors import OptionError
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take

@@ -41,10 +41,10 @@ from animtool.capture.clean import (
 )
 from animtool.capture.face.capture import FaceCapture, in_order, read_capture
 from animtool.capture.face.model import FaceModel
+from animtool.capture.face.poses import interpolate_poses
 from animtool.capture.face.solve import (
     _check,
     _common_shapes,
-    _interpolate_poses,
     _notices,
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
@@ -332,12 +332,12 @@ def test_heads_between_frames_with_landmarks_are_between_their_poses() -> None:
     poses[4, :4] = so3.exp(np.array([0.0, 0, 0.9]))
     poses[1, 4:], poses[4, 4:] = [1, 0, 0], [4, 3, 0]
     good = np.array([0, 1, 0, 0, 1, 0], bool)
-    turns, shifts = _interpolate_poses(poses, good)
+    turns, shifts = interpolate_poses(poses, good)
     assert_allclose(shifts[:, 0], [1, 1, 2, 3, 4, 4])
     assert_allclose(shifts[:, 1], [0, 0, 1, 2, 3, 3])
     angles = 2 * np.arctan2(np.abs(turns[:, 2]), np.abs(turns[:, 3]))
     assert_allclose(angles, [0, 0, 0.3, 0.6, 0.9, 0.9], atol=1e-9)
-    whole, ways = _interpolate_poses(poses, np.ones(6, bool))
+    whole, ways = interpolate_poses(poses, np.ones(6, bool))
     assert_array_equal(ways, poses[:, 4:])
     assert (whole[1:] * whole[:-1]).sum(axis=1).min() > 0
 

@@ -13,7 +13,13 @@ from animtool.cli.docs import SITE
 from animtool.cli.docs_reference import codes_markdown, commands_markdown
 from animtool.cli.main import COMMANDS
 from animtool.core.errors import ExitCode
-from animtool.core.pages import KINDS, MOVED, all_pages, find_page, page_markdown
+from animtool.core.pages import (
+    MOVED_PAGES,
+    PAGE_KINDS,
+    all_pages,
+    find_page,
+    page_markdown,
+)
 from animtool.core.rules import builtin_rules
 
 
@@ -22,7 +28,7 @@ def test_every_page_is_listed_below_its_kind() -> None:
     assert done.code == 0
     lines = done.stdout.splitlines()
     kinds = [line for line in lines if not line.startswith(" ")]
-    assert kinds == [kind for kind in KINDS.values() if kind in kinds]
+    assert kinds == [kind for kind in PAGE_KINDS.values() if kind in kinds]
     listed = {line.split()[0] for line in lines if line.startswith(" ")}
     assert listed == {page.name for page in all_pages()} | {
         "reference/codes", "reference/commands",
@@ -36,7 +42,7 @@ def test_a_page_is_printed_by_its_name_or_its_last_part(root: Path) -> None:
         assert animtool("docs", topic).stdout == text
 
 
-@pytest.mark.parametrize(("old", "new"), MOVED.items())
+@pytest.mark.parametrize(("old", "new"), MOVED_PAGES.items())
 def test_pages_that_moved_are_found(old: str, new: str) -> None:
     assert find_page(old).name == new
 

@@ -80,7 +80,7 @@ def test_recordings_move_the_head() -> None:
     files = sorted(Path(root, "mocap").glob("*.livelink.csv")) if root else []
     if not files:
         pytest.skip("ANIMTOOL_DATA has no mocap/*.livelink.csv")
-    from animtool.formats.livelink import read_livelink
+    from animtool.formats.livelink.read import read_livelink
 
     stream = read_livelink(files[0], rig=HEAD)
     rig = Rig.load(HEAD)

@@ -9,8 +9,8 @@ import pytest
 from support.data import data_files
 
 from animtool import open_source
-from animtool.formats.mot import write_mot
 from animtool.formats.mot.coordinates import coordinates_of
+from animtool.formats.mot.write import write_mot
 from animtool.maths.so3 import angle_between
 
 

@@ -12,10 +12,10 @@ from animtool.core.arguments import (
     Argument,
     Text,
     argument,
+    as_text,
     clause,
     in_file,
     in_python,
-    marked,
     worded,
 )
 from animtool.core.errors import Fault, FormatError
@@ -37,7 +37,7 @@ from animtool.scene.sources.open import SourceOptions
 def test_an_argument_is_called_as_the_interface_calls_it(
     name: str, value: object, python: str, file: str
 ) -> None:
-    text = marked(f"{argument(name, value)} says it")
+    text = as_text(f"{argument(name, value)} says it")
     assert text == f"{python} says it"
     assert worded(text, in_file) == f"{file} says it"
 
@@ -56,7 +56,7 @@ def test_text_that_looks_like_a_flag_stays() -> None:
 
 def test_a_clause_goes_where_its_argument_is_none() -> None:
     text = "a" + clause(f", not {argument('command.quiet')}")
-    assert marked(text) == "a"
+    assert as_text(text) == "a"
     assert worded(text, lambda found: f"-{found.field}") == "a, not -quiet"
     assert worded(text, lambda _: None) == "a"
 
@@ -75,11 +75,11 @@ def test_a_fault_keeps_what_it_names() -> None:
 
 
 def test_joined_texts_keep_what_they_name() -> None:
-    text = marked(argument("up"))
+    text = as_text(argument("up"))
     assert isinstance("a " + text + " b", Text)
     assert worded("a " + text + " b", in_file) == "a up: b"
 
 
 def test_values_of_texts_may_hold_braces() -> None:
-    assert marked(argument("set", "a={b}")) == 'set="a={b}"'
+    assert as_text(argument("set", "a={b}")) == 'set="a={b}"'
     assert in_python(Argument("command.quiet")) is None

@@ -18,11 +18,11 @@ from support.faults import raises
 import animtool
 from animtool.cli.bake import bake
 from animtool.cli.options import declared, read_values, record_option
-from animtool.core.arguments import marked
+from animtool.core.arguments import as_text
 from animtool.core.errors import OptionError, Severity
 from animtool.core.options import (
     Key,
-    clashes,
+    clash_messages,
     keys_of,
     option,
     options_of,
@@ -65,7 +65,7 @@ class Reach:
 def test_a_use_refuses_what_is_not_the_default(
     given: Cut, use: str, names: list[str]
 ) -> None:
-    assert [marked(name) for name in refused_options(given, use)] == names
+    assert [as_text(name) for name in refused_options(given, use)] == names
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Bread:
     ],
 )
 def test_what_options_exclude_and_want(bread: Bread, messages: list[str]) -> None:
-    assert [marked(message) for message in clashes(bread)] == messages
+    assert [as_text(message) for message in clash_messages(bread)] == messages
 
 
 def test_what_options_exclude_and_want_is_an_option() -> None:

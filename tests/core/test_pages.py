@@ -5,14 +5,20 @@ from __future__ import annotations
 import pytest
 
 from animtool.core.errors import OptionError
-from animtool.core.pages import KINDS, SUBJECTS, all_pages, find_page, page_markdown
+from animtool.core.pages import (
+    PAGE_KINDS,
+    SUBJECTS,
+    all_pages,
+    find_page,
+    page_markdown,
+)
 
 
 def test_pages_are_sorted_by_kind_and_titled_by_their_heading() -> None:
     pages = all_pages()
-    kinds = [list(KINDS.values()).index(page.kind) for page in pages]
+    kinds = [list(PAGE_KINDS.values()).index(page.kind) for page in pages]
     assert kinds == sorted(kinds)
-    assert set(kinds) == set(range(len(KINDS)))
+    assert set(kinds) == set(range(len(PAGE_KINDS)))
     for page in pages:
         assert page_markdown(page).startswith(f"# {page.title}\n")
         assert page.title

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.core.quantities import duration_text, length_text, plain, size_text
+from animtool.core.quantities import duration_text, length_text, plain_number, size_text
 
 NUMBERS = st.floats(1e-12, 1e12)
 FACTORS = {
@@ -17,7 +17,7 @@ FACTORS = {
 
 @given(NUMBERS | NUMBERS.map(lambda number: -number), st.integers(1, 6))
 def test_plain_numbers_have_no_exponent(number: float, digits: int) -> None:
-    text = plain(number, digits)
+    text = plain_number(number, digits)
     assert "e" not in text
     assert float(text) == float(f"{number:.{digits}g}")
 

@@ -87,7 +87,7 @@ def test_a_reader_of_a_plugin(
 ) -> None:
     (tmp_path / "marks_reader.py").write_text(
         "from animtool.core.readers import Reader\n"
-        "from animtool.formats.bvh import read_bvh\n"
+        "from animtool.formats.bvh.read import read_bvh\n"
         "READER = Reader('marks', source='marks_reader:open_marks', options=('fps',))\n"
         "def open_marks(path, fps=None):\n"
         "    return read_bvh(path.read_text(), fps=fps)\n"
@@ -119,7 +119,7 @@ def test_rules_look_at_takes_of_a_plugin(
 ) -> None:
     (tmp_path / "bvh_marks_reader.py").write_text(
         "from animtool.core.readers import Reader\n"
-        "from animtool.formats.bvh import read_bvh\n"
+        "from animtool.formats.bvh.read import read_bvh\n"
         "READER = Reader('marks', source='bvh_marks_reader:read_bvh')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)

@@ -124,7 +124,7 @@ def test_rules_of_plug_ins(
     monkeypatch: pytest.MonkeyPatch, name: str, value: str, word: str | None
 ) -> None:
     point = EntryPoint(name, f"core.test_rules:{value}", "animtool.rules")
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
+    monkeypatch.setattr("animtool.core.plugins.may_have_plugins", lambda _: True)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [point])
     all_rules.cache_clear()
     try:

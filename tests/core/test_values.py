@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.errors import Fault, Severity
-from animtool.core.values import picked, plain_value
+from animtool.core.values import plain_value, template_values
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ def test_a_record_is_its_fields() -> None:
 
 def test_fields_are_picked_in_order_by_path() -> None:
     part = Part(Path("a"), Severity.ERROR, {"x": Fraction(1, 2)})
-    found = picked(part, "sizes name=path.name level")
+    found = template_values(part, "sizes name=path.name level")
     assert [*found] == ["sizes", "name", "level"]
     assert found == {"sizes": {"x": 0.5}, "name": "a", "level": "error"}
     assert type(found["level"]) is str

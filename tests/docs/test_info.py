@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.core.values import parsed
+from animtool.core.values import parse_template
 from animtool.report.describe import TakeDescription
 from animtool.report.describe_rig import (
     GoalDescription,
@@ -48,7 +48,7 @@ def test_tables_have_the_keys_of_the_records(section: str, title: str) -> None:
     cells = [row.split("|")[1] for row in table.splitlines()[2:]]
     listed = [key for cell in cells for key in re.findall(r"`(\w+)`", cell)]
     record = TABLES[title]
-    keys = {key.key for key in parsed(getattr(record, "json_keys", "*"))}
+    keys = {key.key for key in parse_template(getattr(record, "json_keys", "*"))}
     # A star, without a key, is all fields.
     names = {field.name for field in fields(record)} if "" in keys else set()
     stated = keys - {""} | names

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from support.cli import animtool
 
-from animtool.batch.file import BatchModel
+from animtool.batch.schema import BatchModel
 from animtool.clip.schema import ClipModel
 from animtool.documents.check import FileModel
 from animtool.documents.fields import MAX_INTEGER, MAX_NUMBER, check_numbers

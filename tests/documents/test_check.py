@@ -9,9 +9,10 @@ from pydantic import Field
 
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
-from animtool.documents.check import MAX_REPLACED, FileModel, check_version, validated
+from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.forms import Forms
+from animtool.documents.model_faults import MAX_REPLACED
 
 
 class Round(FileModel):

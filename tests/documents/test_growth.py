@@ -10,8 +10,8 @@ import pytest
 from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError
-from animtool.core.names import distinct, similar
-from animtool.core.source_lines import cut
+from animtool.core.names import most_similar, numbered_names
+from animtool.core.source_lines import crop_line
 from animtool.documents.document import read_document
 from animtool.documents.yaml_values import MAX_MARKS
 from animtool.formats.bvh.read import read_bvh
@@ -132,15 +132,15 @@ def test_real_sizes_are_read(tmp_path: Path) -> None:
 
 def test_the_nearest_of_many_names() -> None:
     names = [f"joint_{i:04}" for i in range(2000)]
-    assert similar("jiont_1234", names) == "joint_1234"
-    assert similar("x" * 1000, names) is None
+    assert most_similar("jiont_1234", names) == "joint_1234"
+    assert most_similar("x" * 1000, names) is None
 
 
 def test_names_in_a_row_are_distinct() -> None:
-    made = distinct(["a"] * 20_000)
+    made = numbered_names(["a"] * 20_000)
     assert (made[0], made[-1], len(set(made))) == ("a", "a_20000", 20_000)
 
 
 def test_the_line_of_a_finding_is_cut_before_it_is_looked_at() -> None:
-    shown, caret = cut("x" * 10_000_000, 5_000_000)
+    shown, caret = crop_line("x" * 10_000_000, 5_000_000)
     assert (len(shown), caret.index("^")) == (96, 32)

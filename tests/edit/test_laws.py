@@ -16,7 +16,7 @@ from animtool.edit.layers import LayerMode, blend, difference, layer
 from animtool.edit.mirroring import Axis, mirror
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.keyed import KeyInterpolation
 from animtool.motion.motion import Channel

@@ -21,7 +21,7 @@ from animtool.core.errors import OptionError
 from animtool.edit.looping import PASS, LoopOptions, loop
 from animtool.edit.travel import twist
 from animtool.edit.tree import inserted
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext

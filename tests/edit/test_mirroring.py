@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
 from animtool.edit.mirroring import PASS, MirrorOptions, mirror
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream

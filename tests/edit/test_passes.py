@@ -16,7 +16,7 @@ from support.suite import some_quick
 
 from animtool.core.errors import OptionError
 from animtool.edit.retiming import trim
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (

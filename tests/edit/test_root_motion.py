@@ -18,7 +18,7 @@ from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.root_motion import extract_root, recompose_root
 from animtool.edit.tree import inserted
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take

@@ -16,7 +16,7 @@ from support.cli import Done, animtool
 
 from animtool import bake
 from animtool.core.errors import OutputError
-from animtool.core.files.output import atomic_outputs, check_outputs, replacing
+from animtool.core.files.output import atomic_outputs, check_outputs, replacement_path
 from faults.calls import in_child
 
 FAULTS = "fault | what happened | what was lost"
@@ -84,7 +84,7 @@ def test_an_output_that_is_no_file(
     assert sorted(path.name for path in disk.iterdir()) == names
     after = output.stat() if output.exists() else output.lstat()
     assert stat.S_IFMT(after.st_mode) == stat.S_IFMT(before.st_mode)
-    with pytest.raises(OutputError), replacing(output):
+    with pytest.raises(OutputError), replacement_path(output):
         pass
     row = f"-o is a {make.__name__.replace('_', ' ')}"
     record_property(FAULTS, f"{row} | OUT005 | nothing")
@@ -141,7 +141,10 @@ def test_a_folder_and_a_file_that_are_not_mine(
             assert caught.value.code == "OUT002"
             # Whoever does not look before finds out at the end.
             if path.parent == closed:
-                with pytest.raises(PermissionError), replacing(path) as temporary:
+                with (
+                    pytest.raises(PermissionError),
+                    replacement_path(path) as temporary,
+                ):
                     temporary.touch()
         # A set of which one file cannot be written.
         paths = [shared / "new.txt", closed / "new.txt"]
@@ -159,7 +162,7 @@ def test_a_folder_and_a_file_that_are_not_mine(
 def both(paths: Sequence[Path]) -> None:
     with atomic_outputs():
         for path in paths:
-            with replacing(path) as temporary:
+            with replacement_path(path) as temporary:
                 temporary.write_text("new", "utf-8")
 
 

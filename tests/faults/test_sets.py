@@ -18,12 +18,16 @@ from support.small_takes import small
 
 from animtool.batch.bundle import Bundle, write_bundle
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
-from animtool.core.files.leftovers import remove_leftovers, take_back, temporary_prefix
+from animtool.core.files.leftovers import (
+    remove_leftovers,
+    roll_back_folder,
+    temporary_prefix,
+)
 from animtool.core.files.output import (
     atomic_outputs,
     check_outputs,
     early_outputs,
-    replacing,
+    replacement_path,
 )
 from animtool.core.files.placing import output_error
 from faults.calls import (
@@ -46,7 +50,7 @@ Writer = Callable[[Path, str], None]
 
 
 def write(path: Path, text: str) -> None:
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         try:
             temporary.write_text(text, "utf-8")
         except OSError as error:
@@ -206,7 +210,7 @@ def test_the_process_is_killed(
         given = (writer.__name__, str(folder), i, int(signal.SIGKILL))
         assert children(stop_at, *given) == -signal.SIGKILL
         # What the next command that writes to the folder does first.
-        take_back(folder)
+        roll_back_folder(folder)
         files = files_in(folder)
         # Nothing names an array file before the text is there.
         if writer is with_arrays and files.get("a.txt") == stage.old.get("a.txt"):
@@ -257,7 +261,7 @@ def test_an_undo_that_fails_is_done_by_the_next(disk: Path) -> None:
     for i in renames:
         folder = stage.copy(i)
         assert in_child(lambda i=i, folder=folder: work(folder, i)) == 0  # type: ignore[misc]
-        take_back(folder)
+        roll_back_folder(folder)
         assert files_in(folder) == stage.old
 
 
@@ -288,7 +292,7 @@ def test_a_journal_of_others_reaches_no_other_files(disk: Path) -> None:
         assert mine.read_text("utf-8") == "mine"
         assert hidden(folder) == []
     os.mkfifo(folder / f"{dead}2.set")
-    take_back(folder)
+    roll_back_folder(folder)
     remove_leftovers([folder])
     assert hidden(folder) == []
 

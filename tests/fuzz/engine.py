@@ -25,7 +25,7 @@ from types import ModuleType
 import numpy as np
 from support.sanitized import SANITIZED
 
-from animtool.core.process.supervisor import CRASHES, report_reading
+from animtool.core.process.supervisor import CRASH_SIGNALS, report_reading
 
 Case = Callable[[np.random.Generator], str]
 
@@ -108,7 +108,7 @@ def _chunk(
     if status == 0:
         return end
     last = int.from_bytes(reached[:8], "little")
-    if reached[8] and -status in CRASHES:
+    if reached[8] and -status in CRASH_SIGNALS:
         outcome.words[f"USD crashes: {signal.Signals(-status).name}"] += 1
         return last + 1
     ended = f"exit {status}" if status > 0 else signal.Signals(-status).name

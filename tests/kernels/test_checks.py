@@ -59,6 +59,7 @@ def curves(times: list[float], kind: int = 1, handle: float = 0.0) -> Any:
         ([-INF, 0, INF], 1, 0, "times"),
         ([-1e308, 1e308, 1.5e308], 1, 0, "times"),
         ([0, 5, 1, 9], 1, 0, "times"),
+        ([0, 1, 1, 2], 1, 0, "times"),
         ([0, 1, 2], 3, NAN, "outs"),
         ([0, 1, 2], 4, 0, "kinds"),
         ([0, 1, 2], -1, 0, "kinds"),
@@ -67,7 +68,7 @@ def curves(times: list[float], kind: int = 1, handle: float = 0.0) -> Any:
 def test_curves_without_end(
     times: list[float], kind: int, handle: float, name: str
 ) -> None:
-    assert curves([0.0, 1.0, 1.0, 2.0]).shape == (1, 30)
+    assert curves([0.0, 1.0, 1.5, 2.0]).shape == (1, 30)
     with pytest.raises(ValueError, match=rf"^{name}: "):
         curves(times, kind, handle)
 

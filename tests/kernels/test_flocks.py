@@ -25,7 +25,7 @@ def flock(
     arguments = {
         "members": None, "others": None, "radius": 1.3, "cosine": -1.0, "nearest": 0,
         "attraction": attraction, "alignment": alignment, "repulsion": repulsion,
-        "softening": 0.1, "period": OPEN, "most": 1e12, **changes,
+        "softening": 0.1, "period": OPEN, "max_tests": 1e12, **changes,
     }  # fmt: skip
     return _kernels.flock_accelerations(x, v, **arguments)
 
@@ -128,7 +128,7 @@ def test_far_apart_and_all_in_one_place() -> None:
 
 def test_too_many_at_one_place_are_not_looked_at() -> None:
     x = np.zeros((3000, 3))
-    found, counts, looked = flock(x, x, most=1000.0)
+    found, counts, looked = flock(x, x, max_tests=1000.0)
     assert looked > 1000
     assert found.shape == (3000, 3)
     assert counts.max() <= 3000

@@ -131,7 +131,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         _kernels.molecule_pairs(x, BOX, 3.1, 10**6)
     with pytest.raises(ValueError, match=r"^points: nan"):
         _kernels.molecule_pairs(np.full((2, 3), np.nan), BOX, 2, 10**6)
-    with pytest.raises(ValueError, match=r"^most: "):
+    with pytest.raises(ValueError, match=r"^max_pairs: "):
         _kernels.molecule_pairs(x, BOX, 2.5, 10)
     order, starts, partners = _kernels.molecule_pairs(x, BOX, 2.8, 10**6)
     rest = BOX, KINDS, LAWS, None, CUTOFF, 2.0, DAMPING

@@ -27,16 +27,16 @@ BAD: list[tuple[str, str, Any]] = [
     ("SpringNetwork", "ends", -1),
     ("SpringNetwork", "triangles", -1),
     ("SpringNetwork", "triangles", 10**6),
-    ("SpringNetwork", "held_path", np.inf),
+    ("SpringNetwork", "pinned_path", np.inf),
     ("SpringNetwork", "winds", np.nan),
-    ("SpringNetwork.lead", "held_path", np.nan),
+    ("SpringNetwork.set_paths", "pinned_path", np.nan),
     ("SpringLayers", "rest", np.nan),
     ("SpringLayers", "thickness", 0.0),
     ("SpringLayers", "speed", np.nan),
-    ("SpringLayers.least", "triangle", 10**9),
-    ("SpringLayers.least", "particle", -5),
-    ("SpringLayers.least_of_edges", "first", 10**9),
-    ("SpringLayers.least_of_edges", "second", -1),
+    ("SpringLayers.distance", "triangle", 10**9),
+    ("SpringLayers.distance", "particle", -5),
+    ("SpringLayers.edge_distance", "first", 10**9),
+    ("SpringLayers.edge_distance", "second", -1),
     ("SpringStrands", "rests", np.nan),
     ("SpringStrands", "gravity", np.inf),
     ("SpringStrands", "draw_damping", -1.0),
@@ -67,8 +67,8 @@ BAD: list[tuple[str, str, Any]] = [
             ("substeps", HUGE),
         )
     ],
-    ("project_springs", "least", 0),
-    ("project_springs", "most", HUGE),
+    ("project_springs", "min_substeps", 0),
+    ("project_springs", "max_substeps", HUGE),
     ("project_springs", "calm", -1),
     ("project_springs", "stretch", np.nan),
     ("project_springs", "crossed", -(2**63)),
@@ -102,14 +102,14 @@ def test_what_cannot_be_is_refused_by_its_name(
 
 def test_times_that_descend_are_refused() -> None:
     made = CALLS["SpringNetwork"](np.random.default_rng(0))
-    paths = {name: made[name][:1] for name in ("held_path", "anchor_path", "winds")}
+    paths = {name: made[name][:1] for name in ("pinned_path", "anchor_path", "winds")}
     with pytest.raises(ValueError, match=r"^knots: it does not ascend at index 1"):
         _kernels.SpringNetwork(**{**made, **paths, "knots": np.array([3.0, 0, 2])})
 
 
 def test_a_path_that_does_not_fit_changes_nothing() -> None:
     every = (CALLS["SpringNetwork"](np.random.default_rng(i)) for i in range(100))
-    made = next(one for one in every if len(one["held"]) and len(one["anchors"]))
+    made = next(one for one in every if len(one["pinned"]) and len(one["anchors"]))
     network, whole = (
         _kernels.SpringNetwork(**made),
         np.zeros(len(made["ends"]), np.uint8),
@@ -122,7 +122,7 @@ def test_a_path_that_does_not_fit_changes_nothing() -> None:
 
     begun = stepped()
     with pytest.raises(ValueError, match=r"^anchor_path"):
-        network.lead(made["held_path"] + 1, made["anchor_path"][:, :-1].copy())
+        network.set_paths(made["pinned_path"] + 1, made["anchor_path"][:, :-1].copy())
     assert stepped() == begun
 
 

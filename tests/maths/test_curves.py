@@ -174,20 +174,60 @@ def test_linear_goes_on_along_the_handle() -> None:
     assert evaluate(curve, [-2.0, 5.0])[0].tolist() == [-6.0, 7.0]
 
 
+def test_curves_with_the_same_key_times_are_as_each_alone() -> None:
+    """More curves, and more times, than are looked at together."""
+    rng = np.random.default_rng(5)
+    count, curves = 40, 19
+    total, held = count * curves, (Extrapolation.HOLD,) * curves
+    own = np.sort(rng.uniform(0, 9, count))
+    together = Curves(
+        np.arange(curves + 1) * count,
+        np.concatenate([np.tile(own, curves - 1), own + 0.1]),
+        rng.normal(size=total),
+        rng.integers(0, 4, total),
+        rng.uniform(-0.2, 0, (total, 2)),
+        rng.uniform(0, 0.2, (total, 2)),
+        held,
+        held,
+    )
+    at = np.sort(rng.uniform(-1, 10, 2500))
+    values = evaluate(together, at)
+    into = np.zeros(values.shape)
+    assert evaluate(together, at, out=into) is into
+    assert_array_equal(into, values)
+    for c in range(curves):
+        keys = slice(c * count, (c + 1) * count)
+        alone = Curves(
+            np.array([0, count]),
+            *(getattr(together, name)[keys] for name in ARRAYS),
+            held[:1],
+            held[:1],
+        )
+        assert_array_equal(evaluate(alone, at)[0], values[c])
+
+
+def test_out_has_the_shape_of_the_values() -> None:
+    with pytest.raises(ValueError, match=r"out must be float64 \(3, 1\)"):
+        evaluate(random_curves(1), [0.5], out=np.zeros((3, 2)))
+
+
 def test_no_times_give_no_values() -> None:
     curves = random_curves(1)
     assert evaluate(curves, []).shape == (3, 0)
 
 
+ARRAYS = ("times", "values", "kinds", "ins", "outs")
+
 FAULTS = {
     "first": ("first", np.array([0, 1])),
-    "times must ascend": ("times", np.array([1.0, 1.0])),
-    "times must be finite": ("times", np.array([0.0, np.nan])),
+    "times: .* not ascending": ("times", np.array([1.0, 1.0])),
+    "times: .* not finite": ("times", np.array([0.0, np.nan])),
+    "values: nan": ("values", np.array([np.nan, 0.0])),
     "values must have": ("values", np.zeros(3)),
     "ins must have": ("ins", np.zeros((2, 3))),
-    "outs must be finite": ("outs", np.full((2, 2), np.inf)),
-    "kinds must be": ("kinds", np.array([7, 0])),
-    "handles": ("outs", np.array([[-1.0, 0.0], [0.0, 0.0]])),
+    "outs: .* not finite": ("outs", np.full((2, 2), np.inf)),
+    "kinds: 7": ("kinds", np.array([7, 0])),
+    "outs: .* points away": ("outs", np.array([[-1.0, 0.0], [0.0, 0.0]])),
     "pre and post": ("pre", ()),
 }
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from support.bvh import random_rows, small_bvh
 
 from animtool.core.units import UpAxis
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward, rest_world

@@ -16,7 +16,7 @@ from pxr import Sdf
 from support.bvh import random_rows, small_bvh
 from support.cli import TIMEOUT, animtool, killable
 
-from animtool.core.files.leftovers import take_back
+from animtool.core.files.leftovers import roll_back_folder
 from animtool.core.files.placing import WrittenFile
 
 TRIES = 10
@@ -68,7 +68,7 @@ def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
             done = run(int(moment), *words, cwd=folder)
             assert done.code in {0, -signal.SIGKILL}
             # The next command that writes to the folder does so.
-            take_back(folder)
+            roll_back_folder(folder)
             found = files(folder)
             assert found in (before, content)
             whole_ones += found == content

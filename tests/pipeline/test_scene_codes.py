@@ -238,7 +238,7 @@ class Plugin:
 def test_a_scene_is_refused(
     name: str, walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
+    monkeypatch.setattr("animtool.core.plugins.may_have_plugins", lambda _: True)
     monkeypatch.setattr(
         "importlib.metadata.entry_points",
         lambda **_: [Plugin("broken"), Plugin("number")],

@@ -13,7 +13,7 @@ from support.drifting import author_samples
 
 from animtool.core.errors import OptionError
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take

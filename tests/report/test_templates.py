@@ -17,7 +17,7 @@ import pytest
 
 import animtool
 from animtool.core.plugins import load_object
-from animtool.core.values import JsonKey, parsed
+from animtool.core.values import JsonKey, parse_template
 from animtool.report import text
 from animtool.report.text import Each, Line, Table, Template, render
 
@@ -240,7 +240,7 @@ def test_names_of_a_template_are_fields(name: str, template: Template) -> None:
 
 @pytest.mark.parametrize("record", RECORDS, ids=[r.__qualname__ for r in RECORDS])
 def test_keys_of_a_report_are_fields(record: Any) -> None:
-    _check_keys([record], parsed(record.json_keys))
+    _check_keys([record], parse_template(record.json_keys))
 
 
 def _check_keys(kinds: list[Any], keys: tuple[JsonKey, ...]) -> None:
@@ -275,4 +275,4 @@ def test_a_misspelt_name_is_found(line: Line) -> None:
 
 def test_a_misspelt_key_is_found() -> None:
     with pytest.raises(AttributeError):
-        _check_keys([_Part], parsed("name size"))
+        _check_keys([_Part], parse_template("name size"))

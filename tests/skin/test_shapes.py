@@ -152,6 +152,20 @@ def test_shapes_that_never_show_change_no_bit(dense: bool) -> None:
     assert_allclose(all_of_them, alone, atol=1e-15)
 
 
+def test_each_frame_alone_is_the_same() -> None:
+    """Of sparse shapes, some of which are inactive in a frame."""
+    rng = np.random.default_rng(4)
+    shapes = [
+        ShapeDeltas(f"s{i}", rng.normal(size=(5, 3)), rng.permutation(60)[:5])
+        for i in range(20)
+    ]
+    made = prepare_shapes(shapes, rng.normal(size=(60, 3)))
+    weights = rng.normal(size=(7, 20)) * rng.integers(0, 2, (7, 20))
+    whole = blend_points(made, weights)
+    for f in range(7):
+        assert_array_equal(blend_points(made, weights[f : f + 1])[0], whole[f])
+
+
 def test_no_shapes_and_no_frames() -> None:
     made = prepare_shapes([], np.eye(3))
     assert_array_equal(blend_points(made, np.zeros((2, 0))), [np.eye(3)] * 2)

@@ -15,7 +15,7 @@ import animtool
 from animtool.core.errors import AnimtoolError
 from animtool.core.units import UpAxis
 from animtool.edit.resample import resampled
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.report.compare import compare_takes

@@ -164,8 +164,7 @@ def load_cameras(
         path: A camera file (``cameras: animtool/1``), an OpenCV FileStorage in YAML or
             JSON, a JSON file with a list of cameras with ``K``, ``R``, ``t`` and
             ``dist``, or a TOML file of Pose2Sim or anipose.
-        unit: Unit of translations, if the file does not state it; metres if not
-            given.
+        unit: Unit of translations, if the file does not state it; metres if not given.
         up: The world's up axis, if the file does not state it.
 
     Raises:

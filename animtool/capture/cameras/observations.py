@@ -16,7 +16,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
 from animtool.core.files.reading import open_input
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_from_float, rate_option
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
@@ -219,7 +219,7 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
         missing_names = [name for name in observations.cameras if name not in by_name]
         if missing_names:
-            suggestions = similar(missing_names[0], list(by_name))
+            suggestions = most_similar(missing_names[0], list(by_name))
             message = f"camera {missing_names[0]!r} has no calibration"
             shown_names = listed(list(by_name))
             hint = (

@@ -32,7 +32,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
 
@@ -372,7 +372,7 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
         return tuple(names)
     if any(names):
         missing = folders[names.index("")].name
-        suggestions = similar(missing, cameras.names)
+        suggestions = most_similar(missing, cameras.names)
         message = f"camera {missing!r} has no calibration"
         hint = (
             f"did you mean {suggestions!r}?"

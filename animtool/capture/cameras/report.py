@@ -13,7 +13,7 @@ from animtool.capture.cameras.camera import Camera
 from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, PoseShift
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, Severity, counted, listed, percent
+from animtool.core.errors import Fault, Severity, counted, listed, percent_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
@@ -163,7 +163,7 @@ def camera_notices(
         )
         if throughout:
             text = f"camera {report.name!r} does not match its calibration in any frame"
-        text += f": {percent(shift.outliers)} of its points are outliers"
+        text += f": {percent_text(shift.outliers)} of its points are outliers"
         if shift.change is not None:
             text += f", and {shift.change} would explain it"
         if shift.kept:
@@ -179,12 +179,13 @@ def camera_notices(
         text = f"camera {report.name!r} disagrees with the others in "
         text += f"{counted(len(report.disagrees), 'frame')}: {frames_text}"
         if worst.outliers > 0:
-            text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
+            text += f" ({percent_text(worst.outliers)} outliers in {worst.frame + 1})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
     if report.outliers > MANY_OUTLIERS and not report.shifts:
         text = (
-            f"{percent(report.outliers)} of the points of camera {report.name!r} are "
+            f"{percent_text(report.outliers)} of the points of camera "
+            f"{report.name!r} are "
         )
         yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
     if not report.observed:

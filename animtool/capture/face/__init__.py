@@ -8,14 +8,14 @@ from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.capture.face.file import load_landmarks as load_landmarks
+    from animtool.capture.face.fit import FaceFit as FaceFit
     from animtool.capture.face.model import FaceModel as FaceModel
-    from animtool.capture.face.solve import FaceFit as FaceFit
     from animtool.capture.face.solve import fit_face as fit_face
     from animtool.capture.face.transfer import transfer_weights as transfer_weights
     from animtool.capture.options import FaceOptions as FaceOptions
 
 _PUBLIC = {
-    "FaceFit": "animtool.capture.face.solve",
+    "FaceFit": "animtool.capture.face.fit",
     "FaceModel": "animtool.capture.face.model",
     "FaceOptions": "animtool.capture.options",
     "fit_face": "animtool.capture.face.solve",

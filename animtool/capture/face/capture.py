@@ -21,7 +21,7 @@ from animtool.core.errors import (
     Severity,
     counted,
     listed,
-    naming,
+    names_fault,
 )
 from animtool.core.files.reading import open_input
 from animtool.core.names import nearest
@@ -269,6 +269,6 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
         if names:
             message = f"{len(names)} {problem}"
             notices.append(
-                naming("FAC107", message, names, path, severity=Severity.WARNING)
+                names_fault("FAC107", message, names, path, severity=Severity.WARNING)
             )
     return ordered_points, notices

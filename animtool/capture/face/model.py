@@ -8,7 +8,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.errors import Fault, OptionError, Severity, names_fault
 from animtool.core.record import dataclass
 from animtool.maths.faces import rigid_motion
 from animtool.maths.so3 import conjugate, rotate
@@ -109,7 +109,9 @@ class FaceModel:
         static = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
         if static:
             message = f"{len(static)} shapes move no landmark, and stay at 0: "
-            notices.append(naming("FAC101", message, static, severity=Severity.WARNING))
+            notices.append(
+                names_fault("FAC101", message, static, severity=Severity.WARNING)
+            )
         pairs = self.similar_shapes()
         if len(pairs):
             names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
@@ -117,7 +119,9 @@ class FaceModel:
                 f"{len(pairs)} pairs of shapes move landmarks in the same direction, "
                 "and are solved together: "
             )
-            notices.append(naming("FAC102", message, names, severity=Severity.WARNING))
+            notices.append(
+                names_fault("FAC102", message, names, severity=Severity.WARNING)
+            )
         return notices
 
     def of_actor(self, captured: FloatArray) -> FaceModel:

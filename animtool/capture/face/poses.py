@@ -1,11 +1,11 @@
-"""Initial head poses from a face's landmarks at rest."""
+"""Head poses: initial ones from a face's landmarks at rest, and those of gaps."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.maths.so3 import from_matrix, rotate
+from animtool.maths.so3 import align_signs, from_matrix, rotate, slerp
 
 # Iterations of reweighting, and of perspective.
 ROUNDS = 4
@@ -105,3 +105,27 @@ def camera_pose(
         depth = 1.0 + (points - middle) @ rotation[2] / shift[2]
     quaternion = from_matrix(rotation[None])[0]
     return np.concatenate([quaternion, shift - rotation @ middle])
+
+
+def interpolate_poses(
+    poses: FloatArray, usable: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return rotations and translations, interpolated over frames without landmarks."""
+    rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
+    if usable.all():
+        return rotations, shifts
+    good_frames, frames = np.flatnonzero(usable), np.arange(len(usable))
+    rotations[good_frames] = align_signs(rotations[good_frames])
+    next_good = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
+    previous_good = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
+    a, b = good_frames[previous_good], good_frames[next_good]
+    gap_length = np.maximum(b - a, 1)
+    fraction = np.clip((frames - a) / gap_length, 0.0, 1.0)
+    is_gap = ~usable
+    rotations[is_gap] = slerp(
+        rotations[a[is_gap]], rotations[b[is_gap]], fraction[is_gap]
+    )
+    shifts[is_gap] = shifts[a[is_gap]] + fraction[is_gap, None] * (
+        shifts[b[is_gap]] - shifts[a[is_gap]]
+    )
+    return align_signs(rotations), shifts

@@ -14,18 +14,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from enum import StrEnum
 
 import numpy as np
 
 from animtool import _kernels
+from animtool.capture.face.fit import MISPLACED_FRACTION, FaceFit, FrameStatus
 from animtool.capture.face.model import MIN_MOTION, FaceModel, spread
-from animtool.capture.face.poses import camera_pose, head_poses
+from animtool.capture.face.poses import camera_pose, head_poses, interpolate_poses
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
-from animtool.core.record import dataclass
-from animtool.maths.so3 import align_signs, slerp
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    names_fault,
+)
 
 # Frames of a window, and its overlap on both sides: a change propagates over a few
 # frames only.
@@ -54,97 +59,7 @@ MAX_BENT_ROUNDS = 6
 BENT_CONVERGED_CHANGE = 1e-4
 # Largest size ratio between capture and face: beyond, their units differ.
 MAX_SCALE = 3.0
-# A landmark with less than half weight in this fraction of frames is misplaced.
-MISPLACED_FRACTION = 0.5
 MAX_LISTED = 12
-
-
-class FrameStatus(StrEnum):
-    """How a frame was solved."""
-
-    SOLVED = "solved"
-    GAP = "gap"  # too few landmarks: weights and pose are interpolated
-    POOR = "poor"  # more than half of the landmarks are outliers
-
-
-@dataclass(frozen=True, slots=True)
-class LandmarkScore:
-    """Fit of a landmark."""
-
-    name: str  # of the landmark
-    rms: float  # root mean square residual where its weight is at least one half
-    seen: int  # frames in which it is visible
-    outliers: int  # visible frames in which its weight is below one half
-
-
-@dataclass(frozen=True, slots=True)
-class ShapePeak:
-    """Largest weight of a shape."""
-
-    name: str  # of the shape
-    max: float  # its largest weight
-
-
-@dataclass(frozen=True, slots=True)
-class FaceFit:
-    """Face weights over frames, and their fit.
-
-    Attributes:
-        model: The face.
-        weights: Weights of its shapes, 0 to 1 ``(F, S)``.
-        rotations: Rotations of the head, world from face ``(F, 4)``.
-        translations: Translations of the head [m] ``(F, 3)``.
-        residuals: Distance of landmarks from the face in [m], or [px] of a camera ``(F,
-            N)``; NaN where missing.
-        shares: Robust weight of each landmark, 0 to 1 ``(F, N)``.
-        status: Status of each frame.
-        noise: Standard deviation of the noise in one direction, in the unit of the
-            residuals.
-        rounds: Rounds of the slowest window.
-        change: Largest change of a weight in the last round of a window.
-        notices: Warnings.
-    """
-
-    model: FaceModel
-    weights: FloatArray
-    rotations: FloatArray
-    translations: FloatArray
-    residuals: FloatArray
-    shares: FloatArray
-    status: tuple[FrameStatus, ...]
-    noise: float
-    rounds: int
-    change: float
-    notices: tuple[Fault, ...] = ()
-
-    @property
-    def rms(self) -> float:
-        """Root mean square residual of landmarks with weight of at least one half."""
-        is_inlier = (self.shares >= MISPLACED_FRACTION) & np.isfinite(self.residuals)
-        return (
-            float(np.sqrt((self.residuals[is_inlier] ** 2).mean()))
-            if is_inlier.any()
-            else 0.0
-        )
-
-    @property
-    def landmarks(self) -> list[LandmarkScore]:
-        """Fit of each landmark."""
-        visible = np.isfinite(self.residuals)
-        is_inlier = visible & (self.shares >= MISPLACED_FRACTION)
-        squares = np.where(is_inlier, self.residuals, 0.0) ** 2
-        rms = np.sqrt(squares.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1))
-        counts = visible.sum(axis=0), (visible & ~is_inlier).sum(axis=0)
-        columns = (rms.tolist(), *(count_column.tolist() for count_column in counts))
-        return [
-            LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
-        ]
-
-    @property
-    def peaks(self) -> list[ShapePeak]:
-        """The largest weight of each shape."""
-        largest = self.weights.max(axis=0, initial=0.0).tolist()
-        return [ShapePeak(*row) for row in zip(self.model.shapes, largest, strict=True)]
 
 
 def fit_face(
@@ -203,7 +118,7 @@ def fit_face(
     all_weights = np.zeros((len(observed), len(model.shapes)))
     columns = np.cumsum(solved_shapes) - 1
     all_weights[:, moving] = weights[:, columns[group[moving]]]
-    rotations, translations = _interpolate_poses(poses, usable)
+    rotations, translations = interpolate_poses(poses, usable)
     poor = usable & ((shares < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names))
     poor &= (shares >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(axis=1)
     status = np.where(
@@ -412,30 +327,6 @@ class _Fit:
         return result
 
 
-def _interpolate_poses(
-    poses: FloatArray, usable: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and translations, interpolated over frames without landmarks."""
-    rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
-    if usable.all():
-        return rotations, shifts
-    good_frames, frames = np.flatnonzero(usable), np.arange(len(usable))
-    rotations[good_frames] = align_signs(rotations[good_frames])
-    next_good = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
-    previous_good = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
-    a, b = good_frames[previous_good], good_frames[next_good]
-    gap_length = np.maximum(b - a, 1)
-    fraction = np.clip((frames - a) / gap_length, 0.0, 1.0)
-    is_gap = ~usable
-    rotations[is_gap] = slerp(
-        rotations[a[is_gap]], rotations[b[is_gap]], fraction[is_gap]
-    )
-    shifts[is_gap] = shifts[a[is_gap]] + fraction[is_gap, None] * (
-        shifts[b[is_gap]] - shifts[a[is_gap]]
-    )
-    return align_signs(rotations), shifts
-
-
 def _notices(
     model: FaceModel,
     visible: BoolArray,
@@ -452,8 +343,7 @@ def _notices(
         if numbers:
             message = (
                 f"{counted(len(numbers), 'frame')} with {problem}; "
-                "from the first, frames "
-                f"{listed(numbers, MAX_LISTED)}"
+                f"from the first, frames {listed(numbers, MAX_LISTED)}"
             )
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & usable[:, None]
@@ -469,5 +359,7 @@ def _notices(
     ):  # fmt: skip
         if names:
             message = f"{counted(len(names), 'landmark')} {problem}"
-            notices.append(naming("FAC105", message, names, severity=Severity.WARNING))
+            notices.append(
+                names_fault("FAC105", message, names, severity=Severity.WARNING)
+            )
     return notices

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from animtool.capture.face.fit import FaceFit
 from animtool.capture.face.model import FaceModel
-from animtool.capture.face.solve import FaceFit, fit_face
+from animtool.capture.face.solve import fit_face
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.errors import Fault, OptionError, Severity, names_fault
 from animtool.core.record import dataclass
 from animtool.rig.remap import RemapFile, ShapeLinks, link_shapes
 
@@ -83,7 +84,9 @@ def transfer_weights(
         if unlinked_names:
             message = f"{len(unlinked_names)} shapes that move are not in the target: "
             notices.append(
-                naming("FAC108", message, unlinked_names, severity=Severity.WARNING)
+                names_fault(
+                    "FAC108", message, unlinked_names, severity=Severity.WARNING
+                )
             )
         linked_weights = links.apply(weights, len(target))
         return TransferredWeights(linked_weights, links, None, tuple(notices))

@@ -48,8 +48,7 @@ class SkeletonMarkers:
         rotations: Rotations of the joints the markers are attached to ``(F, M, 3, 3)``.
         origins: Origins of those joints ``(F, M, 3)`` [m].
         parents: Rotations of the parents of those joints ``(F, M, 3, 3)``.
-        joints: Joint of each marker ``(M,)``; -1 for markers that the
-            template lacks.
+        joints: Joint of each marker ``(M,)``; -1 for markers that the template lacks.
         above_joint: Parent of each joint ``(J,)``; -1 for the root.
         free: Which joints rotate about any axis ``(J,)``.
         known: Frames with enough markers for the pose ``(F,)``.

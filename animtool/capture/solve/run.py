@@ -76,8 +76,7 @@ class MarkerSolve:
         positions: Positions of the model's markers ``(F, E, 3)`` [m], in the rig's
             world; NaN where one is missing.
         markers: The capture.
-        noise: Standard deviation of each marker per axis ``(E,)``
-            [m].
+        noise: Standard deviation of each marker per axis ``(E,)`` [m].
         options: Solve options.
         score: The fit; complete once `blocks` are consumed.
         notices: Warnings.

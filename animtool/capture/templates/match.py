@@ -10,7 +10,7 @@ from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, counted, listed
-from animtool.core.names import nearest, similar
+from animtool.core.names import most_similar, nearest
 from animtool.core.record import dataclass
 
 # Largest number of names in a message.
@@ -132,7 +132,7 @@ def _unmatched_fault(
     suggestions = [
         f"{name!r} is near {guess!r}"
         for name in template.names
-        if (guess := similar(name, bare_names))
+        if (guess := most_similar(name, bare_names))
     ]
     shown_names = ", ".join(suggestions[:MAX_LISTED_NAMES])
     hint = f"{shown_names}: rename them in the template, or add aliases"

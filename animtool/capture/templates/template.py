@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.names import flow, nearest, number, text
+from animtool.core.names import decimal_text, flow_list, nearest, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, spelled
 from animtool.rig.parts import Vector
@@ -117,16 +117,19 @@ def _lines(template: MarkerTemplate, title: str, rig: str | None) -> Iterator[st
     yield f"# {title}"
     yield "markers: animtool/1"
     if rig is not None:
-        yield f"rig: {text(rig)}"
+        yield f"rig: {yaml_scalar(rig)}"
     yield "marker_set:"
     for marker in template.markers:
-        offset = flow([number(round(x, OFFSET_DECIMALS)) for x in marker.offset])
-        entry = f"name: {text(marker.name)}, joint: {text(marker.joint)}"
+        offset = flow_list(
+            [decimal_text(round(x, OFFSET_DECIMALS)) for x in marker.offset]
+        )
+        entry = f"name: {yaml_scalar(marker.name)}, joint: {yaml_scalar(marker.joint)}"
         entry += f", offset: {offset}"
         if marker.weight != 1.0:
-            entry += f", weight: {number(marker.weight)}"
+            entry += f", weight: {decimal_text(marker.weight)}"
         if marker.fixed:
             entry += ", fixed: true"
         if marker.aliases:
-            entry += f", aliases: {flow([text(name) for name in marker.aliases])}"
+            aliases = [yaml_scalar(name) for name in marker.aliases]
+            entry += f", aliases: {flow_list(aliases)}"
         yield f"- {{{entry}}}"

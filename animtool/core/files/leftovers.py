@@ -25,10 +25,10 @@ from animtool.core.errors import FormatError
 from animtool.core.files.reading import open_input, read_input
 from animtool.core.record import dataclass
 
-_OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
+_OWNER_PATTERN = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
 # Names created by `new_temporary`.
-TEMPORARY = re.compile(rf"{_OWNER.pattern}[0-9a-f]{{12}}(\.\w+)?")
-_JOURNAL = ".set"
+TEMPORARY_NAME = re.compile(rf"{_OWNER_PATTERN.pattern}[0-9a-f]{{12}}(\.\w+)?")
+_JOURNAL_SUFFIX = ".set"
 # Longer suffixes are no file type, and would make the temporary name too long.
 _MAX_SUFFIX = 16
 # A journal has a few hundred bytes per file.
@@ -37,7 +37,7 @@ _MAX_BYTES = 100_000_000
 
 def temporary_prefix(process: int | None = None) -> str:
     """Return the prefix of a process's temporary files; None for this process."""
-    return f".animtool-{_host()}-{process or os.getpid()}-"
+    return f".animtool-{_host_digest()}-{process or os.getpid()}-"
 
 
 def new_temporary(final: Path) -> Path:
@@ -54,28 +54,32 @@ class PlacedFile:
     final: Path  # its final path
     temporary: Path  # its temporary path
     # Inode, size [byte] and time of change [ns] of the written file.
-    state: tuple[int, int, int]
-    old: Path  # backup of the replaced file; unused if there was none
+    written_status: tuple[int, int, int]
+    backup: Path  # backup of the replaced file; unused if there was none
 
-    def take_back(self) -> None:
+    def roll_back(self) -> None:
         """Roll back sets of dead processes in a folder, once per process and folder.
 
         Does nothing if another process has replaced the file since. May be called
         again.
         """
-        current = _status(self.final)
-        backup = _status(self.old)
-        if backup is not None and (current is None or self._is_mine(current)):
-            self.old.replace(self.final)
+        current = _path_status(self.final)
+        backup = _path_status(self.backup)
+        if backup is not None and (current is None or self._is_written_file(current)):
+            self.backup.replace(self.final)
         elif backup is not None:
             # The final path still has the old file, or a later one.
-            self.old.unlink()
-        elif current is not None and self._is_mine(current):
+            self.backup.unlink()
+        elif current is not None and self._is_written_file(current):
             self.final.unlink()
         self.temporary.unlink(missing_ok=True)
 
-    def _is_mine(self, status: os.stat_result) -> bool:
-        return (status.st_ino, status.st_size, status.st_mtime_ns) == self.state
+    def _is_written_file(self, status: os.stat_result) -> bool:
+        return (
+            status.st_ino,
+            status.st_size,
+            status.st_mtime_ns,
+        ) == self.written_status
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +98,15 @@ class Journal:
     def begin(cls, files: Sequence[PlacedFile]) -> Journal:
         """Write the journal of a set before any file is renamed."""
         folders = tuple(dict.fromkeys(file.final.parent for file in files))
-        journal = cls(f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL}", folders)
+        journal = cls(
+            f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL_SUFFIX}", folders
+        )
         try:
             for folder in folders:
                 in_folder = [
-                    _entry_of(file) for file in files if file.final.parent == folder
+                    _journal_entry(file)
+                    for file in files
+                    if file.final.parent == folder
                 ]
                 record = {
                     "folders": [os.fspath(f) for f in folders],
@@ -130,12 +138,12 @@ class Journal:
             with contextlib.suppress(OSError):
                 (folder / self.name).unlink()
 
-    def take_back(self) -> None:
+    def roll_back(self) -> None:
         """Roll back a set whose process died before completing it."""
         if all((folder / self.name).is_file() for folder in self.folders):
             for folder in dict.fromkeys(self.folders):
                 for file in reversed(self._files(folder)):
-                    file.take_back()
+                    file.roll_back()
         self.end()
 
     def _files(self, folder: Path) -> list[PlacedFile]:
@@ -152,22 +160,22 @@ def _placed_file(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
     names = [entry[key] for key in ("final", "temporary", "old")]
     # Names in a journal must not lead out of its folder.
     final, temporary, old = (folder / Path(name).name for name in names)
-    if not (_OWNER.match(temporary.name) and _OWNER.match(old.name)):
+    if not (_OWNER_PATTERN.match(temporary.name) and _OWNER_PATTERN.match(old.name)):
         raise ValueError(f"{temporary.name!r} is not a temporary name")
     inode, size, changed = map(int, entry["state"])
     return PlacedFile(final, temporary, (inode, size, changed), old)
 
 
-def _entry_of(file: PlacedFile) -> Mapping[str, Any]:
+def _journal_entry(file: PlacedFile) -> Mapping[str, Any]:
     return {
         "final": file.final.name,
         "temporary": file.temporary.name,
-        "state": list(file.state),
-        "old": file.old.name,
+        "state": list(file.written_status),
+        "old": file.backup.name,
     }
 
 
-def _status(path: Path) -> os.stat_result | None:
+def _path_status(path: Path) -> os.stat_result | None:
     """Return the status of a path, without following links; None if missing."""
     try:
         return path.lstat()
@@ -175,20 +183,20 @@ def _status(path: Path) -> os.stat_result | None:
         return None
 
 
-def take_back(folder: Path) -> None:
+def roll_back_folder(folder: Path) -> None:
     """Roll back sets of dead processes in a folder; once a process and folder."""
-    _taken_back(os.fspath(folder), os.getpid())
+    _roll_back_once(os.fspath(folder), os.getpid())
 
 
 @cache
-def _taken_back(folder: str, process: int) -> None:
+def _roll_back_once(folder: str, process: int) -> None:
     del process
-    for path in _temporary(Path(folder)):
-        if path.name.endswith(_JOURNAL) and _owner_of(path, None):
-            _undo(path)
+    for path in _temporary_files(Path(folder)):
+        if path.name.endswith(_JOURNAL_SUFFIX) and _owner_of(path, None):
+            _roll_back_journal(path)
 
 
-def _undo(path: Path) -> bool:
+def _roll_back_journal(path: Path) -> bool:
     """Roll back the set of a journal; return whether all its files are gone."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
@@ -198,8 +206,8 @@ def _undo(path: Path) -> bool:
                 return False
             # Complete now: its writer is dead.
             content = read_input(path, _MAX_BYTES, recorded=False)
-            folders = _folders(content)
-            Journal(path.name, (*folders, path.parent)).take_back()
+            folders = _journal_folders(content)
+            Journal(path.name, (*folders, path.parent)).roll_back()
     except (OSError, FormatError):
         return not path.exists()
     except ValueError:
@@ -208,7 +216,7 @@ def _undo(path: Path) -> bool:
     return True
 
 
-def _folders(content: bytes) -> list[Path]:
+def _journal_folders(content: bytes) -> list[Path]:
     try:
         return [Path(name) for name in json.loads(content)["folders"]]
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -236,11 +244,11 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
     """
     removed_files = []
     for folder in dict.fromkeys(folders):
-        dead = [path for path in _temporary(folder) if _owner_of(path, process)]
-        sets = [path for path in dead if path.name.endswith(_JOURNAL)]
+        dead = [path for path in _temporary_files(folder) if _owner_of(path, process)]
+        sets = [path for path in dead if path.name.endswith(_JOURNAL_SUFFIX)]
         # If it cannot be rolled back now, it can be later, as long as its files are
         # kept.
-        if not all([_undo(path) for path in sets]):
+        if not all([_roll_back_journal(path) for path in sets]):
             continue
         for path in dead:
             with contextlib.suppress(OSError):
@@ -251,14 +259,14 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
 
 def _owner_of(path: Path, process: int | None) -> bool:
     """Return whether a file belongs to a dead process of this host."""
-    match = _OWNER.match(path.name)
-    if match is None or match["host"] != _host():
+    match = _OWNER_PATTERN.match(path.name)
+    if match is None or match["host"] != _host_digest():
         return False
     number = int(match["process"])
     return number == process or (process is None and not is_running(number))
 
 
-def _temporary(folder: Path) -> list[Path]:
+def _temporary_files(folder: Path) -> list[Path]:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         return [Path(e.path) for e in entries if e.name.startswith(".animtool-")]
     return []
@@ -277,10 +285,10 @@ def is_running(process: int) -> bool:
         return True
     # An ended process stays in the table until its parent waits for it; in some
     # containers it never does.
-    return _state(process) != "Z"
+    return _process_state(process) != "Z"
 
 
-def _state(process: int) -> str:
+def _process_state(process: int) -> str:
     """Return Linux's state letter of a process; empty if unknown."""
     try:
         status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
@@ -290,7 +298,7 @@ def _state(process: int) -> str:
 
 
 @cache
-def _host() -> str:
+def _host_digest() -> str:
     import platform
     from hashlib import sha256
 

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
-from animtool.core.files.leftovers import new_temporary, take_back
+from animtool.core.files.leftovers import new_temporary, roll_back_folder
 from animtool.core.files.placing import (
     OutputTarget,
     WrittenFile,
     commit_files,
     output_error,
-    target,
+    output_target,
 )
 from animtool.core.files.reading import check_inputs, recorded_inputs
-from animtool.core.process.signals import deferred_signals, ending, interrupt
-from animtool.core.process.supervisor import note_folder, note_said
+from animtool.core.process.signals import deferred_signals, ending_signal, raise_again
+from animtool.core.process.supervisor import note_folder, note_output
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -53,10 +53,10 @@ def name_problem(name: str) -> str | None:
     >>> name_problem("aux.usdc"), name_problem("walk.")
     ('is the name of a device on Windows', 'ends with a dot or a space')
     """
-    return next((text for problem, text in _problems(name) if problem), None)
+    return next((text for problem, text in _name_problems(name) if problem), None)
 
 
-def _problems(name: str) -> Iterator[tuple[bool, str]]:
+def _name_problems(name: str) -> Iterator[tuple[bool, str]]:
     separators = sorted(set("/\\").intersection(name))
     controls = [letter for letter in name if unicodedata.category(letter) == "Cc"]
     size = len(name.encode("utf-8", "surrogatepass"))
@@ -99,7 +99,7 @@ def name_key(path: PurePath | str) -> str:
     return unicodedata.normalize("NFC", normalised)
 
 
-def inside(path: Path, folder: Path) -> bool:
+def is_inside(path: Path, folder: Path) -> bool:
     """Return whether a path is in a folder, following links.
 
     Raises:
@@ -113,7 +113,7 @@ def inside(path: Path, folder: Path) -> bool:
 
 # Final paths that were free when checked, and must not be replaced: another process
 # that writes one meanwhile wins.
-_free: ContextVar[frozenset[Path]] = ContextVar("_free", default=frozenset())
+_new_paths: ContextVar[frozenset[Path]] = ContextVar("_new_paths", default=frozenset())
 
 
 # If more outputs exist, the first are listed, with the number of the others.
@@ -136,12 +136,12 @@ def check_outputs(
     targets: list[OutputTarget] = []
     for path in outputs:
         _check_folder(path.parent, path)
-        targets.append(target(path))
+        targets.append(output_target(path))
     _refuse_inputs(targets, inputs)
-    _refuse_twice(targets)
+    _refuse_duplicates(targets)
     existing: list[Path] = []
     for output in targets:
-        take_back(output.final.parent)
+        roll_back_folder(output.final.parent)
         if output.path.exists():
             if not overwrite:
                 existing.append(output.path)
@@ -167,7 +167,9 @@ def check_outputs(
             ]
         )
     final_paths = {output.final for output in targets}
-    _free.set(_free.get() - final_paths if overwrite else _free.get() | final_paths)
+    _new_paths.set(
+        _new_paths.get() - final_paths if overwrite else _new_paths.get() | final_paths
+    )
 
 
 def _check_folder(folder: Path, path: Path) -> None:
@@ -198,7 +200,7 @@ def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
     """
     with recorded_inputs() as inputs:
         yield
-    _refuse_inputs([target(path) for path in outputs], inputs.opened)
+    _refuse_inputs([output_target(path) for path in outputs], inputs.opened)
 
 
 def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> None:
@@ -215,7 +217,7 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 
-def _refuse_twice(targets: Iterable[OutputTarget | WrittenFile]) -> None:
+def _refuse_duplicates(targets: Iterable[OutputTarget | WrittenFile]) -> None:
     """Refuse two outputs that are the same file on this or another disk."""
     names: dict[str, Path] = {}
     for output in targets:
@@ -241,12 +243,14 @@ class _OutputSet:
     # Complete files that wait to be renamed.
     files: list[WrittenFile] = field(default_factory=list)
     # Actions after the files are renamed.
-    after: list[Callable[[], object]] = field(default_factory=list)
+    commit_actions: list[Callable[[], object]] = field(default_factory=list)
     # New files that are already renamed.
-    early: list[Path] = field(default_factory=list)
+    early_paths: list[Path] = field(default_factory=list)
 
 
-_waiting: ContextVar[_OutputSet | None] = ContextVar("_waiting", default=None)
+_pending_outputs: ContextVar[_OutputSet | None] = ContextVar(
+    "_pending_outputs", default=None
+)
 
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
@@ -267,7 +271,7 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 @contextlib.contextmanager
 def _open_replacement(output: Path) -> Iterator[BinaryIO]:
     """Provide an open file that becomes an output at the end."""
-    with replacing(output) as temporary:
+    with replacement_path(output) as temporary:
         try:
             with temporary.open("wb") as file:
                 yield file
@@ -276,7 +280,7 @@ def _open_replacement(output: Path) -> Iterator[BinaryIO]:
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacement_path(path: Path) -> Iterator[Path]:
     """Provide a temporary path in the same folder that is renamed to ``path``.
 
     The file is flushed and renamed when the block succeeds, and removed when it fails,
@@ -285,15 +289,18 @@ def replacing(path: Path) -> Iterator[Path]:
     they were read (IO004).
     """
     # Links stay: their target is replaced.
-    final = target(path).final
-    written, waiting = WrittenFile(path, final, new_temporary(final)), _waiting.get()
+    final = output_target(path).final
+    written, waiting = (
+        WrittenFile(path, final, new_temporary(final)),
+        _pending_outputs.get(),
+    )
     note_folder(final.parent)
-    done, cleaning = False, ending()
+    done, cleaning = False, ending_signal()
     try:
         yield written.temporary
-        if ending() and not cleaning:
+        if ending_signal() and not cleaning:
             # A library swallowed the signal's exception.
-            interrupt()
+            raise_again()
         check_inputs()
         written.seal()
         if waiting is None:
@@ -308,17 +315,17 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def _commit(files: Sequence[WrittenFile]) -> None:
     finals = {file.final for file in files}
-    _refuse_twice(files)
-    note_said()
+    _refuse_duplicates(files)
+    note_output()
     try:
-        commit_files(files, _free.get() & finals)
+        commit_files(files, _new_paths.get() & finals)
     finally:
-        _free.set(_free.get() - finals)
+        _new_paths.set(_new_paths.get() - finals)
 
 
-def size_of(path: Path) -> int:
+def written_size(path: Path) -> int:
     """Return the size of a written file, committed or not [byte]."""
-    waiting = _waiting.get()
+    waiting = _pending_outputs.get()
     for written in [] if waiting is None else reversed(waiting.files):
         if written.path == path:
             return written.temporary.stat().st_size
@@ -334,11 +341,11 @@ def atomic_outputs() -> Iterator[None]:
     (IO004), no other process may write one of the outputs (OUT001), and no two outputs
     may be the same file (OUT007).
     """
-    if _waiting.get() is not None:
+    if _pending_outputs.get() is not None:
         yield
         return
     waiting = _OutputSet()
-    token = _waiting.set(waiting)
+    token = _pending_outputs.set(waiting)
     try:
         with recorded_inputs():
             yield
@@ -346,13 +353,13 @@ def atomic_outputs() -> Iterator[None]:
         # A signal between renames would leave an incomplete set.
         with deferred_signals():
             _commit(waiting.files)
-            for action in waiting.after:
+            for action in waiting.commit_actions:
                 action()
     except BaseException:
-        _remove(waiting.early)
+        _remove(waiting.early_paths)
         raise
     finally:
-        _waiting.reset(token)
+        _pending_outputs.reset(token)
         for written in waiting.files:
             written.remove()
 
@@ -364,17 +371,17 @@ def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     For files that are read again before the files that refer to them are written. They
     are removed if the block, or an enclosing `atomic_outputs`, fails.
     """
-    waiting = _waiting.get()
-    token = _waiting.set(None)
+    waiting = _pending_outputs.get()
+    token = _pending_outputs.set(None)
     try:
         yield
     except BaseException:
         _remove(paths)
         raise
     finally:
-        _waiting.reset(token)
+        _pending_outputs.reset(token)
     if waiting is not None:
-        waiting.early.extend(paths)
+        waiting.early_paths.extend(paths)
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -388,8 +395,8 @@ def after_commit(action: Callable[[], object]) -> None:
 
     It is called now, or inside `atomic_outputs` at its end, if that succeeds.
     """
-    waiting = _waiting.get()
+    waiting = _pending_outputs.get()
     if waiting is None:
         action()
     else:
-        waiting.after.append(action)
+        waiting.commit_actions.append(action)

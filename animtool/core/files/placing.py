@@ -11,7 +11,12 @@ from pathlib import Path
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError
-from animtool.core.files.leftovers import TEMPORARY, Journal, PlacedFile, new_temporary
+from animtool.core.files.leftovers import (
+    TEMPORARY_NAME,
+    Journal,
+    PlacedFile,
+    new_temporary,
+)
 from animtool.core.record import dataclass
 
 # Error codes of disks without hard links.
@@ -26,7 +31,7 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
     reason = error if isinstance(error, str) else str(error)
     if isinstance(error, OSError):
         reason = error.strerror or str(error)
-    reason = TEMPORARY.sub(lambda _: path.name, reason)
+    reason = TEMPORARY_NAME.sub(lambda _: path.name, reason)
     hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
     return OutputError(
         Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint)
@@ -41,7 +46,7 @@ class OutputTarget:
     final: Path  # the file, with links followed
 
 
-def target(path: Path) -> OutputTarget:
+def output_target(path: Path) -> OutputTarget:
     """Return the resolved path of an output, following links.
 
     Raises:
@@ -68,7 +73,7 @@ def target(path: Path) -> OutputTarget:
     return OutputTarget(path, path.resolve())
 
 
-_KINDS = {
+_SPECIAL_FILES = {
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
     stat.S_IFCHR: "a device",
@@ -84,7 +89,7 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
             Fault("OUT002", "is a folder", str(path), (), "write the name of a file")
         )
     if not stat.S_ISREG(status.st_mode):
-        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        kind = _SPECIAL_FILES.get(stat.S_IFMT(status.st_mode), "something else")
         message = f"is {kind}, not a file"
         raise OutputError(
             Fault("OUT005", message, str(path), (), "write the name of a file")
@@ -111,7 +116,7 @@ class WrittenFile:
             handle = os.open(self.temporary, os.O_RDWR)
             try:
                 if status is not None and os.name != "nt":
-                    _inherit(handle, status)
+                    _inherit_mode(handle, status)
                 os.fsync(handle)
                 temporary_status = os.fstat(handle)
             finally:
@@ -153,7 +158,7 @@ class WrittenFile:
             self.temporary.unlink(missing_ok=True)
 
 
-def _inherit(handle: int, status: os.stat_result) -> None:
+def _inherit_mode(handle: int, status: os.stat_result) -> None:
     """Give an open file the mode of another, and its owner if permitted."""
     current_status = os.fstat(handle)
     if (current_status.st_uid, current_status.st_gid) != (status.st_uid, status.st_gid):
@@ -200,7 +205,7 @@ def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
     else:
         for file in files:
             file.commit(new=file.final in new)
-            _flush(file.final.parent)
+            _flush_folder(file.final.parent)
 
 
 def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
@@ -215,45 +220,45 @@ def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
     try:
         for file, placed_file in zip(files, placed_files, strict=True):
             if file.final not in new:
-                _keep(file, placed_file)
+                _back_up(file, placed_file)
             file.commit(new=file.final in new)
     except BaseException:
-        if all([_taken_back(placed_file) for placed_file in reversed(placed_files)]):
+        if all([_try_roll_back(placed_file) for placed_file in reversed(placed_files)]):
             journal.end()
         raise
     for folder in journal.folders:
-        _flush(folder)
+        _flush_folder(folder)
     journal.end()
     for placed_file in placed_files:
         with contextlib.suppress(OSError):
-            placed_file.old.unlink(missing_ok=True)
+            placed_file.backup.unlink(missing_ok=True)
 
 
-def _taken_back(placed_file: PlacedFile) -> bool:
+def _try_roll_back(placed_file: PlacedFile) -> bool:
     try:
-        placed_file.take_back()
+        placed_file.roll_back()
     except OSError:
         # The journal stays, so that a later process can roll it back.
         return False
     return True
 
 
-def _keep(file: WrittenFile, placed_file: PlacedFile) -> None:
+def _back_up(file: WrittenFile, placed_file: PlacedFile) -> None:
     """Keep a replaced file under its backup name."""
     try:
-        os.link(placed_file.final, placed_file.old)
+        os.link(placed_file.final, placed_file.backup)
     except FileNotFoundError:
         return
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise output_error(file.path, error) from error
         try:
-            placed_file.final.replace(placed_file.old)
+            placed_file.final.replace(placed_file.backup)
         except OSError as failed:
             raise output_error(file.path, failed) from failed
 
 
-def _flush(folder: Path) -> None:
+def _flush_folder(folder: Path) -> None:
     """Flush the names in a folder to disk, if possible."""
     if os.name == "nt":
         return  # Windows cannot flush a folder.

@@ -20,7 +20,7 @@ from typing import Any
 
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, FormatError
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 
 
@@ -29,7 +29,7 @@ class FileState:
     """State of a file that shows changes without reading it."""
 
     size: int  # in bytes
-    changed: int  # time of the last change of its content [ns], by the disk's clock
+    changed_at: int  # time of the last change of its content [ns], by the disk's clock
     inode: int  # inode on its disk
 
     @classmethod
@@ -144,10 +144,10 @@ MAX_INPUT_BYTES = 1_000_000_000
 MAX_TEXT_BYTES = 32_000_000
 # Opening a FIFO without a writer must not block, and no terminal may become the
 # process's own.
-_FLAGS = os.O_RDONLY | sum(
+_OPEN_FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY")
 )
-_KINDS = {
+_NON_FILE_KINDS = {
     stat.S_IFDIR: "is a folder",
     stat.S_IFIFO: "is a pipe, not a file",
     stat.S_IFSOCK: "is a socket, not a file",
@@ -179,7 +179,7 @@ class PathResolver:
         return self._folders[folder] / path.name
 
 
-def unreadable(path: Path, reason: OSError | str) -> FormatError:
+def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
     """Return the error of an unreadable file, spelled as by the user (IO001)."""
     if isinstance(reason, FileNotFoundError | NotADirectoryError):
         message = "does not exist"
@@ -195,7 +195,7 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
 
 
 # A variable of a shell, and the home folder, which only shells replace.
-_SHELL = re.compile(r"\$(?!\{)(\w+)|%(\w+)%|^(~)/")
+_SHELL_VARIABLE = re.compile(r"\$(?!\{)(\w+)|%(\w+)%|^(~)/")
 
 
 def unexpanded_hint(text: str) -> str | None:
@@ -204,7 +204,7 @@ def unexpanded_hint(text: str) -> str | None:
     >>> unexpanded_hint("~/walk.bvh")
     '~ is not replaced: write the folder'
     """
-    match = _SHELL.search(text)
+    match = _SHELL_VARIABLE.search(text)
     if match is None:
         return None
     if match[3]:
@@ -272,7 +272,7 @@ class InputFile(io.FileIO):
         try:
             data = self.readall()
         except OSError as error:
-            raise unreadable(self.path, error) from error
+            raise unreadable_error(self.path, error) from error
         self.check()
         return data
 
@@ -295,12 +295,12 @@ def open_input(
     try:
         # Opening a device may already have effects.
         _check_regular(path, path.stat())
-        handle = os.open(path, _FLAGS)
+        handle = os.open(path, _OPEN_FLAGS)
     except (OSError, ValueError) as error:
         if recorded:
             note_input(path)
         reason = error if isinstance(error, OSError) else str(error)
-        raise unreadable(path, reason) from error
+        raise unreadable_error(path, reason) from error
     try:
         status = os.fstat(handle)
         _check_regular(path, status)
@@ -322,7 +322,7 @@ def read_input(
         return file.read_all()
 
 
-def too_large(path: Path, size: int, limit: int) -> FormatError:
+def size_error(path: Path, size: int, limit: int) -> FormatError:
     """Return the error of a file above the size limit [bytes] (IO010)."""
     message = f"is {size / 1000000.0:,.6g} MB; the limit is {limit / 1000000.0:,.6g} MB"
     return FormatError(Fault("IO010", message, str(path)))
@@ -330,12 +330,12 @@ def too_large(path: Path, size: int, limit: int) -> FormatError:
 
 def _check_regular(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
-        raise unreadable(path, _kind(status))
+        raise unreadable_error(path, _non_file_kind(status))
 
 
-def _kind(status: os.stat_result) -> str:
+def _non_file_kind(status: os.stat_result) -> str:
     """Return the kind of a path that is not a file."""
-    return _KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
+    return _NON_FILE_KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 
 def not_a_file_reason(path: Path) -> str | None:
@@ -346,12 +346,12 @@ def not_a_file_reason(path: Path) -> str | None:
         return "does not exist"
     except OSError as error:
         return error.strerror or "cannot be examined"
-    return None if stat.S_ISREG(status.st_mode) else _kind(status)
+    return None if stat.S_ISREG(status.st_mode) else _non_file_kind(status)
 
 
 def _check_size(path: Path, status: os.stat_result, limit: int | None) -> None:
     if limit is not None and status.st_size > limit:
-        raise too_large(path, status.st_size, limit)
+        raise size_error(path, status.st_size, limit)
 
 
 def exists(path: Path) -> bool:
@@ -382,7 +382,7 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     except OSError:
         return None
     name_by_folded = {name.casefold(): name for name in reversed(names)}
-    similar_name = similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
+    similar_name = most_similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
     if not similar_name:
         return None
     suggested_path = missing.with_name(name_by_folded[similar_name]).as_posix()

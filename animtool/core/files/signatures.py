@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import open_input
-from animtool.core.names import KINDS
+from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
 
 # All of these formats are recognisable within their first bytes.
@@ -18,7 +18,7 @@ HEAD_BYTES = 65_536
 _Read = TypeVar("_Read", bound=Callable[..., Any])
 # YAML or JSON that states its kind and version.
 DOCUMENT = "an animtool file (YAML or JSON)"
-_EXPORT = "export FBX, glTF or USD from {}, then use that file"
+_EXPORT_HINT = "export FBX, glTF or USD from {}, then use that file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ SIGNATURES = (
     _signature("a glTF file", rb'\{(?=.*"asset").*"(?:nodes|accessors)"', ".gltf .vrm"),
     _signature(
         DOCUMENT,
-        rb'[{"\s]*(?:' + "|".join(KINDS).encode() + rb')"?\s*:\s*"?animtool/',
+        rb'[{"\s]*(?:' + "|".join(FILE_KINDS).encode() + rb')"?\s*:\s*"?animtool/',
         ".yaml .yml .json",
     ),
     _signature("a web page", _XML_START + rb"html[\s>]", "", "download the file again"),
@@ -77,9 +77,12 @@ SIGNATURES = (
         "",
         "fetch the file: git lfs pull",
     ),
-    _signature("a Blender file", rb"BLENDER", "", _EXPORT.format("Blender")),
+    _signature("a Blender file", rb"BLENDER", "", _EXPORT_HINT.format("Blender")),
     _signature(
-        "a Maya scene", rb"//Maya ASCII|FOR[48].{4,12}Maya", "", _EXPORT.format("Maya")
+        "a Maya scene",
+        rb"//Maya ASCII|FOR[48].{4,12}Maya",
+        "",
+        _EXPORT_HINT.format("Maya"),
     ),
     _signature(
         "an Alembic file",
@@ -108,7 +111,7 @@ def signature_of(head: bytes) -> Signature | None:
     )
 
 
-def other_format(
+def format_mismatch(
     code: str, path: Path | str, expected: str, hint: str = ""
 ) -> Fault | None:
     """Return a fault if the bytes of a file show another known format.
@@ -139,10 +142,12 @@ def other_format(
     return Fault(code, message, str(path), (), hint) if hint else None
 
 
-def expects(code: str, expected: str, hint: str = "") -> Callable[[_Read], _Read]:
+def expects_format(
+    code: str, expected: str, hint: str = ""
+) -> Callable[[_Read], _Read]:
     """Decorate a reader, so that its errors name the format of the file's bytes.
 
-    The arguments are those of `other_format`.
+    The arguments are those of `format_mismatch`.
     """
 
     def decorate(read: _Read) -> _Read:
@@ -151,7 +156,7 @@ def expects(code: str, expected: str, hint: str = "") -> Callable[[_Read], _Read
             try:
                 return read(path, *args, **options)
             except FormatError as error:
-                fault = other_format(code, path, expected, hint)
+                fault = format_mismatch(code, path, expected, hint)
                 if fault is None:
                     raise
                 raise FormatError(fault) from error

@@ -23,8 +23,8 @@ class Spool:
         kept: Maximum kept in memory [bytes].
     """
 
-    def __init__(self, kept: int = MAX_MEMORY) -> None:
-        self._room = kept
+    def __init__(self, max_bytes: int = MAX_MEMORY) -> None:
+        self._free_bytes = max_bytes
         self._buffered: deque[Sequence[FloatArray]] = deque()
         self._lengths: deque[int] = deque()  # lengths of the lists in the file
         self._file: IO[bytes] | None = None
@@ -36,8 +36,8 @@ class Spool:
             OutputError: There is no room for the temporary file (OUT002).
         """
         size = sum(array.nbytes for array in arrays)
-        if self._file is None and size <= self._room:
-            self._room -= size
+        if self._file is None and size <= self._free_bytes:
+            self._free_bytes -= size
             self._buffered.append(arrays)
             return
         try:

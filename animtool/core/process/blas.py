@@ -10,13 +10,13 @@ from functools import lru_cache
 from pathlib import Path
 
 # Names of these functions in OpenBLAS, in the wheels of numpy and scipy, and elsewhere.
-_NAMES = (
+_SYMBOL_PATTERNS = (
     "scipy_openblas_{}_num_threads64_",
     "scipy_openblas_{}_num_threads",
     "openblas_{}_num_threads64_",
     "openblas_{}_num_threads",
 )
-_FOLDERS = ("numpy.libs", "scipy.libs", "numpy/.dylibs", "scipy/.dylibs")
+_LIBRARY_FOLDERS = ("numpy.libs", "scipy.libs", "numpy/.dylibs", "scipy/.dylibs")
 _Threads = tuple[Callable[[], int], Callable[[int], None]]
 
 
@@ -48,15 +48,15 @@ def _libraries() -> tuple[_Threads, ...]:
     site = Path(numpy.__file__).parent.parent
     roots = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
     libraries = []
-    for folder in (root / name for root in roots for name in _FOLDERS):
+    for folder in (root / name for root in roots for name in _LIBRARY_FOLDERS):
         for path in sorted(folder.glob("*openblas*")) if folder.is_dir() else ():
             with contextlib.suppress(OSError):
-                libraries += _threads(ctypes.CDLL(str(path)))
+                libraries += _thread_functions(ctypes.CDLL(str(path)))
     return tuple(libraries)
 
 
-def _threads(library: ctypes.CDLL) -> list[_Threads]:
-    for name in _NAMES:
+def _thread_functions(library: ctypes.CDLL) -> list[_Threads]:
+    for name in _SYMBOL_PATTERNS:
         count = getattr(library, name.format("get"), None)
         limit = getattr(library, name.format("set"), None)
         if count is not None and limit is not None:

@@ -13,9 +13,9 @@ from typing import NoReturn
 from animtool.core.record import dataclass
 
 # A closed terminal sends SIGHUP, which is treated like SIGTERM.
-_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+_SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 TERMINATION_SIGNALS = tuple(
-    getattr(signal, name) for name in _NAMES if hasattr(signal, name)
+    getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name)
 )
 # Interval after which a signal that Python swallowed is sent again [s].
 _RESEND_INTERVAL = 0.005
@@ -30,19 +30,21 @@ class _SignalState:
     """State of the process's end."""
 
     number: int = 0  # the signal that is obeyed; 0 for none so far
-    late: bool = False  # whether all output is written, so that signals have no effect
+    all_written: bool = (
+        False  # whether all output is written, so that signals have no effect
+    )
     installed: bool = False  # whether this module's handler is installed
 
 
 _signal_state = _SignalState()
 
 
-def ending() -> int:
+def ending_signal() -> int:
     """Return the signal that ends the process; 0 if there is none."""
     return _signal_state.number
 
 
-def interrupt() -> NoReturn:
+def raise_again() -> NoReturn:
     """Raise the exception of the obeyed signal again, if it was swallowed."""
     if _signal_state.number == signal.SIGINT:
         raise KeyboardInterrupt
@@ -52,16 +54,16 @@ def interrupt() -> NoReturn:
 def _obey(signum: int, frame: FrameType | None) -> None:
     """Raise at the first signal; later ones would interrupt the clean-up."""
     del frame
-    if _signal_state.late or _signal_state.number:
+    if _signal_state.all_written or _signal_state.number:
         return
     _signal_state.number = signum
-    interrupt()
+    raise_again()
 
 
 def _obey_again(signum: int, frame: FrameType | None) -> None:
     del signum, frame
-    if _signal_state.number and not _signal_state.late:
-        interrupt()
+    if _signal_state.number and not _signal_state.all_written:
+        raise_again()
 
 
 def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
@@ -84,7 +86,11 @@ def obey_signals() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _obey)
     sys.unraisablehook = _reraise_ending
-    _signal_state.number, _signal_state.late, _signal_state.installed = 0, False, True
+    _signal_state.number, _signal_state.all_written, _signal_state.installed = (
+        0,
+        False,
+        True,
+    )
 
 
 @contextmanager
@@ -104,7 +110,7 @@ def obeyed_signals() -> Iterator[None]:
             if handler is not None:
                 signal.signal(number, handler)
         sys.unraisablehook = hook
-        _signal_state.number, _signal_state.late, _signal_state.installed = (
+        _signal_state.number, _signal_state.all_written, _signal_state.installed = (
             0,
             False,
             False,
@@ -140,7 +146,7 @@ def without_interrupts() -> Iterator[None]:
 
 def outlast_signals() -> None:
     """Ignore signals from now on: all output is written."""
-    _signal_state.late = True
+    _signal_state.all_written = True
 
 
 @contextmanager

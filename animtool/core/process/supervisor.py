@@ -38,8 +38,18 @@ MAX_STDIN = 1 << 26
 MAX_PATH_BYTES = 1 << 15
 # Time for a child to end after a signal, before it is killed [s].
 GRACE_SECONDS = 10.0
-_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP", "SIGKILL")
-CRASHES = {getattr(signal, name) for name in _CRASHES if hasattr(signal, name)}
+_CRASH_SIGNAL_NAMES = (
+    "SIGSEGV",
+    "SIGABRT",
+    "SIGBUS",
+    "SIGFPE",
+    "SIGILL",
+    "SIGTRAP",
+    "SIGKILL",
+)
+CRASH_SIGNALS = {
+    getattr(signal, name) for name in _CRASH_SIGNAL_NAMES if hasattr(signal, name)
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,20 +77,20 @@ def crash_fault(path: str, number: int) -> Fault:
 
 
 @dataclass(slots=True)
-class _Notes:
+class _SharedNotes:
     """Memory shared by a child and its parent."""
 
     shared: mmap.mmap  # length of the notes, then JSON
     # Length of the recorded stdin, then its bytes; length 0 for nothing yet.
-    listed: mmap.mmap
+    stdin_record: mmap.mmap
     path: str = ""  # file that is being read; empty for none
     folders: list[str] = field(default_factory=list)  # output folders
     # Whether a result was printed or a file was named, which a rerun would repeat.
-    reported: bool = False
+    has_output: bool = False
 
     def write(self) -> None:
-        text = json.dumps([self.path, self.reported, self.folders]).encode()
-        if len(text) < MAX_NOTES - _LENGTH:
+        text = json.dumps([self.path, self.has_output, self.folders]).encode()
+        if len(text) < MAX_NOTES - _LENGTH_BYTES:
             _store_data(self.shared, text)
 
     def write_path(self, path: str) -> None:
@@ -89,42 +99,42 @@ class _Notes:
 
     def read(self) -> None:
         """Copy the notes of a child."""
-        self.path, self.reported, self.folders = "", False, []
+        self.path, self.has_output, self.folders = "", False, []
         text = _stored_data(self.shared)
         if text is not None:
-            self.path, self.reported, self.folders = json.loads(text)
-        self.shared[:_LENGTH] = bytes(_LENGTH)
+            self.path, self.has_output, self.folders = json.loads(text)
+        self.shared[:_LENGTH_BYTES] = bytes(_LENGTH_BYTES)
 
 
 # The stored length is one more than that of the data, so that 0 means nothing.
-_LENGTH = 8
+_LENGTH_BYTES = 8
 
 
 def _store_data(memory: mmap.mmap, data: bytes) -> None:
-    memory[_LENGTH : _LENGTH + len(data)] = data
-    memory[:_LENGTH] = (len(data) + 1).to_bytes(_LENGTH, "little")
+    memory[_LENGTH_BYTES : _LENGTH_BYTES + len(data)] = data
+    memory[:_LENGTH_BYTES] = (len(data) + 1).to_bytes(_LENGTH_BYTES, "little")
 
 
 def _stored_data(memory: mmap.mmap) -> bytes | None:
-    length = int.from_bytes(memory[:_LENGTH], "little")
-    return memory[_LENGTH : _LENGTH + length - 1] if length else None
+    length = int.from_bytes(memory[:_LENGTH_BYTES], "little")
+    return memory[_LENGTH_BYTES : _LENGTH_BYTES + length - 1] if length else None
 
 
 @dataclass(slots=True)
 class _SupervisionState:
     """State of supervision in this process."""
 
-    notes: _Notes | None = (
+    notes: _SharedNotes | None = (
         None  # where notes are stored; None if the process is not supervised
     )
     # Files that crashed a child, with the signals that ended it.
     crashed: dict[str, int] = field(default_factory=dict)
     # Files that are being read, the latest last.
-    read: list[str] = field(default_factory=list)
+    files_being_read: list[str] = field(default_factory=list)
     # Called with the file that is being read; None for no listener.
     listener: Callable[[str], object] | None = None
     starting: int = 0  # number of threads that are starting processes in `without_main`
-    main: ModuleType | None = None  # the script's module in the meantime
+    script_module: ModuleType | None = None  # the script's module in the meantime
 
 
 _state = _SupervisionState()
@@ -132,7 +142,7 @@ _lock = threading.Lock()
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def reading_file(path: Path) -> Iterator[None]:
     """Record a file that USD reads; refuse one that crashed it before (USD160)."""
     listener = _state.listener
     if listener is None:
@@ -143,14 +153,14 @@ def reading(path: Path) -> Iterator[None]:
     if crash_signal is not None:
         raise FormatError(crash_fault(path_text, crash_signal))
     with _lock:
-        _state.read.append(path_text)
+        _state.files_being_read.append(path_text)
         listener(path_text)
     try:
         yield
     finally:
         with _lock:
-            _state.read.remove(path_text)
-            listener(_state.read[-1] if _state.read else "")
+            _state.files_being_read.remove(path_text)
+            listener(_state.files_being_read[-1] if _state.files_being_read else "")
 
 
 def report_reading(listener: Callable[[str], object]) -> None:
@@ -163,15 +173,15 @@ def has_crashed() -> bool:
     return bool(_state.crashed)
 
 
-def note_said() -> None:
+def note_output() -> None:
     """Record that output was printed or a file named; a rerun would repeat it."""
     notes = _state.notes
     if notes is not None:
         # Buffered output is lost in a crash.
         sys.stdout.flush()
-        if not notes.reported:
+        if not notes.has_output:
             with _lock:
-                notes.reported = True
+                notes.has_output = True
                 notes.write()
 
 
@@ -187,26 +197,26 @@ def note_folder(folder: Path) -> None:
 def stdin_lines() -> list[str]:
     """Return the lines on stdin; a rerun gets the same lines."""
     notes = _state.notes
-    recorded_bytes = None if notes is None else _stored_data(notes.listed)
+    recorded_bytes = None if notes is None else _stored_data(notes.stdin_record)
     if recorded_bytes is None:
         text = sys.stdin.read()
         recorded_bytes = text.encode("utf-8", "surrogateescape")
-        if notes is not None and len(recorded_bytes) < MAX_STDIN - _LENGTH:
-            _store_data(notes.listed, recorded_bytes)
+        if notes is not None and len(recorded_bytes) < MAX_STDIN - _LENGTH_BYTES:
+            _store_data(notes.stdin_record, recorded_bytes)
         else:
-            note_said()
+            note_output()
     text = recorded_bytes.decode("utf-8", "surrogateescape")
     lines = [line.rstrip("\r") for line in text.split("\n")]
     for number, line in enumerate(lines, 1):
         if len(line) > MAX_PATH_BYTES:
             from pathlib import Path
 
-            from animtool.core.files.reading import unreadable
+            from animtool.core.files.reading import unreadable_error
 
             reason = (
                 f"line {number} has {len(line)} characters, too many for a file name"
             )
-            raise unreadable(Path("-"), reason)
+            raise unreadable_error(Path("-"), reason)
     return lines
 
 
@@ -240,7 +250,7 @@ def without_main() -> Iterator[None]:
     """
     with _lock:
         if not _state.starting:
-            _state.main = main = sys.modules["__main__"]
+            _state.script_module = main = sys.modules["__main__"]
             replacement = ModuleType("__main__")
             file_attributes = {"__spec__", "__file__", "__loader__"}
             replacement.__dict__.update(
@@ -255,8 +265,11 @@ def without_main() -> Iterator[None]:
     finally:
         with _lock:
             _state.starting -= 1
-            if not _state.starting and _state.main is not None:
-                sys.modules["__main__"], _state.main = _state.main, None
+            if not _state.starting and _state.script_module is not None:
+                sys.modules["__main__"], _state.script_module = (
+                    _state.script_module,
+                    None,
+                )
 
 
 def can_supervise() -> bool:
@@ -275,7 +288,7 @@ def supervise(
     second run crashes too, ``refuse`` gets the crash and returns the exit code;
     ``clean`` removes the unfinished files of a dead child from folders.
     """
-    notes = _Notes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
+    notes = _SharedNotes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
     signals_to_wait = _signals_to_wait_for()
     signal.pthread_sigmask(signal.SIG_BLOCK, signals_to_wait)
     while True:
@@ -292,10 +305,10 @@ def supervise(
                 if end_signal == signal.SIGINT
                 else ExitCode.TERMINATED
             )
-        if -code not in CRASHES:
+        if -code not in CRASH_SIGNALS:
             return 128 - code
         crash = Crash(-code, notes.path)
-        if not crash.path or notes.reported or crash.name == "SIGKILL":
+        if not crash.path or notes.has_output or crash.name == "SIGKILL":
             return refuse(crash)
         from pathlib import Path  # every command imports this module
 
@@ -318,7 +331,7 @@ def _signals_to_wait_for() -> set[int]:
 
 
 def _fork(
-    work: Callable[[], int], notes: _Notes, signals_to_wait: set[int]
+    work: Callable[[], int], notes: _SharedNotes, signals_to_wait: set[int]
 ) -> tuple[int, int]:
     """Return the child, and a descriptor that closes when this process ends."""
     sys.stdout.flush()
@@ -328,12 +341,12 @@ def _fork(
     if not child:
         os.close(write_end)
         _state.notes, _state.listener = notes, notes.write_path
-        _be_child(work, read_end, signals_to_wait - {*TERMINATION_SIGNALS})
+        _run_child(work, read_end, signals_to_wait - {*TERMINATION_SIGNALS})
     os.close(read_end)
     return child, write_end
 
 
-def _be_child(
+def _run_child(
     work: Callable[[], int], alive: int, blocked_signals: set[int]
 ) -> NoReturn:
     """Do the work in the child, and exit.

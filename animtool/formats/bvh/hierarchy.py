@@ -7,7 +7,7 @@ from dataclasses import field
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.quantities import CONTROL
 from animtool.core.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.core.record import dataclass
@@ -121,7 +121,7 @@ class _Hierarchy:
             case "CHANNELS":
                 self._channels(words, block)
             case _:
-                meant = similar(keyword.upper(), _KEYWORDS)
+                meant = most_similar(keyword.upper(), _KEYWORDS)
                 hint = f"expected {', '.join(_KEYWORDS)}, {{ or }}"
                 hint = f"did you mean {meant}?" if meant else hint
                 self.lines.fail("BVH003", f"unexpected {excerpt(keyword)}", hint)

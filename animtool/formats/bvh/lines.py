@@ -20,7 +20,7 @@ from animtool.core.files.reading import (
     InputFile,
     changed_error,
     open_input,
-    unreadable,
+    unreadable_error,
 )
 from animtool.core.record import dataclass
 
@@ -193,7 +193,7 @@ class RowReader:
                 file.seek(source.start)
                 yield from self._parse(file)
             except OSError as error:
-                raise unreadable(source.path, error) from error
+                raise unreadable_error(source.path, error) from error
             file.check()
 
     def _parse(self, file: InputFile) -> Iterator[tuple[FloatArray, IntArray]]:

@@ -13,9 +13,9 @@ from animtool import _kernels
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
-from animtool.core.files.reading import open_input, unreadable
-from animtool.core.files.signatures import expects
-from animtool.core.names import distinct
+from animtool.core.files.reading import open_input, unreadable_error
+from animtool.core.files.signatures import expects_format
+from animtool.core.names import numbered_names
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
@@ -36,7 +36,7 @@ MAX_NAMED = 4
 MIN_LENGTH_FRACTION = 1e-4
 
 
-@expects("BVH001", "a BVH file")
+@expects_format("BVH001", "a BVH file")
 def read_bvh(
     path: Path | str,
     *,
@@ -49,23 +49,19 @@ def read_bvh(
     """Open a BVH file as a stream; rows are parsed as blocks are read.
 
     Position channels replace the OFFSET on their axes. Rotations multiply left to right
-    in
-    the order of the CHANNELS line, after the translation, wherever the position
-    channels
-    are listed. Values that are not finite are filled by interpolation, values beyond
-    float32 are clamped, and notices report both.
+    in the order of the CHANNELS line, after the translation, wherever the position
+    channels are listed. Values that are not finite are filled by interpolation, values
+    beyond float32 are clamped, and notices report both.
 
     Args:
         path: The file.
         unit: Unit of its lengths; None is centimetres, with a note if the skeleton's
-            size
-            fits another unit better.
+            size fits another unit better.
         up: Its up axis; None is Y. The file does not state it.
         fps: The actual frame rate, if ``Frame Time`` is wrong.
         positions: ``offsets`` keeps the OFFSETs of joints below a root and ignores
-            their
-            position channels. None or ``channels`` lets channels replace them; joints
-            whose channels are all 0 are reported (BVH111).
+            their position channels. None or ``channels`` lets channels replace them;
+            joints whose channels are all 0 are reported (BVH111).
         progress: Called with the fraction of the file read, 0 to 1.
 
     Raises:
@@ -81,7 +77,7 @@ def read_bvh(
             header, notices = read_header(lines, str(path))
             rows_start = file.tell() - len(lines.unread)
         except OSError as error:
-            raise unreadable(path, error) from error
+            raise unreadable_error(path, error) from error
     rig = _rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
@@ -117,7 +113,7 @@ def read_bvh(
     return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
-@expects("BVH001", "a BVH file")
+@expects_format("BVH001", "a BVH file")
 def read_bvh_rig(path: Path) -> Rig:
     """Return the skeleton of a BVH file in centimetres, without reading its rows."""
     return read_bvh(path).rig
@@ -154,7 +150,7 @@ def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
 
 def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
     joints = []
-    names = distinct(joint.name for joint in header.joints)
+    names = numbered_names(joint.name for joint in header.joints)
     for joint, unique in zip(header.joints, names, strict=True):
         converted = _joint(joint, unit.meters)
         source_name = joint.name if unique != joint.name else ""

@@ -56,8 +56,7 @@ def bvh_text(take: Take) -> TakeText:
     Joints keep the channels and names they were read with if these can represent the
     motion; other joints get ``Zrotation Xrotation Yrotation``, and roots and translated
     joints also positions. Angles are continuous over time. BVH cannot store the start
-    time
-    code and scales; notices report scales.
+    time code and scales; notices report scales.
     """
     if not take.rig.joints:
         message = f"{take.rig.name!r} has no joints, and a BVH can hold only joints"

@@ -282,8 +282,7 @@ def _counts_from_size(claims: Claims, count: int) -> list[tuple[int, float, bool
     """Return frame counts solved from the file size, with cost and a flag.
 
     That is, if stated counts are full 16-bit values, wrap around, differ, or are
-    missing.
-    ``count`` is the number of frames that fit into the data.
+    missing. ``count`` is the number of frames that fit into the data.
     """
     frames = claims.frames
     if any(claim.value == count for claim in frames):

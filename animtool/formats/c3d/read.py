@@ -14,7 +14,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -129,7 +129,7 @@ MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"
 ANIMTOOL_GROUP = "ANIMTOOL"
 
 
-@expects("C3D001", "a C3D file")
+@expects_format("C3D001", "a C3D file")
 def read_c3d(
     path: Path | str,
     *,
@@ -142,27 +142,22 @@ def read_c3d(
 
     Reads integer and float files of Intel, DEC and SGI processors, and more than 255
     labels. If header, parameters and file size disagree about counts, the counts that
-    fill
-    the file are used (C3D101). Model outputs (angles, forces) are skipped. A point with
-    a
-    negative residual, exactly at the origin, or with a NaN is not visible.
+    fill the file are used (C3D101). Model outputs (angles, forces) are skipped. A point
+    with a negative residual, exactly at the origin, or with a NaN is not visible.
 
     Args:
         path: The file.
         unit: Unit of its lengths; None is the stated unit, or millimetres.
         up: Its up axis; None is the stated axis, or Y. If the file states -Y, -Z or an
-            X
-            axis, positions are converted so that Y or Z is up.
+            X axis, positions are converted so that Y or Z is up.
         fps: The frame rate, if the file states a wrong one or none.
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names; None
-            is
-            the only subject, if there is only one.
+            is the only subject, if there is only one.
 
     Raises:
         FormatError: It cannot be read, is not a C3D (C3D001), is truncated (C3D002),
-            has
-            contradictory counts (C3D003), states no rate (MKR010) or an unknown unit
-            (MKR011), or has no points (MKR013).
+            has contradictory counts (C3D003), states no rate (MKR010) or an unknown
+            unit (MKR011), or has no points (MKR013).
         OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)

@@ -17,7 +17,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.formats.characters.nodes import NodeTree
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
@@ -146,7 +146,7 @@ class Binder:
         """Return joint names, helper joints last."""
         names = self._rig.names
         carriers = [f"{names[carrier]}_bind" for carrier, _ in self._helpers]
-        return distinct([*names, *carriers])
+        return numbered_names([*names, *carriers])
 
     def rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
         """Return the rig with bind pose, meshes and shapes."""

@@ -25,8 +25,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     """Return the characters of a file: one for the file, or one per skeleton.
 
     Node trees belong to the same character if a skin of a mesh in one uses joints of
-    the
-    other.
+    the other.
     """
     order, tree = parents_first(file.nodes), roots(file.nodes)
     group = {root: root for root in set(tree)}
@@ -66,7 +65,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
 
 def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     """Return distinct paths of characters, from the names of their root joints."""
-    from animtool.core.names import distinct
+    from animtool.core.names import numbered_names
 
     names = []
     joints = {joint for skin in file.skins for joint in skin.joints}
@@ -75,7 +74,7 @@ def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
         while file.nodes[top_joint].parent >= 0:
             top_joint = file.nodes[top_joint].parent
         names.append(file.nodes[top_joint].name or f"node_{top_joint}")
-    return [f"/{name}" for name in distinct(names)]
+    return [f"/{name}" for name in numbered_names(names)]
 
 
 def choose_character(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.quantities import CONTROL
 from animtool.formats.characters.nodes import Node
 
@@ -25,7 +25,7 @@ def joint_names(
     for node, number in zip(nodes, numbers, strict=True):
         name = _CONTROL.sub("_", node.name or "").strip()
         valid_names.append(name or f"node_{number}")
-    names = distinct(valid_names)
+    names = numbered_names(valid_names)
     renamed = [
         (node.name, name)
         for node, name in zip(nodes, names, strict=True)

@@ -24,8 +24,7 @@ def principal_angles(rotations: FloatArray) -> FloatArray:
     """Return XYZ angles ``(F, 3)`` [deg] of quaternions ``(F, 4)``.
 
     Of the equivalent triples, returns the one with Y within a quarter turn, independent
-    of
-    neighbouring frames: tools that read the angles in another order expect that one.
+    of neighbouring frames: tools that read the angles in another order expect that one.
 
     >>> rotations = rotations_of(np.array([[10.0, 20, 30]]), XYZ)
     >>> principal_angles(rotations).round(6).tolist()

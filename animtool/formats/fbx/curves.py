@@ -44,8 +44,7 @@ class FbxCurve:
             segments their slope.
         in_slopes: Slope into the next key ``(K,)`` [1/s], likewise.
         weights: Weights of the handles out of each key and into the next, as fractions
-            of
-            the segment's duration ``(K, 2)``.
+            of the segment's duration ``(K, 2)``.
         pre: Extrapolation before the first key.
         post: Extrapolation after the last key.
     """

@@ -84,8 +84,7 @@ def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
 
     Raises:
         FormatError: Numbers of a mesh, skin or shape are invalid (FBX005, FBX008), or
-            it
-            is deformed in an unsupported way (FBX004).
+            it is deformed in an unsupported way (FBX004).
     """
     if file.version < NUMBERED:
         old_meshes = [
@@ -253,8 +252,7 @@ def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     """Return cluster indices and weights of each point ``(V, I)``.
 
     Weights are normalised. The cluster after the last is the mesh's own node, which
-    moves
-    points without weights.
+    moves points without weights.
     """
     count, clusters = len(mesh.points), len(mesh.clusters)
     points = np.concatenate([cluster.indices for cluster in mesh.clusters])

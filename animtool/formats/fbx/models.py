@@ -51,8 +51,7 @@ class Model:
         active: Whether rotation order, pre- and post-rotation apply.
         outer_angles: Angles of pre- and post-rotation ``(2, 3)`` [deg].
         scale_from: Node whose scale, including inherited scale, it applies along its
-            own
-            axes; -1 for none.
+            own axes; -1 for none.
     """
 
     object: Object
@@ -105,8 +104,7 @@ def read_models(file: FbxFile) -> list[Model]:
 
     Raises:
         FormatError: A node is its own ancestor (FBX009), has an unsupported rotation
-            order
-            (FBX004), or there are too many nodes (FBX013).
+            order (FBX004), or there are too many nodes (FBX013).
     """
     objects = [
         element

@@ -8,7 +8,7 @@ from typing import Any
 
 from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import read_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.fbx.binary import MAGIC, read_binary
 from animtool.formats.fbx.elements import FLOAT32_LIMIT, Element
@@ -126,7 +126,7 @@ def scalar(owner: Object, name: str, default: float, notes: FileNotices) -> floa
     return vector(owner, name, (default,), notes)[0]
 
 
-@expects("FBX001", "an FBX file")
+@expects_format("FBX001", "an FBX file")
 def open_objects(path: Path | str) -> FbxFile:
     """Open an FBX; return its objects.
 

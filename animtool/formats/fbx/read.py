@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
@@ -49,8 +49,7 @@ def read_fbx(
     """Open a take of an FBX on the character it animates, meshes included.
 
     Time 0 is frame 0. The stream is sampled at the file's rate; between frames it
-    follows
-    the file's curves.
+    follows the file's curves.
 
     Args:
         path: A .fbx file, binary or ASCII.
@@ -127,7 +126,9 @@ def take_names(path: Path) -> list[str]:
 def take_names_of(scene: FbxScene) -> list[str]:
     """Return distinct names of all takes."""
     printable_names = [printable(take.name) for take in scene.takes]
-    return distinct(name or f"take_{i + 1}" for i, name in enumerate(printable_names))
+    return numbered_names(
+        name or f"take_{i + 1}" for i, name in enumerate(printable_names)
+    )
 
 
 def _unread_notice(scene: FbxScene, take: AnimTake | None) -> list[Fault]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
 from animtool.formats.characters.binding import Binder
 from animtool.formats.characters.choice import CharacterNodes
@@ -82,10 +82,8 @@ def build_rig(
     """Return the rig of a character; the rest pose is the saved scene.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
-    transform
-    has no effect. A uniform static scale is folded into the lengths below it; other
-    scales
-    remain in the takes.
+    transform has no effect. A uniform static scale is folded into the lengths below it;
+    other scales remain in the takes.
 
     Args:
         scene: The file.
@@ -194,7 +192,7 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
         f"{of_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
         for row in rows
     ]
-    unique = distinct([*inner_names, *(name for name in outer_names if name)])
+    unique = numbered_names([*inner_names, *(name for name in outer_names if name)])
     helpers = iter(unique[len(inner_names) :])
     names = [
         next(helpers) if name else of_model[row.model]
@@ -218,7 +216,7 @@ def _add_shapes_and_meshes(
     mesh_nodes = [node for node in character.nodes if node in scene.meshes]
     mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
     printable_names = [printable(scene.nodes[node].name or "") for node in mesh_nodes]
-    mesh_names = distinct(
+    mesh_names = numbered_names(
         name or f"mesh_{node}"
         for node, name in zip(mesh_nodes, printable_names, strict=True)
     )

@@ -63,8 +63,7 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
 
     Raises:
         FormatError: Its axes are left-handed or invalid (FBX007), or unit or rate are
-            not
-            positive numbers (FBX005).
+            not positive numbers (FBX005).
     """
     notes, settings = file.notes, file.settings
     factor = scalar(settings, "UnitScaleFactor", 1.0, notes)

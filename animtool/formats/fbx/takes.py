@@ -96,8 +96,7 @@ def read_takes(file: FbxFile) -> list[AnimTake]:
 
     Raises:
         FormatError: A curve is malformed (FBX005, FBX006), or a layer has an
-            unsupported
-            mode (FBX004).
+            unsupported mode (FBX004).
     """
     if file.version < NUMBERED:
         return _old_takes(file)

@@ -135,8 +135,7 @@ class Accessors:
         """Return whether an accessor has bytes for any of its elements.
 
         Accessors without a bufferView have none, nor do those of buffers that an
-        extension or
-        another program fills.
+        extension or another program fills.
         """
         accessor = self.get(index)
         if accessor.view < 0:
@@ -148,8 +147,7 @@ class Accessors:
         """Return an accessor's numbers ``(count, width)`` in the stored type.
 
         The array may share the file's memory; do not write to it. ``finite`` checks
-        that
-        floats are finite.
+        that floats are finite.
         """
         if index in self._arrays:
             return self._arrays[index]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Severity, excerpt, listed
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node, SkinEntry, roots
 from animtool.formats.file_notices import FileNotices
@@ -91,14 +91,13 @@ class Gltf:
     left_out: tuple[str, ...]
 
 
-@expects("GLT001", "a glTF file")
+@expects_format("GLT001", "a glTF file")
 def open_gltf(path: Path | str) -> Gltf:
     """Open a .gltf or .glb; every number that affects motion is checked.
 
     Raises:
         FormatError: It cannot be read safely, or is ambiguous (GLT001 to GLT013), with
-            the
-            JSON pointer or the byte offset.
+            the JSON pointer or the byte offset.
     """
     path = Path(path)
     notes = FileNotices(str(path))

@@ -63,10 +63,8 @@ def build_rig(
     """Return the rig of a character.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
-    transform
-    has no effect. A uniform static scale is folded into the lengths below it; other
-    scales
-    remain in the takes.
+    transform has no effect. A uniform static scale is folded into the lengths below it;
+    other scales remain in the takes.
 
     ``surfaces`` selects whether to read meshes and shapes.
     """

@@ -166,8 +166,7 @@ def segments(
     """Return the key before each time, and the times; close times snap to the key.
 
     If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
-    are
-    those of the keys.
+    are those of the keys.
     """
     last_key = len(keys) - 1
     key_indices = np.searchsorted(keys, times, "right") - 1

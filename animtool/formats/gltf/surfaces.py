@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
 from animtool.formats.characters.binding import Binder
 from animtool.formats.characters.choice import CharacterNodes
@@ -77,7 +77,7 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
         mesh = gltf.meshes[entry.mesh]
         name = mesh.original_name or entry.name or mesh.name or f"mesh_{node}"
         names.append(printable(name) or "mesh")
-    return dict(zip(nodes, distinct(names), strict=True))
+    return dict(zip(nodes, numbered_names(names), strict=True))
 
 
 def names_of_shapes(

@@ -144,10 +144,10 @@ def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]
 
 def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
     """Return a distinct name for every animation; unnamed ones are numbered."""
-    from animtool.core.names import distinct
+    from animtool.core.names import numbered_names
 
     names = [
         "".join(c if c.isprintable() else "_" for c in animation.name or "").strip()
         for animation in animations
     ]
-    return distinct(name or f"clip_{i + 1}" for i, name in enumerate(names))
+    return numbered_names(name or f"clip_{i + 1}" for i, name in enumerate(names))

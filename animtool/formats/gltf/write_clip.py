@@ -88,10 +88,8 @@ def write_clip(
     """Write a take as an animation; return notices about lost data.
 
     The first frame is time 0. A static value has a channel with one key if it differs
-    from
-    the node's. A take that still equals its source clip is written with the clip's
-    keys;
-    other takes have a key per frame or, with a tolerance, the keys that linear
+    from the node's. A take that still equals its source clip is written with the clip's
+    keys; other takes have a key per frame or, with a tolerance, the keys that linear
     interpolation needs.
 
     Args:
@@ -204,8 +202,7 @@ def _by_column(values: FloatArray, kind: type[np.floating[Any]]) -> Any:
     """Return samples ``(F, J, K)`` as ``(J, F, K)`` of a dtype.
 
     The samples of a joint are copied as one element, in chunks of frames that stay in
-    the
-    processor's cache.
+    the processor's cache.
     """
     frames, joints, width = values.shape
     element = np.dtype((np.void, width * np.dtype(kind).itemsize))
@@ -337,8 +334,7 @@ def _combine_weights(tracks: list[Keys | None], samples: FloatArray) -> Keys | N
     """Return several weights as one track; None if glTF cannot store them as one.
 
     ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
-    of
-    the others.
+    of the others.
     """
     first_track = next((track_ for track_ in tracks if track_ is not None), None)
     if first_track is None:

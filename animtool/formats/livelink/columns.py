@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import read_input
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
@@ -88,16 +88,14 @@ class Recording:
     notices: list[Fault] = field(default_factory=list)
 
 
-@expects("LLF001", "a Live Link Face recording")
+@expects_format("LLF001", "a Live Link Face recording")
 def read_recording(path: Path) -> Recording:
     """Read the rows of a recording.
 
     Raises:
         FormatError: It cannot be read (IO001), is not a recording (LLF001), has a
-            duplicate
-            column (LLF002), a row with another number of columns (LLF003) or a value
-            that
-            is not a number (LLF004), or no row (LLF001).
+            duplicate column (LLF002), a row with another number of columns (LLF003) or
+            a value that is not a number (LLF004), or no row (LLF001).
     """
     lines = _lines(path)
     header = next((i for i, line in enumerate(lines) if line.strip()), None)

@@ -11,7 +11,14 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    names_fault,
+)
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
@@ -47,10 +54,8 @@ def read_livelink(
     """Open a Live Link Face recording (CSV) as a take.
 
     Weights drive the shapes of the same names, in any of ARKit's spellings. Head and
-    eyes
-    rotate joints of those names; angles are radians about the axes of the face: yaw
-    about
-    up, then pitch about left, then roll about forward.
+    eyes rotate joints of those names; angles are radians about the axes of the face:
+    yaw about up, then pitch about left, then roll about forward.
 
     Args:
         path: The file.
@@ -64,8 +69,7 @@ def read_livelink(
     Raises:
         FormatError: The file is malformed (LLF001 to LLF006), or the remap file is.
         OptionError: The rig has none of the shapes and no head (LLF007), or ``fps`` is
-            not
-            a frame rate (SCN022).
+            not a frame rate (SCN022).
     """
     path = Path(path)
     if dropped not in DROPPED:
@@ -270,7 +274,9 @@ def _unmatched_notices(
             message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"
             notices.append(
-                naming("LLF108", message, unmatched_names, path, hint, Severity.WARNING)
+                names_fault(
+                    "LLF108", message, unmatched_names, path, hint, Severity.WARNING
+                )
             )
     for part, angles in rotations.items():
         if part not in joints and np.nan_to_num(angles).any():

@@ -75,10 +75,8 @@ def row_frames(
     """Return the frames of rows with timecodes ``HH:MM:SS:FF.mmm``.
 
     The clock is the one whose seconds end with those of the labels. A recorder may
-    write
-    a row every second label. If rows follow the clock, fractions of frames are rounded;
-    if
-    they jitter, the label is the frame.
+    write a row every second label. If rows follow the clock, fractions of frames are
+    rounded; if they jitter, the label is the frame.
 
     Args:
         labels: One per row, as written.

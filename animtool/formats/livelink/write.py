@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, naming
+from animtool.core.errors import Fault, OptionError, Severity, names_fault
 from animtool.core.timecode import count_rate, timecode_label
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
 from animtool.formats.take_text import TakeText, write_text
@@ -40,8 +40,7 @@ def write_livelink(
 
     Raises:
         OptionError: The rig has no ARKit shape (LLF008), time codes cannot count its
-            rate
-            (LLF009), or the file exists (OUT001).
+            rate (LLF009), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
     return write_text(take, path, livelink_text, overwrite=overwrite)
@@ -51,8 +50,7 @@ def livelink_text(take: Take) -> TakeText:
     """Return a take as CSV: ARKit's 52 weights, head and eye rotations.
 
     The first frame is 00:00:00:00 of a clock with the take's rate, drop-frame at 29.97
-    and
-    59.94. Shapes missing in the rig are 0. The format cannot store other shapes and
+    and 59.94. Shapes missing in the rig are 0. The format cannot store other shapes and
     joints; notices list the animated shapes.
     """
     columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
@@ -87,7 +85,7 @@ def livelink_text(take: Take) -> TakeText:
         if unwritten:
             message = f"{len(unwritten)} shapes have no column in the CSV: "
             notices.append(
-                naming("LLF111", message, unwritten, severity=Severity.WARNING)
+                names_fault("LLF111", message, unwritten, severity=Severity.WARNING)
             )
     header = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
     return TakeText([header], _rows(weights, _angles(take), rate), notices)

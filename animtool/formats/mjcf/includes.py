@@ -6,7 +6,7 @@ from pathlib import Path
 
 from animtool.core.errors import excerpt
 from animtool.core.files.reading import exists, nearest_file
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import MAX_ELEMENTS, XmlCodes, XmlElement, read_xml
@@ -16,7 +16,7 @@ ROOT = "mujoco"
 MAX_INCLUDES = 1000
 
 
-@expects("MJC001", "an MJCF file")
+@expects_format("MJC001", "an MJCF file")
 def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
     """Return the root of a model with all includes replaced by their content.
 

@@ -20,11 +20,9 @@ def read_mjcf_rig(path: Path | str) -> Rig:
     """Return the rig of an MJCF: metres, radians, Z up.
 
     Every body becomes a joint of its name, and so does every joint and site.
-    Coordinates
-    are MuJoCo's qpos, except that a free joint counts from the body's pose in the file.
-    Colliding simple geoms become capsules, visible ones meshes, and inertias masses.
-    MuJoCo
-    compiles the model, but opens no file.
+    Coordinates are MuJoCo's qpos, except that a free joint counts from the body's pose
+    in the file. Colliding simple geoms become capsules, visible ones meshes, and
+    inertias masses. MuJoCo compiles the model, but opens no file.
 
     Args:
         path: A .xml or .mjcf file.

@@ -55,8 +55,7 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
     These are ``knee.angle`` and ``knee`` for a pin, ``lift.slide`` and ``lift`` for a
     prismatic joint, ``hip.rotation.x`` and ``hip_x`` for a ball or free joint, and
     ``hip.translation.x`` and ``hip_tx`` for a free one. If two names are equal, a
-    joint's
-    full name takes precedence over a name with a suffix.
+    joint's full name takes precedence over a name with a suffix.
 
     >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
     >>> list(spellings(door))

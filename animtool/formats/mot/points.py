@@ -53,8 +53,7 @@ def read_points(
     """Return a table's vectors as markers; NaN means not visible.
 
     Time 0 is frame 1. Frames without a row have no position; rows at irregular times
-    are
-    resampled linearly.
+    are resampled linearly.
 
     Args:
         path: The file.

@@ -16,9 +16,9 @@ from animtool.core.errors import (
     Severity,
     counted,
     excerpt,
-    naming,
+    names_fault,
 )
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
@@ -64,8 +64,7 @@ def read_mot(
     Columns are coordinates of a rig by name, see
     `animtool.formats.mot.coordinates.spellings`: angles in degrees or radians, as the
     header states, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
-    Rows
-    at irregular times are resampled linearly.
+    Rows at irregular times are resampled linearly.
 
     Args:
         path: The file.
@@ -75,8 +74,7 @@ def read_mot(
     Raises:
         FormatError: The file is malformed (MOF001 to MOF006, MOF009).
         OptionError: The rig has none of the coordinates (MOF007), or ``fps`` is not a
-            frame
-            rate (SCN022).
+            frame rate (SCN022).
     """
     path = Path(path)
     option = None if fps is None else rate_option(fps)
@@ -92,7 +90,9 @@ def read_mot(
         message = f"{len(unmatched)} columns are not coordinates of {target.name!r}: "
         hint = "name columns after joints: knee.angle, lift.slide, hip_x"
         warning = Severity.WARNING
-        notices.append(naming("MOF102", message, unmatched, str(path), hint, warning))
+        notices.append(
+            names_fault("MOF102", message, unmatched, str(path), hint, warning)
+        )
     degrees = table.degrees
     if degrees is None:
         degrees = False
@@ -181,7 +181,7 @@ def _matched_columns(
         option = argument("source.rig")
         message = f"{option}: rig {rig.name!r} has none of the "
         message += f"{counted(len(unmatched), 'coordinate')}, such as {unmatched[0]!r}"
-        similar_name = similar(unmatched[0], by_name)
+        similar_name = most_similar(unmatched[0], by_name)
         hint = f"read it with the rig that it was made for, or without {option}; "
         hint += "animtool retarget transfers the take to another"
         hint = f"did you mean {similar_name}?" if similar_name else hint

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
     BLANK,
@@ -70,7 +70,7 @@ class MotionTable:
     notices: tuple[Fault, ...]
 
 
-@expects("MOF001", "an OpenSim motion file")
+@expects_format("MOF001", "an OpenSim motion file")
 def read_table(path: Path) -> MotionTable:
     """Read the table of a MOT or STO file.
 
@@ -79,8 +79,7 @@ def read_table(path: Path) -> MotionTable:
     Raises:
         FormatError: The file cannot be read, or has no header (MOF001), no column names
             (MOF002), an invalid row (MOF003), a duplicate column (MOF004), or times
-            that do
-            not ascend (MOF005).
+            that do not ascend (MOF005).
     """
     lines = read_lines(path)
     header = read_header(path, lines)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, listed, naming
+from animtool.core.errors import Fault, OptionError, Severity, listed, names_fault
 from animtool.formats.mot.coordinates import (
     Coordinate,
     column_names,
@@ -54,12 +54,9 @@ def mot_text(take: Take) -> TakeText:
     """Return a take as joint coordinates over time, in degrees and metres.
 
     A pin or prismatic joint has a column of its name. A ball joint has ``hip_x``,
-    ``hip_y``
-    and ``hip_z``: rotations about X, then the new Y, then the new Z. A free joint also
-    has
-    ``hip_tx``, ``hip_ty`` and ``hip_tz``, unless it never leaves its rest offset. Frame
-    1 is
-    time 0.
+    ``hip_y`` and ``hip_z``: rotations about X, then the new Y, then the new Z. A free
+    joint also has ``hip_tx``, ``hip_ty`` and ``hip_tz``, unless it never leaves its
+    rest offset. Frame 1 is time 0.
     """
     rig = take.rig
     columns = coordinates_of(rig)
@@ -145,7 +142,7 @@ def _loss_warnings(
     if inexact:
         message = "motion that the joint types do not allow is skipped: "
         hint = "free joints in the rig can hold any motion"
-        notices.append(naming("MOF108", message, inexact, None, hint, warning))
+        notices.append(names_fault("MOF108", message, inexact, None, hint, warning))
     warnings = []
     if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOSS_TOLERANCE:
         warnings.append("scales")

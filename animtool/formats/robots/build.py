@@ -1,10 +1,9 @@
 """Rig of a robot: a joint for every link and every moving joint.
 
 A joint that moves a link of the same name in the same frame is merged with it;
-otherwise
-the link is a fixed joint below. Children of a link are attached to the joint that moves
-it, so that IK chains consist of moving joints. Fixed joints only have the name of their
-link.
+otherwise the link is a fixed joint below. Children of a link are attached to the joint
+that moves it, so that IK chains consist of moving joints. Fixed joints only have the
+name of their link.
 """
 
 from __future__ import annotations

@@ -42,8 +42,7 @@ class PackageFolders:
         """Return the folders of a file.
 
         The package that contains a file is part of its project: the parent folder with
-        that
-        name, or with it in ``package.xml``.
+        that name, or with it in ``package.xml``.
         """
         folder = path.resolve().parent
         packages: dict[str, Path] = {}

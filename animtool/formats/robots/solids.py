@@ -18,8 +18,7 @@ def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
 
     A cylinder that is longer than wide becomes a capsule of its radius and length, a
     flatter one a ball of its volume; a box becomes a capsule along its longest side
-    with
-    its cross section in area. ``shift`` is from the joint to the link.
+    with its cross section in area. ``shift`` is from the joint to the link.
 
     >>> rod = SimpleShape("cylinder", (0.1, 1.0))
     >>> capsule, error = capsule_of(rod, (0.0, 0.0, 0.0))

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, counted, excerpt
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -196,7 +196,7 @@ def columns_of(
     return names, sum(not name for name in names)
 
 
-@expects("TRC001", "a TRC file")
+@expects_format("TRC001", "a TRC file")
 def read_trc(
     path: Path | str,
     *,
@@ -209,9 +209,8 @@ def read_trc(
 
     Cells are separated by tabs, semicolons, commas or blanks. Columns beyond those with
     names are unlabelled points. If DataRate or Frame# contradict the Time of rows, Time
-    is
-    used; frames without a row have no position. Rows at irregular times are resampled
-    linearly.
+    is used; frames without a row have no position. Rows at irregular times are
+    resampled linearly.
 
     Args:
         path: The file.
@@ -223,10 +222,8 @@ def read_trc(
 
     Raises:
         FormatError: It cannot be read, is not a TRC (TRC001), has an invalid row
-            (TRC002)
-            or times that do not ascend (TRC003), states no rate (MKR010) or an unknown
-            unit
-            (MKR011), or has no markers or frames (MKR013).
+            (TRC002) or times that do not ascend (TRC003), states no rate (MKR010) or an
+            unknown unit (MKR011), or has no markers or frames (MKR013).
         OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)

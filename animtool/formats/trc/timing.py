@@ -208,8 +208,7 @@ def _warn_irregular(
     row = int(np.abs(intervals - steps.step).argmax()) + 1
     message = (
         f"rows are {intervals.min():.4g} to {intervals.max():.4g} s apart; resampled "
-        "to "
-        f"{float(rate):g} fps by linear interpolation, except across gaps"
+        f"to {float(rate):g} fps by linear interpolation, except across gaps"
     )
     hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
     file.warn("TRC106", message, hint, int(lines[row]))

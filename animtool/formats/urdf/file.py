@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from animtool.core.errors import Severity, counted, excerpt
-from animtool.core.files.signatures import expects
+from animtool.core.files.signatures import expects_format
 from animtool.formats.robots.notes import XmlNotes, to_number
 from animtool.formats.robots.xml import XmlElement, read_xml
 from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
@@ -18,7 +18,7 @@ _XACRO = "${", "$("
 EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
 
 
-@expects("URD001", "a URDF file")
+@expects_format("URD001", "a URDF file")
 def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     """Return a file's links and joints; record faults.
 

@@ -14,10 +14,8 @@ def read_urdf_rig(path: Path | str) -> Rig:
     """Return the rig of a URDF: metres, radians, Z up, at rest with its joints at 0.
 
     Every link becomes a joint of its name, and so does every joint that moves one.
-    Simple
-    colliding shapes become capsules, inertias masses, and visuals meshes if they are
-    simple
-    shapes, OBJ or STL.
+    Simple colliding shapes become capsules, inertias masses, and visuals meshes if they
+    are simple shapes, OBJ or STL.
 
     Args:
         path: A .urdf file.

@@ -17,7 +17,7 @@ namespace animtool::check {
 // A dimension of any size.
 constexpr std::size_t ANY = std::numeric_limits<std::size_t>::max();
 // Largest number of rows of arrays that are indexed with int32; a row has at most 12 numbers.
-constexpr std::size_t MOST_ROWS = std::numeric_limits<std::int32_t>::max() / 12;
+constexpr std::size_t MAX_ROWS = std::numeric_limits<std::int32_t>::max() / 12;
 
 [[noreturn]] void refuse(const char* name, const std::string& what);
 
@@ -63,7 +63,7 @@ void at_most(const char* name, std::size_t rows, std::size_t most);
 template <class Array>
 std::size_t points(const char* name, const Array& array) {
   shape(name, array, {ANY, 3});
-  at_most(name, array.shape(0), MOST_ROWS);
+  at_most(name, array.shape(0), MAX_ROWS);
   return array.shape(0);
 }
 

@@ -10,21 +10,21 @@ namespace animtool {
 
 class Groups {
  public:
-  explicit Groups(std::size_t count = 0) : above_(count) {
-    std::iota(above_.begin(), above_.end(), std::size_t{0});
+  explicit Groups(std::size_t count = 0) : parents_(count) {
+    std::iota(parents_.begin(), parents_.end(), std::size_t{0});
   }
 
   std::size_t first_of(std::size_t i) {
-    while (above_[i] != i) i = above_[i] = above_[above_[i]];
+    while (parents_[i] != i) i = parents_[i] = parents_[parents_[i]];
     return i;
   }
   void join(std::size_t i, std::size_t j) {
     i = first_of(i), j = first_of(j);
-    if (i != j) above_[std::max(i, j)] = std::min(i, j);
+    if (i != j) parents_[std::max(i, j)] = std::min(i, j);
   }
 
  private:
-  std::vector<std::size_t> above_;
+  std::vector<std::size_t> parents_;
 };
 
 }  // namespace animtool

@@ -9,8 +9,8 @@
 namespace animtool {
 
 struct SortedKeys {
-  explicit SortedKeys(std::size_t room)
-      : keys(block<std::uint64_t>(room)), indices(block<std::int32_t>(room)) {}
+  explicit SortedKeys(std::size_t capacity)
+      : keys(block<std::uint64_t>(capacity)), indices(block<std::int32_t>(capacity)) {}
 
   Block<std::uint64_t> keys;
   Block<std::int32_t> indices;
@@ -21,10 +21,10 @@ struct SortedKeys {
 // processors must not share it.
 [[maybe_unused]] static void sort_keys(SortedKeys& sorted, std::size_t count) {
   constexpr unsigned BITS = 11;
-  std::uint64_t most = 0;
-  for (std::size_t i = 0; i < count; ++i) most = std::max(most, sorted.keys[i]);
+  std::uint64_t max_key = 0;
+  for (std::size_t i = 0; i < count; ++i) max_key = std::max(max_key, sorted.keys[i]);
   SortedKeys other(count);
-  for (unsigned shift = 0; shift < 64 && most >> shift; shift += BITS) {
+  for (unsigned shift = 0; shift < 64 && max_key >> shift; shift += BITS) {
     std::size_t starts[(1 << BITS) + 1] = {};
     const auto digit = [&](std::uint64_t key) { return key >> shift & ((1 << BITS) - 1); };
     for (std::size_t i = 0; i < count; ++i) ++starts[digit(sorted.keys[i]) + 1];

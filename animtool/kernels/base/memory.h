@@ -14,11 +14,11 @@
 
 namespace animtool {
 
-struct Freed {
+struct FreeDeleter {
   void operator()(void* memory) const noexcept { std::free(memory); }
 };
 template <typename T>
-using Block = std::unique_ptr<T[], Freed>;
+using Block = std::unique_ptr<T[], FreeDeleter>;
 
 // Large blocks use huge pages if the system has them: the first access to a small page takes as
 // long as the work on its contents.

@@ -46,19 +46,19 @@ struct Registers<double, 4, Quads> {
   }
   static Row load(const double* from) { return _mm256_loadu_pd(from); }
   static void store(Row row, double* to) { _mm256_storeu_pd(to, row); }
-  static Row spread(double value) { return _mm256_set1_pd(value); }
+  static Row broadcast(double value) { return _mm256_set1_pd(value); }
   static Row add(Row a, Row b) { return _mm256_add_pd(a, b); }
   static Row subtract(Row a, Row b) { return _mm256_sub_pd(a, b); }
   static Row multiply(Row a, Row b) { return _mm256_mul_pd(a, b); }
   static Row divide(Row a, Row b) { return _mm256_div_pd(a, b); }
-  static Row root(Row a) { return _mm256_sqrt_pd(a); }
-  static Row least(Row a, Row b) { return _mm256_min_pd(a, b); }
-  static Row most(Row a, Row b) { return _mm256_max_pd(a, b); }
-  static Row below(Row a, Row b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
-  static Row chosen(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
-  static Row kept(Row where, Row a) { return _mm256_and_pd(where, a); }
-  static Row either(Row a, Row b) { return _mm256_or_pd(a, b); }
-  static unsigned bits(Row where) {
+  static Row sqrt(Row a) { return _mm256_sqrt_pd(a); }
+  static Row min(Row a, Row b) { return _mm256_min_pd(a, b); }
+  static Row max(Row a, Row b) { return _mm256_max_pd(a, b); }
+  static Row less(Row a, Row b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
+  static Row select(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
+  static Row masked(Row where, Row a) { return _mm256_and_pd(where, a); }
+  static Row mask_or(Row a, Row b) { return _mm256_or_pd(a, b); }
+  static unsigned mask_bits(Row where) {
     return static_cast<unsigned>(_mm256_movemask_pd(where));
   }
   static double largest(Row a) {
@@ -93,15 +93,15 @@ struct Registers<float, 8, Quads> {
     return _mm256_set_m128(_mm256_cvtpd_ps(a.high), _mm256_cvtpd_ps(a.low));
   }
   static Row load(const float* from) { return _mm256_loadu_ps(from); }
-  static Row spread(float value) { return _mm256_set1_ps(value); }
+  static Row broadcast(float value) { return _mm256_set1_ps(value); }
   static Row add(Row a, Row b) { return _mm256_add_ps(a, b); }
   static Row subtract(Row a, Row b) { return _mm256_sub_ps(a, b); }
   static Row multiply(Row a, Row b) { return _mm256_mul_ps(a, b); }
   static Row divide(Row a, Row b) { return _mm256_div_ps(a, b); }
-  static Row root(Row a) { return _mm256_sqrt_ps(a); }
-  static Row most(Row a, Row b) { return _mm256_max_ps(a, b); }
-  static Row below(Row a, Row b) { return _mm256_cmp_ps(a, b, _CMP_LT_OQ); }
-  static Row kept(Row where, Row a) { return _mm256_and_ps(where, a); }
+  static Row sqrt(Row a) { return _mm256_sqrt_ps(a); }
+  static Row max(Row a, Row b) { return _mm256_max_ps(a, b); }
+  static Row less(Row a, Row b) { return _mm256_cmp_ps(a, b, _CMP_LT_OQ); }
+  static Row masked(Row where, Row a) { return _mm256_and_ps(where, a); }
 };
 
 // Eight doubles, in two registers.
@@ -120,7 +120,7 @@ struct Registers<double, 8, Quads> {
   static void store(const Row& row, double* to) {
     Half::store(row.low, to), Half::store(row.high, to + 4);
   }
-  static Row spread(double value) { return {Half::spread(value), Half::spread(value)}; }
+  static Row broadcast(double value) { return {Half::broadcast(value), Half::broadcast(value)}; }
   static Row add(const Row& a, const Row& b) {
     return {Half::add(a.low, b.low), Half::add(a.high, b.high)};
   }
@@ -130,8 +130,8 @@ struct Registers<double, 8, Quads> {
   static Row multiply(const Row& a, const Row& b) {
     return {Half::multiply(a.low, b.low), Half::multiply(a.high, b.high)};
   }
-  static Row most(const Row& a, const Row& b) {
-    return {Half::most(a.low, b.low), Half::most(a.high, b.high)};
+  static Row max(const Row& a, const Row& b) {
+    return {Half::max(a.low, b.low), Half::max(a.high, b.high)};
   }
 };
 

@@ -11,7 +11,7 @@ struct Vector3 {
 
   // Several vectors at once: each component contiguous in memory, or all equal.
   static Vector3 of(const double* p) { return {N::of(p), N::of(p + 4), N::of(p + 8)}; }
-  static Vector3 spread(const double* p) { return {p[0], p[1], p[2]}; }
+  static Vector3 broadcast(const double* p) { return {p[0], p[1], p[2]}; }
   void store(double* to) const { x.store(to), y.store(to + 4), z.store(to + 8); }
 
   friend Vector3 operator+(const Vector3& a, const Vector3& b) {

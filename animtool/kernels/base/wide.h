@@ -47,7 +47,7 @@ struct Registers {
   static void store(const Row& row, T* to) {
     for (std::size_t l = 0; l < N; ++l) to[l] = row.at[l];
   }
-  static Row spread(T value) {
+  static Row broadcast(T value) {
     return each([&](std::size_t) { return value; });
   }
   static Row negate(const Row& a) {
@@ -65,26 +65,26 @@ struct Registers {
   static Row divide(const Row& a, const Row& b) {
     return each([&](std::size_t l) { return a.at[l] / b.at[l]; });
   }
-  static Row root(const Row& a) {
+  static Row sqrt(const Row& a) {
     return each([&](std::size_t l) { return std::sqrt(a.at[l]); });
   }
-  static Row least(const Row& a, const Row& b) {
+  static Row min(const Row& a, const Row& b) {
     return each([&](std::size_t l) { return a.at[l] < b.at[l] ? a.at[l] : b.at[l]; });
   }
-  static Row most(const Row& a, const Row& b) {
+  static Row max(const Row& a, const Row& b) {
     return each([&](std::size_t l) { return a.at[l] > b.at[l] ? a.at[l] : b.at[l]; });
   }
-  static Row below(const Row& a, const Row& b) {
+  static Row less(const Row& a, const Row& b) {
     return each([&](std::size_t l) { return T(a.at[l] < b.at[l]); });
   }
-  static Row chosen(const Row& where, const Row& a, const Row& b) {
+  static Row select(const Row& where, const Row& a, const Row& b) {
     return each([&](std::size_t l) { return where.at[l] != 0 ? a.at[l] : b.at[l]; });
   }
-  static Row kept(const Row& where, const Row& a) { return chosen(where, a, spread(0)); }
-  static Row either(const Row& a, const Row& b) {
+  static Row masked(const Row& where, const Row& a) { return select(where, a, broadcast(0)); }
+  static Row mask_or(const Row& a, const Row& b) {
     return each([&](std::size_t l) { return T(a.at[l] != 0 || b.at[l] != 0); });
   }
-  static unsigned bits(const Row& where) {
+  static unsigned mask_bits(const Row& where) {
     unsigned set_bits = 0;
     for (std::size_t l = 0; l < N; ++l) set_bits |= (where.at[l] != 0 ? 1u : 0u) << l;
     return set_bits;
@@ -121,14 +121,14 @@ struct Registers<double, 2, Plain> {
   }
   static Row load(const double* from) { return Row{from[0], from[1]}; }
   static void store(Row row, double* to) { to[0] = row[0], to[1] = row[1]; }
-  static Row spread(double value) { return Row{value, value}; }
+  static Row broadcast(double value) { return Row{value, value}; }
   static Row negate(Row a) { return -a; }
   static Row add(Row a, Row b) { return a + b; }
   static Row subtract(Row a, Row b) { return a - b; }
   static Row multiply(Row a, Row b) { return a * b; }
   static Row divide(Row a, Row b) { return a / b; }
-  static Row below(Row a, Row b) { return reinterpret_cast<Row>(a < b); }
-  static Row chosen(Row where, Row a, Row b) {
+  static Row less(Row a, Row b) { return reinterpret_cast<Row>(a < b); }
+  static Row select(Row where, Row a, Row b) {
     return reinterpret_cast<decltype(a < b)>(where) ? a : b;
   }
 };
@@ -142,7 +142,7 @@ struct Wide {
 
   Wide() = default;
   Wide(const typename Of::Row& from) : row(from) {}
-  Wide(T value) : row(Of::spread(value)) {}
+  Wide(T value) : row(Of::broadcast(value)) {}
   // Converts from the other number type.
   template <class U>
   explicit Wide(const Wide<U, N, On>& other) : row(Of::converted(other.row)) {}
@@ -161,23 +161,23 @@ struct Wide {
   friend Wide operator*(const Wide& a, const Wide& b) { return Of::multiply(a.row, b.row); }
   friend Wide operator/(const Wide& a, const Wide& b) { return Of::divide(a.row, b.row); }
   friend Wide& operator+=(Wide& a, const Wide& b) { return a = a + b; }
-  friend Wide root(const Wide& a) { return Of::root(a.row); }
-  friend Wide least(const Wide& a, const Wide& b) { return Of::least(a.row, b.row); }
-  friend Wide most(const Wide& a, const Wide& b) { return Of::most(a.row, b.row); }
-  friend Wide below(const Wide& a, const Wide& b) { return Of::below(a.row, b.row); }
-  friend Wide chosen(const Wide& where, const Wide& a, const Wide& b) {
-    return Of::chosen(where.row, a.row, b.row);
+  friend Wide sqrt(const Wide& a) { return Of::sqrt(a.row); }
+  friend Wide min(const Wide& a, const Wide& b) { return Of::min(a.row, b.row); }
+  friend Wide max(const Wide& a, const Wide& b) { return Of::max(a.row, b.row); }
+  friend Wide less(const Wide& a, const Wide& b) { return Of::less(a.row, b.row); }
+  friend Wide select(const Wide& where, const Wide& a, const Wide& b) {
+    return Of::select(where.row, a.row, b.row);
   }
   // The value where the mask is set, else 0.
-  friend Wide kept(const Wide& where, const Wide& a) { return Of::kept(where.row, a.row); }
-  friend Wide either(const Wide& a, const Wide& b) { return Of::either(a.row, b.row); }
-  friend unsigned bits(const Wide& where) { return Of::bits(where.row); }
+  friend Wide masked(const Wide& where, const Wide& a) { return Of::masked(where.row, a.row); }
+  friend Wide mask_or(const Wide& a, const Wide& b) { return Of::mask_or(a.row, b.row); }
+  friend unsigned mask_bits(const Wide& where) { return Of::mask_bits(where.row); }
   friend T largest(const Wide& a) { return Of::largest(a.row); }
   friend T smallest(const Wide& a) { return Of::smallest(a.row); }
 
   // The value, or 0 where the squared distance says that both ends coincide.
   friend Wide if_distinct(const Wide& square, const Wide& value) {
-    return kept(below(T(COINCIDENT), square), value);
+    return masked(less(T(COINCIDENT), square), value);
   }
   // Reciprocal of a squared distance, 0 for coincident ends.
   friend Wide inverse(const Wide& square) { return if_distinct(square, T(1) / square); }
@@ -231,8 +231,8 @@ inline void scatter(const Four<On>* columns, const std::int32_t* rows, double* t
 }
 
 template <class N>
-Vector3<N> chosen(const N& where, const Vector3<N>& a, const Vector3<N>& b) {
-  return {chosen(where, a.x, b.x), chosen(where, a.y, b.y), chosen(where, a.z, b.z)};
+Vector3<N> select(const N& where, const Vector3<N>& a, const Vector3<N>& b) {
+  return {select(where, a.x, b.x), select(where, a.y, b.y), select(where, a.z, b.z)};
 }
 
 }  // namespace animtool

@@ -1,6 +1,8 @@
 // Conversion of kernel arguments and results: numpy arrays and bytes.
 #pragma once
 
+#include <cstring>
+
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -52,7 +54,19 @@ void define_class(nb::class_<Class>& bound, Field<Struct, Members>... fields) {
 
 namespace nanobind::detail {
 
-// Converted arrays live until the call returns, like the arguments.
+// Whether a buffer holds numbers T, by the letters of Python's `struct`.
+template <typename T>
+bool holds(const Py_buffer& buffer) {
+  if (buffer.itemsize != sizeof(T) || !buffer.format || buffer.format[1]) return false;
+  const char* letters = std::is_same_v<T, bool>        ? "?"
+                        : std::is_floating_point_v<T> ? "fd"
+                        : std::is_signed_v<T>         ? "bhilq"
+                                                      : "BHILQ";
+  return std::strchr(letters, buffer.format[0]);
+}
+
+// Arrays that fit are read by their buffers, the quickest way; others are converted.
+// Either lives until the call returns, like the arguments.
 template <typename T, std::size_t N>
 struct type_caster<animtool::View<T, N>> {
   using Array = ndarray<T, ndim<N>, c_contig, device::cpu>;
@@ -60,16 +74,36 @@ struct type_caster<animtool::View<T, N>> {
   using View = animtool::View<T, N>;
   NB_TYPE_CASTER(View, Caster::Name)
 
+  type_caster() = default;
+  type_caster(const type_caster&) = delete;
+  type_caster(type_caster&&) = delete;
+  ~type_caster() {
+    if (buffer_.obj) PyBuffer_Release(&buffer_);
+  }
+
   bool from_python(handle source, std::uint32_t flags, cleanup_list* cleanup) noexcept {
+    std::array<std::size_t, N> shape{};
+    constexpr int requirements =
+        PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (std::is_const_v<T> ? 0 : PyBUF_WRITABLE);
+    if (!PyObject_GetBuffer(source.ptr(), &buffer_, requirements)) {
+      if (buffer_.ndim == N && holds<std::remove_const_t<T>>(buffer_)) {
+        for (std::size_t axis = 0; axis < N; ++axis)
+          shape[axis] = static_cast<std::size_t>(buffer_.shape[axis]);
+        value = View(static_cast<T*>(buffer_.buf), shape);
+        return true;
+      }
+    } else {
+      PyErr_Clear();
+    }
     if (!caster_.from_python(source, flags, cleanup)) return false;
     const Array& array = caster_.value;
-    std::array<std::size_t, N> shape{};
     for (std::size_t axis = 0; axis < N; ++axis) shape[axis] = array.shape(axis);
     value = View(array.data(), shape);
     return true;
   }
 
  private:
+  Py_buffer buffer_{};
   Caster caster_;
 };
 
@@ -81,7 +115,7 @@ struct type_caster<animtool::Out<T, N>> {
 
   static handle from_cpp(Value&& out, rv_policy policy, cleanup_list* cleanup) noexcept {
     T* data = out.release();
-    capsule owner(data, [](void* memory) noexcept { animtool::Freed()(memory); });
+    capsule owner(data, [](void* memory) noexcept { animtool::FreeDeleter()(memory); });
     return make_caster<Array>::from_cpp(Array(data, N, out.shape().data(), owner), policy,
                                         cleanup);
   }

@@ -27,7 +27,7 @@ Column c is rounded to ``decimals[c]`` decimals (0 to 9), without trailing zeros
 
   m.def("fit_face", &fit_face, Unlocked(), "neutral"_a, "deltas"_a, "observed"_a,
         "camera"_a.none(), "poses"_a, "weights"_a, "threshold"_a, "smooth"_a, "rest"_a,
-        "enough"_a, "rounds"_a, "warm"_a,
+        "tolerance"_a, "max_iterations"_a, "warm"_a,
         R"(Fit blend-shape weights and the head's pose to landmarks over frames.
 
 Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
@@ -39,7 +39,7 @@ beyond the ``threshold`` counts for less.
 
 Returns ``(weights, poses, residuals, shares, rounds, change)``: lengths of the residuals
 ``(F, N)``, NaN where missing, and for how much each counted, 0 to 1; the largest change of a
-weight in the last round. Rounds end where it is below ten times ``enough``. A ``warm`` start is
+weight in the last iteration. Iterations end where it is below ten times ``tolerance``. A ``warm`` start is
 near the solution: outliers are known at once.)");
 
   m.def("triangulate_points", &triangulate_points, Unlocked(), "pixels"_a, "confidences"_a.none(),

@@ -9,7 +9,7 @@ void bind_crowds(nb::module_& m) {
   using S = CrowdStep;
   m.def("flock_accelerations", &flock_accelerations, Unlocked(), "points"_a, "velocities"_a,
         "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a,
-        "attraction"_a, "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "most"_a,
+        "attraction"_a, "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "max_tests"_a,
         R"(Accelerations of M flock members from others in sight ``(M, 3)`` [m/s²].
 
 ``members`` and ``others`` index ``points`` ``(N, 3)``; None is all. A member sees others within
@@ -19,29 +19,29 @@ velocity, and ``repulsion`` away from each: pairs of a weight and a radius. ``pe
 origin and length of each axis ``(2, 3)``, length 0 if not periodic.
 
 Returns ``(accelerations, counts, pairs)``: numbers of visible others ``(M,)``, and the number of
-tested pairs; if that exceeds ``most``, the result is incomplete.)");
+tested pairs; if that exceeds ``max_tests``, the result is incomplete.)");
 
-  m.def("flock_braking", &flock_braking, Unlocked(), "points"_a, "velocities"_a, "least"_a, "seen"_a,
-        "room"_a, "period"_a, "most"_a,
+  m.def("flock_braking", &flock_braking, Unlocked(), "points"_a, "velocities"_a, "min_distances"_a, "sight"_a,
+        "min_gap"_a, "period"_a, "max_tests"_a,
         R"(Braking accelerations of N members ahead of others ``(N, 3)`` [m/s²].
 
-The minimum distance of a pair is the mean of their ``least`` ``(N,)`` [m], 0 for none. Within
-``seen`` times that each takes half of their squared closing speed over twice the remaining gap,
-weighted by proximity; the gap is at least ``room`` times the distance. ``period`` is as in
+The minimum distance of a pair is the mean of their ``min_distances`` ``(N,)`` [m], 0 for none. Within
+``sight`` times that each takes half of their squared closing speed over twice the remaining gap,
+weighted by proximity; the gap is at least ``min_gap`` times the distance. ``period`` is as in
 `flock_accelerations`.
 
-Returns ``(accelerations, pairs)``: the number of tested pairs; if it exceeds ``most``, the result
+Returns ``(accelerations, pairs)``: the number of tested pairs; if it exceeds ``max_tests``, the result
 is incomplete.)");
 
-  m.def("flock_separate", &flock_separate, Unlocked(), "points"_a, "least"_a, "rounds"_a, "share"_a, "clear"_a,
-        "period"_a, "most"_a,
-        R"(Separate N members that are closer than the mean of their ``least`` ``(N, 3)`` [m].
+  m.def("flock_separate", &flock_separate, Unlocked(), "points"_a, "min_distances"_a, "max_passes"_a, "relaxation"_a, "clearance"_a,
+        "period"_a, "max_tests"_a,
+        R"(Separate N members that are closer than the mean of their ``min_distances`` ``(N, 3)`` [m].
 
-Each of at most ``rounds`` passes moves them by ``share`` of the missing distance, plus ``clear``
+Each of at most ``max_passes`` passes moves them by ``relaxation`` of the missing distance, plus ``clearance``
 times the minimum. ``period`` is as in `flock_accelerations`.
 
 Returns ``(points, overlap, pairs)``: the remaining overlap [m], and the number of tested pairs;
-if that exceeds ``most``, the result is incomplete.)");
+if that exceeds ``max_tests``, the result is incomplete.)");
 
   define(m, "crowd_step", &crowd_step,
          R"(Positions of N agents after a step [s] ``(N, 2)`` [m], and their velocities.
@@ -49,12 +49,12 @@ if that exceeds ``most``, the result is incomplete.)");
 Agents prefer ``preferred`` ``(N, 2)`` [m/s], slower if an agent ahead with the same direction is
 less than ``headway`` [s] away, and move away at ``push`` [m/s] from others nearer than ``space``
 [m] outside their group (-1 is none). Against oncoming or crossing agents they take the cheapest
-lane; each lane farther to the left costs less by ``side``, -1 to 1. Speeds are at most ``most``;
+lane; each lane farther to the left costs less by ``side``, -1 to 1. Speeds are at most ``max_speeds``;
 collisions with the ``nearest`` agents within ``sight`` [m] are avoided for ``horizon`` [s], or as
-far as possible. ``does`` is 0 for walking, 1 for staying and 2 for absent agents. ``walls``
+far as possible. ``modes`` is 0 for walking, 1 for staying and 2 for absent agents. ``walls``
 ``(M, 4)``, from ``starts`` of each agent on: a unit normal, the least velocity along it, and the
-least position along it. Then overlapping agents are separated, in proportion to ``gives``, in at
-most ``rounds`` passes, until the largest overlap is ``enough`` [m].
+least position along it. Then overlapping agents are separated, in proportion to ``yielding``, in at
+most ``max_passes`` passes, until the largest overlap is ``tolerance`` [m].
 
 ``shoulders`` ``(N, 2)`` are along the shoulder lines: length 0 is a disc, 1 an ellipse with
 ``depth`` times the depth of its width.
@@ -62,13 +62,13 @@ most ``rounds`` passes, until the largest overlap is ``enough`` [m].
 Returns ``(points, velocities, overlap, pressed)``: target shoulder yaws, positive for others on
 the left and negative on the right, -1 to 1 ``(N,)``.)",
          Field{"points", &S::points}, Field{"velocities", &S::velocities},
-         Field{"preferred", &S::preferred}, Field{"radii", &S::radii}, Field{"most", &S::most},
-         Field{"gives", &S::gives}, Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth},
-         Field{"groups", &S::groups}, Field{"does", &S::does}, Field{"starts", &S::starts},
+         Field{"preferred", &S::preferred}, Field{"radii", &S::radii}, Field{"max_speeds", &S::max_speeds},
+         Field{"yielding", &S::yielding}, Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth},
+         Field{"groups", &S::groups}, Field{"modes", &S::modes}, Field{"starts", &S::starts},
          Field{"walls", &S::walls}, Field{"sight", &S::sight}, Field{"nearest", &S::nearest},
          Field{"horizon", &S::horizon}, Field{"space", &S::space}, Field{"push", &S::push},
          Field{"headway", &S::headway}, Field{"side", &S::side}, Field{"step", &S::step},
-         Field{"rounds", &S::rounds}, Field{"enough", &S::enough});
+         Field{"max_passes", &S::max_passes}, Field{"tolerance", &S::tolerance});
 
   m.def("travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a,
         "starts"_a,

@@ -7,14 +7,15 @@ namespace animtool {
 
 void bind_curves(nb::module_& m) {
   m.def("evaluate_curves", &evaluate_curves, Unlocked(), "first"_a, "times"_a, "values"_a,
-        "kinds"_a, "ins"_a, "outs"_a, "at"_a,
+        "kinds"_a, "ins"_a, "outs"_a, "at"_a, "out"_a.noconvert() = nb::none(),
         R"(Evaluate C curves with K keys in all, as ``(C, F)``, held outside their keys.
 
 Curve c has the keys ``first[c]`` to ``first[c + 1]``, times ascending. ``kinds`` is
 0 hold, 1 linear, 2 cubic, 3 Bezier. ``ins`` and ``outs`` are handles ``(K, 2)``: time
-and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times of each curve's
-own; ascending times are the quickest. Times of keys are finite and no handle's time is
-NaN; values may be anything.)");
+and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times per curve;
+ascending times are the quickest, and neighbouring curves with keys at the same times.
+Numbers are finite; handles are checked where a segment uses them. Returns nothing where
+``out`` is there to be filled.)");
 
   m.def("evaluate_rotations", &evaluate_rotations, Unlocked(), "times"_a, "keys"_a, "kinds"_a,
         "at"_a, "beyond"_a, "cycles"_a,

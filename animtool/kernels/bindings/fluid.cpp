@@ -8,7 +8,7 @@ namespace animtool {
 void bind_fluid(nb::module_& m) {
   m.def("fluid_steps", &fluid_steps, Unlocked(), "colliders"_a, "owners"_a, "bodies"_a, "state"_a,
         "accelerations"_a, "spacing"_a, "density"_a, "viscosity"_a, "tension"_a, "sound"_a,
-        "step"_a, "parts"_a,
+        "step"_a, "substeps"_a,
         R"(State of N fluid particles after a step [s], in substeps.
 
 ``state`` is positions and velocities ``(2, N, 3)``, ``accelerations`` ``(N, 3)`` [m/s²] are

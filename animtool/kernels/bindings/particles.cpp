@@ -19,14 +19,14 @@ Returns ``(accelerations, potentials, rates)``: ``(N, 3)`` [m/s²], ``(N,)`` [m�
 largest ``constant * (masses[i] + masses[j]) / (d² + softening²)^1.5`` of each body with
 another ``(N,)`` [1/s²], with a tree only among near ones.)");
 
-  m.def("molecule_pairs", &molecule_pairs, Unlocked(), "points"_a, "box"_a, "reach"_a, "most"_a,
+  m.def("molecule_pairs", &molecule_pairs, Unlocked(), "points"_a, "box"_a, "reach"_a, "max_pairs"_a,
         R"(Neighbour list of N molecules within a reach, in a periodic box.
 
 Points are finite, anywhere; no side of ``box`` ``(3,)`` is below twice the reach.
 
 Returns ``(order, starts, partners)``: molecules ordered so that neighbours are close ``(N,)``;
 the first partner of each ``(N + 1,)``; and partners, as positions in that order, each pair once,
-padded per molecule to multiples of four with N. More than ``most`` are refused.)");
+padded per molecule to multiples of four with N. More than ``max_pairs`` are refused.)");
 
   m.def("molecule_forces", &molecule_forces, Unlocked(), "points"_a, "order"_a, "starts"_a,
         "partners"_a, "box"_a, "kinds"_a, "forces"_a, "charges"_a.none(), "cutoff"_a, "onset"_a,

@@ -21,31 +21,31 @@ frame. ``joint_numbers`` ``(K, 27)``: origin and quaternion x y z w of the frame
 as the axis; lower and upper limit of angle, slide or twist (lower above upper is unlimited);
 half-angles of the swing about y and z (negative is unlimited); target of the drive, and of a
 ball's its rotation; its stiffness, damping, and largest force or torque (negative is unlimited).
-Bodies of a joint do not collide, nor do the pairs ``apart`` ``(P, 2)``.)")
+Bodies of a joint do not collide, nor do the pairs ``excluded`` ``(P, 2)``.)")
       .def(nb::init<In<double, 2>, In<std::int64_t, 1>, In<double, 2>, In<double, 2>,
                     In<std::int64_t, 1>, In<std::int64_t, 1>, In<std::int64_t, 1>,
                     In<std::int64_t, 1>, In<std::int64_t, 2>, In<double, 2>,
                     In<std::int64_t, 2>>(),
            "inertias"_a, "bodies"_a, "numbers"_a, "points"_a, "point_starts"_a, "face_starts"_a,
-           "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a, "apart"_a);
+           "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a, "excluded"_a);
 
   m.def("step_rigid", &step_rigid, Unlocked(), "bodies"_a, "state"_a, "pairs"_a, "contacts"_a,
-        "held"_a, "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a, "substeps"_a,
-        "rounds"_a, "tolerance"_a, "drowsy"_a, "rest"_a,
+        "joint_impulses"_a, "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a, "substeps"_a,
+        "max_iterations"_a, "tolerance"_a, "sleep_speed"_a, "sleep_time"_a,
         R"(Take a step of rigid bodies, in substeps.
 
 ``state`` ``(N, 14)``: centre of mass, quaternion x y z w, velocity, angular momentum, and the time
 a body has been slow. ``pairs`` ``(M, 2)``, ascending, and ``contacts`` ``(M, 6)``: the two shapes
 of contact points, colliders numbered after the shapes, the position on the first body and the
-force on it; ``held`` ``(K, 12)``: joint impulses. All are those of the previous step, or empty
+force on it; ``joint_impulses`` ``(K, 12)``: joint impulses. All are those of the previous step, or empty
 and 0. ``forces`` ``(N, 6)``: force and torque during the step. ``colliders``: those of
 `collide_particles`; ``anchors`` ``(K, 2, 7)``: animated frames at both ends of the step.
 
 ``method`` of rotation: 0 splitting, 1 RK4, 2 symplectic Euler, 3 Euler. Velocities are iterated
-until they change by less than ``tolerance``, at most ``rounds`` times. Bodies slower than
-``drowsy`` for longer than ``rest`` sleep; 0 is never.
+until they change by less than ``tolerance``, at most ``max_iterations`` times. Bodies slower than
+``sleep_speed`` for longer than ``sleep_time`` sleep; 0 is never.
 
-Returns ``(state, pairs, contacts, held, deepest, residual, touching, rounds, awake, unsolved,
+Returns ``(state, pairs, contacts, joint_impulses, deepest, residual, touching, iterations, awake, unsolved,
 first, second)``: depth of the deepest contact; last velocity change; number of pressing points;
 total iterations; number of awake bodies; substeps that did not converge; the pair of the deepest
 contact, -1 if none.)");

@@ -16,7 +16,7 @@ void bind_springs(nb::module_& m) {
 Inverse masses ``(N,)`` are 0 for pinned particles; ``drags`` ``(N,)`` are [1/s]. Springs join
 ``ends`` ``(S, 2)``; ``limit`` is the length at which they tear. ``air_drag`` and ``air_lift``
 of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times of ``knots``
-``(K,)``: positions of ``held`` (pinned) particles ``(K or 1, P, 3)``; target points of
+``(K,)``: positions of ``pinned`` particles ``(K or 1, P, 3)``; target points of
 ``anchors`` ``(K or 1, A, 3)``; the wind ``(K or 1, 1, 3)``.)");
   define_class(network,
          Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
@@ -24,11 +24,11 @@ of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times o
          Field{"damping", &A::damping}, Field{"limit", &A::limit},
          Field{"triangles", &A::triangles}, Field{"gravity", &A::gravity},
          Field{"air_drag", &A::air_drag}, Field{"air_lift", &A::air_lift},
-         Field{"knots", &A::knots}, Field{"held", &A::pinned}, Field{"held_path", &A::pinned_path},
+         Field{"knots", &A::knots}, Field{"pinned", &A::pinned}, Field{"pinned_path", &A::pinned_path},
          Field{"anchors", &A::anchors}, Field{"anchor_stiffness", &A::anchor_stiffness},
          Field{"anchor_damping", &A::anchor_damping}, Field{"anchor_path", &A::anchor_path},
          Field{"winds", &A::winds});
-  network.def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
+  network.def("set_paths", &SpringNetwork::set_paths, "pinned_path"_a, "anchor_path"_a,
            "Replace the paths of pinned particles and anchors over the same knots.");
 
   nb::class_<SpringLayers>(m, "SpringLayers",
@@ -39,9 +39,9 @@ less: their distance at ``rest`` ``(N, 3)``, and two thirds of that along the su
 Coulomb's coefficient of ``friction``, and the ``speed`` of separating closer parts.)")
       .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(),
            "network"_a, "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
-      .def("least", &SpringLayers::checked_least, "triangle"_a, "particle"_a,
+      .def("distance", &SpringLayers::checked_distance, "triangle"_a, "particle"_a,
            R"(Return the distance that a particle keeps; 0 for its triangles.)")
-      .def("least_of_edges", &SpringLayers::checked_least_of_edges, "first"_a, "second"_a,
+      .def("edge_distance", &SpringLayers::checked_edge_distance, "first"_a, "second"_a,
            R"(Return the distance that edges keep; 0 if they share a particle.
 
 Edges are pairs of particles, the lower first, in order.)");
@@ -90,17 +90,17 @@ most 0, None for none, the extra depth that counts as unresolved, and moving mes
 depenetration speed and teleport speed ``(5,)``, cells per knot, and elapsed cells of the first
 knot.
 
-Returns ``(state, torn, unresolved, pushes)``: particles left inside colliders at the end, and
+Returns ``(state, torn, unresolved, impulses)``: particles left inside colliders at the end, and
 impulses on colliders.)");
 
   m.def("project_springs", &project_springs, Unlocked(), "network"_a, "state"_a, "torn"_a,
-        "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
+        "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "min_substeps"_a, "max_substeps"_a,
         "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a, "limit"_a = 0.0,
         R"(Take steps of extended position based dynamics, each spring once per step, in order.
 
 Cells are those of `step_springs`. If a spring is strained beyond ``stretch`` and its compliance
-at the end of a cell, the cell is repeated in twice the steps, up to ``most``; after many calm
-cells half as many are tried, down to ``least``.
+at the end of a cell, the cell is repeated in twice the steps, up to ``max_substeps``; after many calm
+cells half as many are tried, down to ``min_substeps``.
 
 ``layers`` is the self-contact; ``crossed`` ``(C, 3)`` are piercings to resume with: a particle,
 the triangle that it pierced, and the side that it came from; or an edge, numbered after the
@@ -110,7 +110,7 @@ A ``limit`` above 0 clamps the strain of stiff springs at the end of each step, 
 relative velocity of their ends; steps are shortened only if that helps.
 
 Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
-through, pushes)``: steps per cell and calm cells, to resume with; the largest strain beyond
+through, impulses)``: steps per cell and calm cells, to resume with; the largest strain beyond
 compliance; total steps; most particles in contact in a step; particles left inside; remaining
 piercings; the largest counts of piercing particles and pairs of edges at the end of a cell, and
 the step rate that would detect all of them, 0 if none was missed; impulses on colliders.)");
@@ -152,7 +152,7 @@ start. Newton's method iterates until a correction moves no particle by more tha
 ``(H, 6)``, impulses of the last step on the carriers of pinned particles and their moments
 about the origin, 0 at the start, these are returned for all steps and for the last.
 
-Returns ``(state, before, known, torn, steps, corrections, lost, unresolved, pushes, pulls)``:
+Returns ``(state, before, known, torn, steps, corrections, lost, unresolved, impulses, pulls)``:
 whether ``before`` is known; steps and corrections taken; whether a cell could not be solved.)");
 }
 

@@ -25,7 +25,7 @@ constexpr int SWEEPS = 2, STEPS = 30;
 // Halvings of a Newton step before descent continues without it.
 constexpr int HALVINGS = 4;
 // Pose directions with less than this fraction of the largest information are unobservable.
-constexpr double UNSEEN = 1e-9;
+constexpr double UNOBSERVED = 1e-9;
 
 using Mat3 = std::array<double, 9>;
 
@@ -52,7 +52,7 @@ void rotate(double* q, const double* v) {
 // zero. `column` has n.
 void factor(double* a, std::size_t n, std::size_t stride, double floor, double* column) {
   using namespace cholesky;
-  cholesky::factor<Roots, Small::COUNTS_FOR_NOTHING>(a, n, stride, column,
+  cholesky::factor<Roots, Small::IGNORE>(a, n, stride, column,
                                                      [&](std::size_t) { return floor; });
 }
 
@@ -167,7 +167,7 @@ struct Quadratics {
       if (f > 0 && smooth > 0) {
         const std::size_t m = counts_[f - 1];
         const double* lb = factors_.data() + (f - 1) * shapes * shapes;
-        const double* kept = kept_.data() + (f - 1) * shapes;
+        const double* stored = kept_.data() + (f - 1) * shapes;
         std::fill(before.begin(), before.end(), shapes);
         for (std::size_t i = 0; i < m; ++i) before[free_[(f - 1) * shapes + i]] = i;
         for (std::size_t i = 0; i < n; ++i) {
@@ -178,7 +178,7 @@ struct Quadratics {
           column[at] = smooth;
           solve_forward(lb, m, shapes, column, at);
           double sum = 0;
-          for (std::size_t k = at; k < m; ++k) sum += column[k] * kept[k];
+          for (std::size_t k = at; k < m; ++k) sum += column[k] * stored[k];
           right[i] += sum;
           for (std::size_t j = 0; j <= i; ++j) {
             const std::size_t other = before[unbound[j]];
@@ -213,50 +213,50 @@ struct Quadratics {
   }
 
   // Cost of a frame's weights for fixed neighbours.
-  double cost(const double* w, const double* toward, std::size_t f) const {
+  double cost(const double* w, const double* direction, std::size_t f) const {
     const double* hf = h.data() + f * shapes * shapes;
     double sum = 0;
     for (std::size_t s = 0; s < shapes; ++s) {
-      if (toward[s] == 0) continue;
-      double row = 0.5 * neighbours(f) * toward[s] - g[f * shapes + s] - coupling(w, f, s);
+      if (direction[s] == 0) continue;
+      double row = 0.5 * neighbours(f) * direction[s] - g[f * shapes + s] - coupling(w, f, s);
       const double* hs = hf + s * shapes;
-      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * toward[k];
-      sum += toward[s] * row;
+      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * direction[k];
+      sum += direction[s] * row;
     }
     return sum;
   }
 
   // Take the part of a frame's step that lowers its cost.
-  void alone(double* w, std::size_t f, double* tried) const {
+  void take_step(double* w, std::size_t f, double* candidate) const {
     double *weights = w + f * shapes, fraction = 1;
     const double* step = step_.data() + f * shapes;
     const double from = cost(w, weights, f);
     for (int half = 0; half < HALVINGS; ++half, fraction /= 2) {
       for (std::size_t s = 0; s < shapes; ++s)
-        tried[s] = std::clamp(weights[s] + fraction * step[s], 0.0, 1.0);
-      if (cost(w, tried, f) < from) {
-        std::copy(tried, tried + shapes, weights);
+        candidate[s] = std::clamp(weights[s] + fraction * step[s], 0.0, 1.0);
+      if (cost(w, candidate, f) < from) {
+        std::copy(candidate, candidate + shapes, weights);
         return;
       }
     }
   }
 
-  // Minimise over weights until a descent step changes them by less than `enough`.
-  double solve(double* w, double enough) {
-    std::vector<double> tried(frames * shapes);
+  // Minimise over weights until a descent step changes them by less than `tolerance`.
+  double solve(double* w, double tolerance) {
+    std::vector<double> candidate(frames * shapes);
     double change = 0;
     for (int step = 0; step < STEPS; ++step) {
       change = 0;
       for (int i = 0; i < SWEEPS; ++i) change = sweep(w, i % 2);
-      if (change < enough) break;
+      if (change < tolerance) break;
       const double from = value(w);
       newton(w);
-      for (std::size_t i = 0; i < tried.size(); ++i)
-        tried[i] = std::clamp(w[i] + step_[i], 0.0, 1.0);
-      if (value(tried.data()) < from)
-        std::copy(tried.begin(), tried.end(), w);
+      for (std::size_t i = 0; i < candidate.size(); ++i)
+        candidate[i] = std::clamp(w[i] + step_[i], 0.0, 1.0);
+      if (value(candidate.data()) < from)
+        std::copy(candidate.begin(), candidate.end(), w);
       else
-        for (std::size_t f = 0; f < frames; ++f) alone(w, f, tried.data());
+        for (std::size_t f = 0; f < frames; ++f) take_step(w, f, candidate.data());
     }
     return change;
   }
@@ -286,14 +286,14 @@ struct Face {
 
   void add(double* h, double by, const double* a, const double* b) const {
     for (std::size_t s = 0; s < shapes; ++s) {
-      const double left = by * a[s];
-      if (left == 0) continue;
-      for (std::size_t k = 0; k < shapes; ++k) h[s * shapes + k] += left * b[k];
+      const double scaled = by * a[s];
+      if (scaled == 0) continue;
+      for (std::size_t k = 0; k < shapes; ++k) h[s * shapes + k] += scaled * b[k];
     }
   }
 
   // Landmarks at weights, in the face's frame (N, 3).
-  void shaped(const double* w, double* out) const {
+  void deformed(const double* w, double* out) const {
     std::copy(neutral, neutral + 3 * landmarks, out);
     for (std::size_t s = 0; s < shapes; ++s) {
       if (w[s] == 0) continue;
@@ -304,27 +304,27 @@ struct Face {
 };
 
 // A frame linearised at its current state.
-class Linear {
+class LinearizedFrame {
  public:
-  explicit Linear(const Face& face)
+  explicit LinearizedFrame(const Face& face)
       : face_(face), points_(3 * face.landmarks), cross_(face.shapes * POSE) {}
 
   // Residuals (N,) and robust weights of observed landmarks; returns the loss.
   double residuals(const double* observed, const double* w, const double* pose,
                    double threshold, double power, double* length, double* weight) {
-    face_.shaped(w, points_.data());
+    face_.deformed(w, points_.data());
     const Mat3 r = matrix(pose);
     const std::size_t width = face_.camera ? 2 : 3;
     double loss = 0;
     for (std::size_t n = 0; n < face_.landmarks; ++n) {
       const double* pixel = observed + n * width;
-      double miss[3];
-      if (!missed(pixel, &points_[3 * n], r, pose + 4, miss)) {
+      double residual[3];
+      if (!residual_of(pixel, &points_[3 * n], r, pose + 4, residual)) {
         length[n] = NAN, weight[n] = 0;
         continue;
       }
       double sum = 0;
-      for (std::size_t k = 0; k < width; ++k) sum += miss[k] * miss[k];
+      for (std::size_t k = 0; k < width; ++k) sum += residual[k] * residual[k];
       length[n] = std::sqrt(sum);
       weight[n] = length[n] <= threshold ? 1 : std::pow(threshold / length[n], power);
       loss += weight[n] * sum;
@@ -337,7 +337,7 @@ class Linear {
                  const double* weight, double* h, double* g) {
     const std::size_t shapes = face_.shapes, landmarks = face_.landmarks;
     const Mat3 r = matrix(pose);
-    face_.shaped(w, points_.data());
+    face_.deformed(w, points_.data());
     std::fill(g, g + shapes, 0.0);
     std::fill(cross_.begin(), cross_.end(), 0.0);
     std::fill(pose_h_, pose_h_ + POSE * POSE, 0.0);
@@ -364,10 +364,10 @@ class Linear {
         }
         continue;
       }
-      double miss[3], slopes[6];
-      missed(observed + 2 * n, p, r, pose + 4, miss, slopes);
+      double residual[3], slopes[6];
+      residual_of(observed + 2 * n, p, r, pose + 4, residual, slopes);
       for (int k = 0; k < 2; ++k) {
-        double z = miss[k];
+        double z = residual[k];
         for (int c = 0; c < 3; ++c) z += slopes[3 * k + c] * (p[c] - face_.neutral[3 * n + c]);
         row(by, z, slopes + 3 * k, p, rows, h, g);
       }
@@ -376,7 +376,7 @@ class Linear {
     for (std::size_t i = 0; i < POSE; ++i) largest = std::max(largest, pose_h_[i * POSE + i]);
     std::copy(pose_h_, pose_h_ + POSE * POSE, factor_);
     double pivots[POSE];
-    factor(factor_, POSE, POSE, UNSEEN * largest, pivots);
+    factor(factor_, POSE, POSE, UNOBSERVED * largest, pivots);
     if (largest == 0) return;
     // H - C P^-1 C' by the rows of L^-1 C'.
     std::vector<double>& solved = solved_;
@@ -399,7 +399,7 @@ class Linear {
   }
 
   // Update the pose for solved weights. Call after the same `linearize`.
-  void follow(const double* w, double* pose) const {
+  void update_pose(const double* w, double* pose) const {
     double step[POSE];
     for (std::size_t i = 0; i < POSE; ++i) {
       double sum = right_[i];
@@ -407,12 +407,12 @@ class Linear {
       step[i] = sum;
     }
     cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{factor_, POSE}, POSE, step);
-    moved(step, pose);
+    apply_pose_step(step, pose);
   }
 
-  // The data of a frame that `follow` needs.
-  static std::size_t kept(std::size_t shapes) { return POSE * shapes + POSE + POSE * POSE; }
-  void keep(double* out) {
+  // The data of a frame that `update_pose` needs.
+  static std::size_t stored_size(std::size_t shapes) { return POSE * shapes + POSE + POSE * POSE; }
+  void store(double* out) {
     solved_.resize(POSE * face_.shapes);
     out = std::copy(solved_.begin(), solved_.end(), out);
     out = std::copy(right_, right_ + POSE, out);
@@ -428,7 +428,7 @@ class Linear {
 
  private:
   // x = R (p + rotate × p + shift) + t: the shift is in the frame of the face.
-  static void moved(const double* step, double* pose) {
+  static void apply_pose_step(const double* step, double* pose) {
     const Mat3 r = matrix(pose);
     for (int i = 0; i < 3; ++i)
       pose[4 + i] += r[3 * i] * step[3] + r[3 * i + 1] * step[4] + r[3 * i + 2] * step[5];
@@ -436,24 +436,24 @@ class Linear {
   }
 
   // Residual of an observation, and its derivatives along the face's axes (2, 3).
-  bool missed(const double* pixel, const double* p, const Mat3& r, const double* t, double* miss,
+  bool residual_of(const double* pixel, const double* p, const Mat3& r, const double* t, double* residual,
               double* slopes = nullptr) const {
     double x[3];
     for (int i = 0; i < 3; ++i)
       x[i] = r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i];
     if (!face_.camera) {
-      for (int i = 0; i < 3; ++i) miss[i] = pixel[i] - x[i];
-      return std::isfinite(miss[0] + miss[1] + miss[2]);
+      for (int i = 0; i < 3; ++i) residual[i] = pixel[i] - x[i];
+      return std::isfinite(residual[0] + residual[1] + residual[2]);
     }
     if (!(x[2] > 0)) return false;
     for (int k = 0; k < 2; ++k) {
       const double focal = face_.camera[k], at = x[k] / x[2];
-      miss[k] = pixel[k] - (focal * at + face_.camera[2 + k]);
+      residual[k] = pixel[k] - (focal * at + face_.camera[2 + k]);
       if (slopes)
         for (int c = 0; c < 3; ++c)
           slopes[3 * k + c] = focal / x[2] * (r[3 * k + c] - at * r[6 + c]);
     }
-    return std::isfinite(miss[0] + miss[1]);
+    return std::isfinite(residual[0] + residual[1]);
   }
 
   // One row: the residual along a direction of the face's frame.
@@ -469,11 +469,11 @@ class Linear {
     if (h) face_.add(h, by, line_.data(), line_.data());
     for (std::size_t s = 0; s < shapes; ++s) g[s] += by * z * line_[s];
     for (std::size_t i = 0; i < POSE; ++i) {
-      const double left = by * pose[i];
-      if (left == 0) continue;
-      for (std::size_t s = 0; s < shapes; ++s) cross_[i * shapes + s] += left * line_[s];
-      for (std::size_t k = 0; k < POSE; ++k) pose_h_[i * POSE + k] += left * pose[k];
-      pose_g_[i] += left * z;
+      const double scaled = by * pose[i];
+      if (scaled == 0) continue;
+      for (std::size_t s = 0; s < shapes; ++s) cross_[i * shapes + s] += scaled * line_[s];
+      for (std::size_t k = 0; k < POSE; ++k) pose_h_[i * POSE + k] += scaled * pose[k];
+      pose_g_[i] += scaled * z;
     }
   }
 
@@ -487,13 +487,13 @@ class Linear {
 FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
                     std::optional<In<double, 1>> camera, In<double, 2> poses,
                     In<double, 2> weights, double threshold, double smooth, double rest,
-                    double enough, int rounds, bool warm) {
+                    double tolerance, int max_iterations, bool warm) {
   const std::size_t landmarks = neutral.shape(1), shapes = deltas.shape(0),
                     frames = observed.shape(0);
   const std::size_t width = camera ? 2 : 3;
-  check::at_most("observed", frames * landmarks, check::MOST_ROWS);
-  check::at_most("deltas", shapes * landmarks, check::MOST_ROWS);
-  check::at_most("weights", frames * shapes * std::max<std::size_t>(shapes, 1), check::MOST_ROWS);
+  check::at_most("observed", frames * landmarks, check::MAX_ROWS);
+  check::at_most("deltas", shapes * landmarks, check::MAX_ROWS);
+  check::at_most("weights", frames * shapes * std::max<std::size_t>(shapes, 1), check::MAX_ROWS);
   check::shape("neutral", neutral, {neutral.shape(0) == 1 ? 1 : frames, landmarks, 3});
   check::shape("deltas", deltas, {shapes, landmarks, 3});
   check::shape("observed", observed, {frames, landmarks, width});
@@ -506,63 +506,63 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
   check::positive("threshold", threshold);
   check::not_negative("smooth", smooth);
   check::not_negative("rest", rest);
-  check::positive("enough", enough);
-  check::between("rounds", rounds, 1, 1000);
+  check::positive("tolerance", tolerance);
+  check::between("max_iterations", max_iterations, 1, 1000);
   if (camera) {
     check::numbers("camera", *camera, {4});
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }
-  Out<double, 2> result(frames, shapes), placed(frames, 7), lengths(frames, landmarks), shares(frames, landmarks);
-  int round = 0;
+  Out<double, 2> result(frames, shapes), fitted_poses(frames, 7), lengths(frames, landmarks), robust_weights(frames, landmarks);
+  int iteration = 0;
   double change = 0;
   Face face{landmarks, shapes, neutral.data(), deltas.data(),
             camera ? camera->data() : nullptr, {}, {}};
   face.prepare();
-  Linear linear(face);
+  LinearizedFrame linear(face);
   Quadratics problem(frames, shapes, smooth);
   std::copy(weights.data(), weights.data() + frames * shapes, result.get());
-  std::copy(poses.data(), poses.data() + frames * 7, placed.get());
-  std::vector<double> before(frames * shapes), kept(frames * Linear::kept(shapes));
+  std::copy(poses.data(), poses.data() + frames * 7, fitted_poses.get());
+  std::vector<double> before(frames * shapes), stored(frames * LinearizedFrame::stored_size(shapes));
   double* w = result.get();
   for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
   const std::size_t each = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
-  const auto look = [&](std::size_t f, double limit, double power) {
+  const auto update_residuals = [&](std::size_t f, double limit, double power) {
     face.neutral = neutral.data() + f * each;
     linear.residuals(observed.data() + f * landmarks * width, w + f * shapes,
-                     placed.get() + 7 * f, limit, power, lengths.get() + f * landmarks,
-                     shares.get() + f * landmarks);
+                     fitted_poses.get() + 7 * f, limit, power, lengths.get() + f * landmarks,
+                     robust_weights.get() + f * landmarks);
   };
-  for (; round < rounds; ++round) {
+  for (; iteration < max_iterations; ++iteration) {
     std::copy(w, w + frames * shapes, before.begin());
     // Huber's loss first, which has one minimum; then a redescending one.
-    const bool early = !warm && round < 3;
-    const double power = early ? 1 : 2;
-    const double limit = early && round == 0 ? HUGE_VAL : threshold;
+    const bool is_early = !warm && iteration < 3;
+    const double power = is_early ? 1 : 2;
+    const double limit = is_early && iteration == 0 ? HUGE_VAL : threshold;
     for (std::size_t f = 0; f < frames; ++f) {
-      look(f, limit, power);
+      update_residuals(f, limit, power);
       double* h = problem.h.data() + f * shapes * shapes;
       linear.linearize(observed.data() + f * landmarks * width, w + f * shapes,
-                       placed.get() + 7 * f, shares.get() + f * landmarks, h,
+                       fitted_poses.get() + 7 * f, robust_weights.get() + f * landmarks, h,
                        problem.g.data() + f * shapes);
-      linear.keep(kept.data() + f * Linear::kept(shapes));
+      linear.store(stored.data() + f * LinearizedFrame::stored_size(shapes));
       for (std::size_t s = 0; s < shapes; ++s) h[s * shapes + s] += rest;
     }
-    problem.solve(w, early ? std::max(enough, 1e-3) : enough);
+    problem.solve(w, is_early ? std::max(tolerance, 1e-3) : tolerance);
     for (std::size_t f = 0; f < frames; ++f) {
-      linear.restore(kept.data() + f * Linear::kept(shapes));
-      linear.follow(w + f * shapes, placed.get() + 7 * f);
+      linear.restore(stored.data() + f * LinearizedFrame::stored_size(shapes));
+      linear.update_pose(w + f * shapes, fitted_poses.get() + 7 * f);
     }
     change = 0;
     for (std::size_t i = 0; i < frames * shapes; ++i)
       change = std::max(change, std::fabs(w[i] - before[i]));
-    if (round >= (warm ? 1 : 4) && change < 10 * enough) {
-      ++round;
+    if (iteration >= (warm ? 1 : 4) && change < 10 * tolerance) {
+      ++iteration;
       break;
     }
   }
-  for (std::size_t f = 0; f < frames; ++f) look(f, threshold, 2);
-  return {std::move(result), std::move(placed), std::move(lengths), std::move(shares), round,
+  for (std::size_t f = 0; f < frames; ++f) update_residuals(f, threshold, 2);
+  return {std::move(result), std::move(fitted_poses), std::move(lengths), std::move(robust_weights), iteration,
           change};
 }
 

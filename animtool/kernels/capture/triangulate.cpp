@@ -19,20 +19,20 @@ namespace animtool {
 
 namespace {
 
-constexpr double NOT = std::numeric_limits<double>::quiet_NaN();
+constexpr double NAN_VALUE = std::numeric_limits<double>::quiet_NaN();
 // Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation, width
 // and height of the image, 0 if unknown.
 constexpr std::size_t CAMERA_NUMBERS = 27;
 // Tallies of a camera in a frame, and values of a point.
 constexpr std::size_t TALLIES = 8, POINT_NUMBERS = 5;
 // Most cameras of a point compared in pairs; 24 are 276 pairs.
-constexpr std::size_t MOST_PAIRED = 24;
-constexpr int MOST_STEPS = 12, MOST_ROUNDS = 8, UNDISTORT_STEPS = 20;
+constexpr std::size_t MAX_PAIRED = 24;
+constexpr int MAX_STEPS = 12, MAX_INLIER_PASSES = 8, UNDISTORT_STEPS = 20;
 // A step whose squared length is this much of the variance ends the search: the next one
 // would be about a thousand times as short.
 constexpr double SMALL_STEP = 1e-6;
 // Fraction of the squared gate below which residuals pass at any leverage of five cameras.
-constexpr double SURE = 0.7;
+constexpr double SAFE_RESIDUAL = 0.7;
 // Smallest pivot of a matrix against its own diagonal: rays of an angle of 1e-5.
 constexpr double SINGULAR = 1e-10;
 enum State : std::uint8_t {
@@ -45,7 +45,7 @@ enum State : std::uint8_t {
 };
 
 // A symmetric matrix and its right-hand side.
-struct Normal {
+struct NormalEquations {
   double xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0, x = 0, y = 0, z = 0;
 
   void add(double a, double b, double c, double r, double w) {
@@ -60,12 +60,12 @@ struct Normal {
 struct Factor {
   double l[9];
 
-  bool of(const Normal& n) {
+  bool of(const NormalEquations& n) {
     using namespace cholesky;
     const double least[3] = {0, SINGULAR * n.yy, SINGULAR * n.zz};
     double column[3];
     l[0] = n.xx, l[3] = n.xy, l[4] = n.yy, l[6] = n.xz, l[7] = n.yz, l[8] = n.zz;
-    return factor<Inverses, Small::FAILS>(l, 3, 3, column, [&](std::size_t i) { return least[i]; });
+    return factor<Inverses, Small::FAIL>(l, 3, 3, column, [&](std::size_t i) { return least[i]; });
   }
 
   // The rows of the inverse of the factor, times a vector.
@@ -88,7 +88,7 @@ struct Factor {
   }
 };
 
-struct Lens {
+struct Distorted {
   double x, y, xx, xy, yx, yy;  // a distorted place, and its slopes by the place
 };
 
@@ -111,12 +111,12 @@ struct Camera {
     plain = std::all_of(k.begin(), k.end(), [](double v) { return v == 0; });
   }
 
-  Lens distort(double x, double y) const {
+  Distorted distort(double x, double y) const {
     const auto [k1, k2, p1, p2, k3, k4, k5, k6] = k;
     const double s = x * x + y * y;
-    const double up = 1 + s * (k1 + s * (k2 + s * k3)), down = 1 + s * (k4 + s * (k5 + s * k6));
-    const double up_s = k1 + s * (2 * k2 + 3 * s * k3), down_s = k4 + s * (2 * k5 + 3 * s * k6);
-    const double g = up / down, g_s = 2 * (up_s - g * down_s) / down;
+    const double numerator = 1 + s * (k1 + s * (k2 + s * k3)), denominator = 1 + s * (k4 + s * (k5 + s * k6));
+    const double numerator_s = k1 + s * (2 * k2 + 3 * s * k3), denominator_s = k4 + s * (2 * k5 + 3 * s * k6);
+    const double g = numerator / denominator, g_s = 2 * (numerator_s - g * denominator_s) / denominator;
     return {x * g + 2 * p1 * x * y + p2 * (s + 2 * x * x),
             y * g + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
             g + x * x * g_s + 2 * p1 * y + 6 * p2 * x,
@@ -136,7 +136,7 @@ struct Camera {
     x = a, y = b;
     if (plain) return true;
     for (int step = 0; step < UNDISTORT_STEPS; ++step) {
-      const Lens l = distort(x, y);
+      const Distorted l = distort(x, y);
       const double ra = l.x - a, rb = l.y - b, det = l.xx * l.yy - l.xy * l.yx;
       // The image folds where the determinant is not positive.
       if (!(det > 0 && l.xx + l.yy > 0)) return false;
@@ -161,7 +161,7 @@ struct CameraView {
 
   double squared() const { return weight * (ru * ru + rv * rv); }
 
-  bool look(const Vec& p) {
+  bool project(const Vec& p) {
     const auto& r = camera->r;
     const auto& t = camera->t;
     const double z = r[6] * p.x + r[7] * p.y + r[8] * p.z + t[2];
@@ -179,7 +179,7 @@ struct CameraView {
       au = fx * ax + skew * bx, bu = fx * ay + skew * by, cu = fx * az + skew * bz;
       av = fy * bx, bv = fy * by, cv = fy * bz;
     } else {
-      const Lens l = camera->distort(a, b);
+      const Distorted l = camera->distort(a, b);
       const double p0 = fx * l.xx + skew * l.yx, p1 = fx * l.xy + skew * l.yy,
                    q0 = fy * l.yx, q1 = fy * l.yy;
       ru = fx * l.x + skew * l.y + camera->cx - u, rv = fy * l.y + camera->cy - v;
@@ -189,7 +189,7 @@ struct CameraView {
     return z > 0;
   }
 
-  void add_ray(Normal& n, double w) const {
+  void add_ray(NormalEquations& n, double w) const {
     const auto& r = camera->r;
     const auto& t = camera->t;
     n.add(r[0] - x * r[6], r[1] - x * r[7], r[2] - x * r[8], x * t[2] - t[0], w);
@@ -198,10 +198,10 @@ struct CameraView {
 };
 
 struct Solution {
-  Vec point{NOT, NOT, NOT};
+  Vec point{NAN_VALUE, NAN_VALUE, NAN_VALUE};
   Factor factor{};
   double trace = 0;  // of the matrix
-  bool good = false;
+  bool converged = false;
 };
 
 bool finite(const Vec& p) {
@@ -221,8 +221,8 @@ class Point {
     return n;
   }
 
-  bool linear(Vec& p) const {
-    Normal n;
+  bool solve_linear(Vec& p) const {
+    NormalEquations n;
     for (std::size_t i = 0; i < count; ++i)
       if (views[i].used) views[i].add_ray(n, 1);
     Factor f;
@@ -234,12 +234,12 @@ class Point {
   // Weighted least squares of the reprojection, from a start.
   Solution refine(Vec p) {
     Solution solution;
-    for (int step = 0; step < MOST_STEPS; ++step) {
-      Normal n;
+    for (int step = 0; step < MAX_STEPS; ++step) {
+      NormalEquations n;
       for (std::size_t i = 0; i < count; ++i) {
         CameraView& s = views[i];
         if (!s.used) continue;
-        if (!s.look(p)) return solution;
+        if (!s.project(p)) return solution;
         n.add(s.au, s.bu, s.cu, s.ru, s.weight);
         n.add(s.av, s.bv, s.cv, s.rv, s.weight);
       }
@@ -253,7 +253,7 @@ class Point {
           s.rv -= s.av * d.x + s.bv * d.y + s.cv * d.z;
         }
         solution.trace = n.xx + n.yy + n.zz;
-        solution.point = p, solution.good = finite(p);
+        solution.point = p, solution.converged = finite(p);
         return solution;
       }
     }
@@ -262,7 +262,7 @@ class Point {
 
   Solution solve() {
     Vec p{};
-    return linear(p) ? refine(p) : Solution{};
+    return solve_linear(p) ? refine(p) : Solution{};
   }
 
   // A residual over its tolerance, without its own leverage on the point.
@@ -279,52 +279,52 @@ class Point {
     return w * (c * s.ru * s.ru - 2 * b * s.ru * s.rv + a * s.rv * s.rv) / det;
   }
 
-  void look_all(const Vec& p) {
+  void project_all(const Vec& p) {
     for (std::size_t i = 0; i < count; ++i)
-      if (!views[i].look(p)) views[i].ru = views[i].rv = std::numeric_limits<double>::max();
+      if (!views[i].project(p)) views[i].ru = views[i].rv = std::numeric_limits<double>::max();
   }
 
-  bool sure() const {
+  bool is_consistent() const {
     for (std::size_t i = 0; i < count; ++i)
-      if (!(views[i].squared() <= SURE * gate)) return false;
+      if (!(views[i].squared() <= SAFE_RESIDUAL * gate)) return false;
     return true;
   }
 
   double worst(const Solution& solution, std::size_t& which) const {
-    double most = -1;
+    double largest = -1;
     for (std::size_t i = 0; i < count; ++i) {
       if (!views[i].used) continue;
       const double at = studentised(views[i], solution);
-      if (!(at <= most)) most = at, which = i;
+      if (!(at <= largest)) largest = at, which = i;
     }
-    return most;
+    return largest;
   }
 
   // Exclude the worst camera until the rest agree; then include those that agree again.
-  Solution eliminate(Solution solution) {
-    std::size_t left = count, which = 0;
-    while (solution.good && worst(solution, which) > gate && left > 2) {
-      views[which].used = false, --left;
+  Solution exclude_outliers(Solution solution) {
+    std::size_t used_count = count, which = 0;
+    while (solution.converged && worst(solution, which) > gate && used_count > 2) {
+      views[which].used = false, --used_count;
       solution = solve();
     }
-    return solution.good ? settle(solution) : solution;
+    return solution.converged ? refine_inliers(solution) : solution;
   }
 
   // Cameras with a passing residual, iterated to a fixed set.
-  Solution settle(Solution solution) {
-    for (int round = 0; round < MOST_ROUNDS && solution.good; ++round) {
+  Solution refine_inliers(Solution solution) {
+    for (int round = 0; round < MAX_INLIER_PASSES && solution.converged; ++round) {
       for (std::size_t i = 0; i < count; ++i)
-        if (!views[i].used && !views[i].look(solution.point))
+        if (!views[i].used && !views[i].project(solution.point))
           views[i].ru = views[i].rv = std::numeric_limits<double>::max();
       bool changed = false;
-      std::size_t left = 0;
+      std::size_t used_count = 0;
       std::array<bool, 256> next{};
       for (std::size_t i = 0; i < count; ++i) {
         next[i] = studentised(views[i], solution) <= gate;
         changed = changed || next[i] != views[i].used;
-        left += next[i];
+        used_count += next[i];
       }
-      if (!changed || left < 2) return left < 2 ? Solution{} : solution;
+      if (!changed || used_count < 2) return used_count < 2 ? Solution{} : solution;
       for (std::size_t i = 0; i < count; ++i) views[i].used = next[i];
       solution = refine(solution.point);
     }
@@ -336,7 +336,7 @@ class Point {
     double sum = 0;
     agree = 0;
     for (std::size_t i = 0; i < count; ++i) {
-      const double at = views[i].look(p) ? views[i].squared() : gate;
+      const double at = views[i].project(p) ? views[i].squared() : gate;
       if (at < gate) sum += at, ++agree;
       else sum += gate;
     }
@@ -344,7 +344,7 @@ class Point {
   }
 
   bool pair(std::size_t i, std::size_t j, Vec& p) const {
-    Normal n;
+    NormalEquations n;
     views[i].add_ray(n, 1), views[j].add_ray(n, 1);
     Factor f;
     if (!f.of(n)) return false;
@@ -355,12 +355,12 @@ class Point {
   // The point that most cameras agree on, among those of all pairs. None if two distinct
   // ones have as many, and no more than two.
   Solution consensus() {
-    const std::size_t most = std::min(count, MOST_PAIRED);
+    const std::size_t compared = std::min(count, MAX_PAIRED);
     double best = std::numeric_limits<double>::max();
     std::size_t agreed = 0, ties = 0;
     Vec at{};
-    for (std::size_t i = 0; i + 1 < most; ++i)
-      for (std::size_t j = i + 1; j < most; ++j) {
+    for (std::size_t i = 0; i + 1 < compared; ++i)
+      for (std::size_t j = i + 1; j < compared; ++j) {
         Vec p{};
         std::size_t agree = 0;
         if (!pair(i, j, p)) continue;
@@ -369,22 +369,22 @@ class Point {
         if (sum < best) best = sum, agreed = agree, at = p;
       }
     if (agreed < 2 || (agreed == 2 && ties > 1)) return Solution{};
-    look_all(at);
+    project_all(at);
     for (std::size_t i = 0; i < count; ++i) views[i].used = views[i].squared() <= gate;
     const Solution solution = refine(at);
-    return solution.good ? settle(solution) : solution;
+    return solution.converged ? refine_inliers(solution) : solution;
   }
 
-  Solution robust() {
+  Solution solve_robust() {
     Solution all = solve();
-    if (all.good && sure()) return all;
+    if (all.converged && is_consistent()) return all;
     std::size_t which = 0;
-    if (all.good && worst(all, which) <= gate) return all;
+    if (all.converged && worst(all, which) <= gate) return all;
     if (count < 3) return Solution{};
     if (count > 4) {
-      const Solution solution = eliminate(all);
+      const Solution solution = exclude_outliers(all);
       // One camera against four or more that agree: no pair would differ.
-      if (solution.good && used() + 1 >= count && used() >= 4) return solution;
+      if (solution.converged && used() + 1 >= count && used() >= 4) return solution;
     }
     for (std::size_t i = 0; i < count; ++i) views[i].used = true;
     return consensus();
@@ -392,15 +392,15 @@ class Point {
 
   // The least median of squared residuals [px^2] over the points of every pair.
   double least_median() {
-    const std::size_t most = std::min(count, MOST_PAIRED);
-    double best = NOT;
+    const std::size_t compared = std::min(count, MAX_PAIRED);
+    double best = NAN_VALUE;
     std::vector<double> at(count);
-    for (std::size_t i = 0; i + 1 < most; ++i)
-      for (std::size_t j = i + 1; j < most; ++j) {
+    for (std::size_t i = 0; i + 1 < compared; ++i)
+      for (std::size_t j = i + 1; j < compared; ++j) {
         Vec p{};
         if (!pair(i, j, p)) continue;
         for (std::size_t k = 0; k < count; ++k)
-          at[k] = views[k].look(p) ? views[k].ru * views[k].ru + views[k].rv * views[k].rv
+          at[k] = views[k].project(p) ? views[k].ru * views[k].ru + views[k].rv * views[k].rv
                                   : std::numeric_limits<double>::max();
         const auto middle = at.begin() + static_cast<std::ptrdiff_t>(count / 2);
         std::nth_element(at.begin(), middle, at.end());
@@ -483,18 +483,18 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
         s.weight = views[c].information * confidence;
         ++point.count;
       }
-      Solution solution = point.count < 2 ? Solution{} : point.robust();
-      const std::size_t used = solution.good ? point.used() : 0;
-      const double trace = solution.good ? solution.factor.trace() : 0;
+      Solution solution = point.count < 2 ? Solution{} : point.solve_robust();
+      const std::size_t used = solution.converged ? point.used() : 0;
+      const double trace = solution.converged ? solution.factor.trace() : 0;
       // Nearly parallel rays have no depth.
       if (used < 2 || !(trace * solution.trace <= condition)) solution = Solution{};
 
       double* to = points.get() + (f * M + m) * 3;
       double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
       to[0] = solution.point.x, to[1] = solution.point.y, to[2] = solution.point.z;
-      more[0] = more[1] = more[2] = NOT;
-      more[3] = solution.good ? static_cast<double>(used) : 0, more[4] = static_cast<double>(visible);
-      if (solution.good) {
+      more[0] = more[1] = more[2] = NAN_VALUE;
+      more[3] = solution.converged ? static_cast<double>(used) : 0, more[4] = static_cast<double>(visible);
+      if (solution.converged) {
         double pixel_squares = 0, squares = 0;
         const auto judge = [&](CameraView& s, bool known, std::uint8_t as) {
           double* const sum = sums + s.number * TALLIES;
@@ -514,7 +514,7 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
         };
         for (std::size_t i = 0; i < point.count; ++i) {
           CameraView& s = point.views[i];
-          const bool known = s.used || s.look(solution.point);
+          const bool known = s.used || s.project(solution.point);
           judge(s, known, s.used ? USED : REJECTED);
         }
         for (std::size_t c = 0; visible > point.count && c < C; ++c) {
@@ -522,7 +522,7 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
           CameraView s{};
           s.camera = &views[c], s.number = c, s.u = pixel(c)[0], s.v = pixel(c)[1];
           s.weight = views[c].information;
-          judge(s, s.look(solution.point), INACTIVE);
+          judge(s, s.project(solution.point), INACTIVE);
         }
         more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
         more[2] = std::sqrt(trace);
@@ -551,7 +551,7 @@ Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> camera
         s.camera = &views[c], s.u = at[0], s.v = at[1], s.weight = 1, s.used = true;
         ++point.count;
       }
-      medians.get()[f * M + m] = point.count < 2 ? NOT : std::sqrt(point.least_median());
+      medians.get()[f * M + m] = point.count < 2 ? NAN_VALUE : std::sqrt(point.least_median());
     }
   return medians;
 }

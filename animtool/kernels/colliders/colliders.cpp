@@ -38,8 +38,8 @@ void check_nodes(const In<std::int32_t, 2>& nodes, std::size_t triangles) {
       if (child <= n || child >= count || depths[child])
         check::refuse("nodes", "node " + check::text(n) + " has no child " + check::text(child));
       depths[child] = static_cast<std::uint8_t>(depths[n] + 1);
-      if (depths[child] >= collide::DEEPEST)
-        check::refuse("nodes", "the tree is deeper than " + check::text(collide::DEEPEST - 1));
+      if (depths[child] >= collide::MAX_TREE_DEPTH)
+        check::refuse("nodes", "the tree is deeper than " + check::text(collide::MAX_TREE_DEPTH - 1));
     }
   }
 }
@@ -70,9 +70,9 @@ void check_arrays(const ColliderArrays& in) {
     check::indices("kinds", kind + 2, 1, 0, static_cast<std::int64_t>(nodes.shape(0)));
   }
   if (!meshes) return;
-  check::at_most("points", points.shape(0), check::MOST_ROWS);
-  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
-  check::at_most("nodes", nodes.shape(0), check::MOST_ROWS);
+  check::at_most("points", points.shape(0), check::MAX_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MAX_ROWS);
+  check::at_most("nodes", nodes.shape(0), check::MAX_ROWS);
   check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
   check_nodes(nodes, triangles.shape(0));
 }
@@ -124,9 +124,9 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
     const std::size_t x = 3 * i, v = 3 * (count + i);
     const collide::Particle start{load(from + x), load(from + v)};
     collide::Particle end{load(to + x), load(to + v)};
-    collide::Settling settling(built.data(), built.size(), step, radii.data()[i],
+    collide::ParticleContacts contacts(built.data(), built.size(), step, radii.data()[i],
                                begins.data()[i]);
-    const collide::Contact contact = settling.settle(start, end);
+    const collide::Contact contact = contacts.resolve(start, end);
     store(end.position, state.get() + x);
     store(end.velocity, state.get() + v);
     store(contact.normal, normals.get() + x);

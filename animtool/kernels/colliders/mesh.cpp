@@ -12,7 +12,7 @@ namespace animtool {
 
 namespace {
 
-using collide::MeshSides;
+using collide::MeshAdjacency;
 using collide::corner_normal;
 using collide::edge_normal;
 using collide::store;
@@ -110,7 +110,7 @@ std::vector<Edge> edges_of(const std::int32_t* corners, std::int32_t count) {
 }
 
 // Numbers the edges, and marks corners on the boundary.
-void note_edges(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
+void note_edges(const std::int32_t* corners, std::int32_t count, MeshAdjacency& sides) {
   const std::vector<Edge> edges = edges_of(corners, count);
   sides.edges.resize(edges.size());
   for (std::size_t i = 0, end; i < edges.size(); i = end) {
@@ -122,12 +122,12 @@ void note_edges(const std::int32_t* corners, std::int32_t count, MeshSides& side
       sides.edges[3 * edges[end].triangle + edges[end].side] = number;
       sides.edge_triangles.push_back(edges[end].triangle);
     }
-    if (end - i == 1) sides.rim[first.low] = sides.rim[first.high] = true;
+    if (end - i == 1) sides.boundary[first.low] = sides.boundary[first.high] = true;
   }
   sides.edge_starts.push_back(static_cast<std::int32_t>(edges.size()));
 }
 
-void note_corners(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
+void note_corners(const std::int32_t* corners, std::int32_t count, MeshAdjacency& sides) {
   std::vector<std::int32_t>& starts = sides.corner_starts;
   for (std::int32_t k = 0; k < 3 * count; ++k) ++starts[corners[k] + 1];
   std::partial_sum(starts.begin(), starts.end(), starts.begin());
@@ -136,9 +136,9 @@ void note_corners(const std::int32_t* corners, std::int32_t count, MeshSides& si
   for (std::int32_t k = 0; k < 3 * count; ++k) sides.corner_sides[next[corners[k]]++] = k;
 }
 
-MeshSides sides_of(const std::int32_t* corners, std::int32_t count, std::size_t points) {
-  MeshSides sides;
-  sides.rim.assign(points, false);
+MeshAdjacency sides_of(const std::int32_t* corners, std::int32_t count, std::size_t points) {
+  MeshAdjacency sides;
+  sides.boundary.assign(points, false);
   sides.corner_starts.assign(points + 1, 0);
   note_edges(corners, count, sides);
   note_corners(corners, count, sides);
@@ -149,8 +149,8 @@ void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& tri
   check::shape("points", points, {check::ANY, 3});
   check::shape("triangles", triangles, {check::ANY, 3});
   if (!triangles.shape(0)) check::refuse("triangles", "the array is empty");
-  check::at_most("points", points.shape(0), check::MOST_ROWS);
-  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
+  check::at_most("points", points.shape(0), check::MAX_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MAX_ROWS);
   check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
   // NaN cannot be sorted.
   check::finite("points", points);
@@ -212,7 +212,7 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
     Tree built(points.data(), triangles.data(), rows);
     for (std::int32_t k = 0; k < rows; ++k)
       std::copy_n(triangles.data() + 3 * built.order()[k], 3, sorted.get() + 3 * k);
-    const MeshSides sides = sides_of(sorted.get(), rows, point_count);
+    const MeshAdjacency sides = sides_of(sorted.get(), rows, point_count);
     const collide::Mesh mesh{points.data(), sorted.get(), nullptr, nullptr, nullptr, nullptr};
     for (std::size_t p = 0; p < point_count; ++p)
       store(corner_normal(mesh, sides, static_cast<std::int32_t>(p)),

@@ -13,13 +13,13 @@
 namespace animtool::collide {
 
 // The triangles at each edge and corner of a mesh.
-struct MeshSides {
+struct MeshAdjacency {
   std::vector<std::int32_t> edges;           // of each triangle (T, 3), numbered
   std::vector<std::int32_t> edge_starts;     // where the triangles of each edge begin (E + 1,)
   std::vector<std::int32_t> edge_triangles;  // (3 T,)
   std::vector<std::int32_t> corner_starts;   // likewise of each corner (P + 1,)
   std::vector<std::int32_t> corner_sides;    // 3 times a triangle, and which of its corners
-  std::vector<bool> rim;                     // whether a corner is on the rim (P,)
+  std::vector<bool> boundary;                     // whether a corner is on the rim (P,)
 };
 
 // Arrays that `build_mesh_tree` returns. A node is an inner node with two children, or a leaf: -1
@@ -36,7 +36,7 @@ struct Mesh {
   // applied, and the topology from which normals are computed.
   const double* shifts = nullptr;
   double fraction = 0;
-  const MeshSides* sides = nullptr;
+  const MeshAdjacency* sides = nullptr;
 
   Vec point(std::int32_t p) const {
     const Vec at = load(points + 3 * p);
@@ -44,7 +44,7 @@ struct Mesh {
   }
 };
 
-constexpr int DEEPEST = 64;
+constexpr int MAX_TREE_DEPTH = 64;
 
 struct Nearest {
   double squared = std::numeric_limits<double>::infinity();
@@ -56,12 +56,12 @@ struct Nearest {
 
 // Barycentric coordinates, of the second and third corner, of the point of a triangle that is
 // nearest to another point: Ericson (2005), Real-Time Collision Detection, 5.1.5.
-struct Shares {
+struct Barycentric {
   double b, c;
   int feature;  // see `Nearest`
 };
 
-inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
+inline Barycentric barycentric_of_nearest(Vec p, Vec a, Vec b, Vec c) {
   const Vec ab = b - a, ac = c - a, ap = p - a;
   const double d1 = dot(ab, ap), d2 = dot(ac, ap);
   if (d1 <= 0 && d2 <= 0) return {0, 0, 0};
@@ -83,7 +83,7 @@ inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
 }
 
 inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
-  const Shares hit = shares_of_triangle(p, a, b, c);
+  const Barycentric hit = barycentric_of_nearest(p, a, b, c);
   feature = hit.feature;
   switch (feature) {
     case 0: return a;
@@ -122,12 +122,12 @@ inline bool nearer(const Nearest& one, const Nearest& best) {
 // Calls a function for each triangle below a node whose box is within a squared distance, nearer
 // boxes first. The function returns the new squared distance; another one gives the distance of
 // a node's box.
-template <class Squared, class Call>
-void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared, Call call) {
-  struct Waiting {
+template <class Squared, class Visitor>
+void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared, Visitor visitor) {
+  struct QueuedNode {
     std::int32_t node;
     double squared;
-  } stack[DEEPEST];
+  } stack[MAX_TREE_DEPTH];
   int depth = 0;
   stack[depth++] = {root, squared(root)};
   while (depth > 0) {
@@ -135,21 +135,21 @@ void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squa
     if (gap > limit) continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left < 0) {
-      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = call(t);
+      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = visitor(t);
       continue;
     }
-    const Waiting one{left, squared(left)}, other{right, squared(right)};
+    const QueuedNode one{left, squared(left)}, other{right, squared(right)};
     const bool left_first = one.squared <= other.squared;
     stack[depth++] = left_first ? other : one;
     stack[depth++] = left_first ? one : other;
   }
 }
 
-template <class Call>
-void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Call call) {
+template <class Visitor>
+void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Visitor visitor) {
   visit_boxes(
       mesh, root, limit,
-      [&](std::int32_t node) { return squared_to_box(p, mesh.bounds + 6 * node); }, call);
+      [&](std::int32_t node) { return squared_to_box(p, mesh.bounds + 6 * node); }, visitor);
 }
 
 // The nearest point on the triangles below a node, if within a squared limit.
@@ -171,7 +171,7 @@ inline Vec face_normal(const Mesh& mesh, std::int32_t triangle, Vec fallback) {
 }
 
 // The normal of an edge; zero on the boundary.
-inline Vec edge_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t triangle,
+inline Vec edge_normal(const Mesh& mesh, const MeshAdjacency& sides, std::int32_t triangle,
                        int side) {
   const std::int32_t edge = sides.edges[3 * triangle + side];
   const std::int32_t begin = sides.edge_starts[edge], end = sides.edge_starts[edge + 1];
@@ -183,9 +183,9 @@ inline Vec edge_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t tr
 }
 
 // The normal of a corner, weighted by the angles of its faces; zero on the boundary.
-inline Vec corner_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t point) {
+inline Vec corner_normal(const Mesh& mesh, const MeshAdjacency& sides, std::int32_t point) {
   Vec sum;
-  if (sides.rim[point]) return sum;
+  if (sides.boundary[point]) return sum;
   const Vec at = mesh.point(point);
   for (std::int32_t k = sides.corner_starts[point]; k < sides.corner_starts[point + 1]; ++k) {
     const std::int32_t triangle = sides.corner_sides[k] / 3, side = sides.corner_sides[k] % 3;
@@ -257,9 +257,9 @@ inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, 
 }
 
 // Calls a function for each triangle below a node whose box overlaps another box, in order.
-template <class Call>
-void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, Call call) {
-  std::int32_t stack[DEEPEST];
+template <class Visitor>
+void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, Visitor visitor) {
+  std::int32_t stack[MAX_TREE_DEPTH];
   int depth = 0;
   stack[depth++] = root;
   while (depth > 0) {
@@ -272,7 +272,7 @@ void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, C
     if (left >= 0)
       stack[depth++] = right, stack[depth++] = left;
     else
-      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) call(t);
+      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) visitor(t);
   }
 }
 

@@ -24,7 +24,7 @@ class MeshSurface {
  private:
   std::size_t points_;
   std::vector<std::int32_t> triangles_, nodes_;
-  collide::MeshSides sides_;
+  collide::MeshAdjacency sides_;
 };
 
 }  // namespace animtool

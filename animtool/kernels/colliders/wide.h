@@ -20,22 +20,22 @@ struct Rod {
   double travel[3], rotation[3], origin[3];
   double friction;
   // How far a particle that starts too deep is moved out.
-  double rise;
+  double max_rise;
 };
 
 // For one particle, components are single numbers.
-[[maybe_unused]] static double root(double a) { return std::sqrt(a); }
+[[maybe_unused]] static double sqrt(double a) { return std::sqrt(a); }
 [[maybe_unused]] static double inverse(double a) { return a > 0 ? 1 / a : 0; }
-[[maybe_unused]] static double least(double a, double b) { return a < b ? a : b; }
-[[maybe_unused]] static double most(double a, double b) { return a > b ? a : b; }
-[[maybe_unused]] static double below(double a, double b) { return a < b; }
-[[maybe_unused]] static double chosen(double where, double a, double b) {
+[[maybe_unused]] static double min(double a, double b) { return a < b ? a : b; }
+[[maybe_unused]] static double max(double a, double b) { return a > b ? a : b; }
+[[maybe_unused]] static double less(double a, double b) { return a < b; }
+[[maybe_unused]] static double select(double where, double a, double b) {
   return where != 0 ? a : b;
 }
-[[maybe_unused]] static Vec chosen(double where, const Vec& a, const Vec& b) {
+[[maybe_unused]] static Vec select(double where, const Vec& a, const Vec& b) {
   return where != 0 ? a : b;
 }
-[[maybe_unused]] static unsigned bits(double where) { return where != 0; }
+[[maybe_unused]] static unsigned mask_bits(double where) { return where != 0; }
 
 template <class N>
 struct WideSample {
@@ -46,38 +46,38 @@ struct WideSample {
 template <class N>
 WideSample<N> sample_rod(const Rod::Axis& axis, double radius, const Vector3<N>& p) {
   using V = Vector3<N>;
-  const V off = p - V::spread(axis.from), along = V::spread(axis.along);
-  const N fraction = least(most(dot(off, along) * axis.inverse, N(0.0)), N(1.0));
+  const V off = p - V::broadcast(axis.from), along = V::broadcast(axis.along);
+  const N fraction = min(max(dot(off, along) * axis.inverse, N(0.0)), N(1.0));
   const V away = off - along * fraction;
-  const N square = dot(away, away), length = root(square);
+  const N square = dot(away, away), length = sqrt(square);
   const V normal = away * inverse(length);
-  return {length - radius, chosen(below(N(0.0), length), normal, V::spread(axis.outward))};
+  return {length - radius, select(less(N(0.0), length), normal, V::broadcast(axis.outward))};
 }
 
 // Moves particles that are too deep at the end of a step: to the surface, or slowly outwards if
 // they started too deep, with friction along the surface. Slow motion outwards adds no speed: the
 // position that counts as at rest moves too. Returns which particles were moved.
 template <class N>
-unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& begun, const N& depth,
+unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& start_distance, const N& depth,
                   const Vector3<N>& from, Vector3<N>& to, Vector3<N>& unmoved) {
   using V = Vector3<N>;
-  const N slow = least(begun + rod.rise, depth);
-  const auto deep = below(begun, depth - INSIDE);
-  const N goal = chosen(deep, slow, depth);
+  const N slow = min(start_distance + rod.max_rise, depth);
+  const auto deep = less(start_distance, depth - INSIDE);
+  const N goal = select(deep, slow, depth);
   const N out = goal - hit.distance;
-  const N pushed = below(N(TOUCH), out);
+  const N pushed = less(N(TOUCH), out);
   const V transported =
-      V::spread(rod.travel) + cross(V::spread(rod.rotation), to - V::spread(rod.origin));
+      V::broadcast(rod.travel) + cross(V::broadcast(rod.rotation), to - V::broadcast(rod.origin));
   const V location = to + hit.normal * out, shift = location - from - transported;
   const V slip = shift - hit.normal * dot(shift, hit.normal);
-  const N most = root(dot(slip, slip)), pinned = out * rod.friction;
+  const N most = sqrt(dot(slip, slip)), pinned = out * rod.friction;
   // A particle that friction holds does not slip at all.
-  const N fraction = chosen(below(pinned, most), pinned * inverse(most), N(1.0));
-  to = chosen(pushed, location - slip * fraction, to);
+  const N fraction = select(less(pinned, most), pinned * inverse(most), N(1.0));
+  to = select(pushed, location - slip * fraction, to);
   const N gained = dot(to - unmoved - transported, hit.normal);
-  const V relative = chosen(below(N(0.0), gained), unmoved + hit.normal * gained, unmoved);
-  unmoved = chosen(pushed, chosen(deep, relative, unmoved), unmoved);
-  return bits(pushed);
+  const V relative = select(less(N(0.0), gained), unmoved + hit.normal * gained, unmoved);
+  unmoved = select(pushed, select(deep, relative, unmoved), unmoved);
+  return mask_bits(pushed);
 }
 
 }  // namespace animtool::collide

@@ -38,7 +38,7 @@ constexpr double STRAY = 0.3, ACROSS = 0.3;
 // Costs that differ by less are equal: rounding must not choose a lane.
 constexpr double SAME_COST = 1e-9;
 // Fraction of its speed at which an agent changes lanes: for each width, and at most.
-constexpr double SLANT = 0.44, MOST_SLANT = 0.7;
+constexpr double SLANT = 0.44, MAX_SLANT = 0.7;
 // An agent blocked by oncoming ones turns its shoulders: fully if the gap to one of them is zero,
 // not at all above this, over its width; and, below this fraction of its preferred speed, the more
 // the slower it is.
@@ -47,7 +47,7 @@ constexpr double SHOULDER_GAP = 0.6, BLOCKED = 0.7;
 constexpr double GRAZE = 0.23;
 
 // Modes of agents: they walk, others walk around them, or they are invisible to others.
-enum Does : std::uint8_t { WALKS = 0, STAYS = 1, GONE = 2 };
+enum AgentMode : std::uint8_t { WALKS = 0, STAYS = 1, GONE = 2 };
 
 struct Vec2 {
   double x = 0, y = 0;
@@ -71,39 +71,39 @@ struct HalfPlane {
 
 // Linear programme: the velocity in a disc and in half-planes that is nearest to a preferred one,
 // or farthest in a direction.
-class Chooser {
+class VelocityProgram {
  public:
-  explicit Chooser(double most) : most_(most) {}
+  explicit VelocityProgram(double max_speed) : max_speed_(max_speed) {}
 
   // Returns the number of satisfied half-planes: all, or those before the first infeasible one.
-  std::size_t choose(const HalfPlane* planes, std::size_t count, const Vec2& desired, bool direction,
+  std::size_t solve(const HalfPlane* planes, std::size_t count, const Vec2& desired, bool direction,
                      Vec2& v) const {
     v = desired;
     const double size = desired.length();
-    if (direction || size > most_) v = desired * (size > TINY ? most_ / size : 0.0);
+    if (direction || size > max_speed_) v = desired * (size > TINY ? max_speed_ / size : 0.0);
     for (std::size_t i = 0; i < count; ++i) {
       if (planes[i].normal.dot(v) >= planes[i].limit) continue;
-      if (!on_line(planes, i, desired, direction, v)) return i;
+      if (!solve_on_line(planes, i, desired, direction, v)) return i;
     }
     return count;
   }
 
  private:
-  bool on_line(const HalfPlane* planes, std::size_t i, const Vec2& desired, bool direction,
+  bool solve_on_line(const HalfPlane* planes, std::size_t i, const Vec2& desired, bool direction,
                Vec2& v) const {
     const Vec2 normal = planes[i].normal, along{-normal.y, normal.x};
-    const double room = most_ * most_ - planes[i].limit * planes[i].limit;
-    if (room < 0) return false;
-    double high = std::sqrt(room), low = -high;
+    const double squared_half_chord = max_speed_ * max_speed_ - planes[i].limit * planes[i].limit;
+    if (squared_half_chord < 0) return false;
+    double high = std::sqrt(squared_half_chord), low = -high;
     for (std::size_t j = 0; j < i; ++j) {
       const double slope = planes[j].normal.dot(along);
-      const double lack = planes[j].limit - planes[j].normal.dot(normal) * planes[i].limit;
+      const double deficit = planes[j].limit - planes[j].normal.dot(normal) * planes[i].limit;
       if (std::fabs(slope) < PARALLEL) {
-        if (lack > PARALLEL) return false;
+        if (deficit > PARALLEL) return false;
       } else if (slope > 0) {
-        low = std::max(low, lack / slope);
+        low = std::max(low, deficit / slope);
       } else {
-        high = std::min(high, lack / slope);
+        high = std::min(high, deficit / slope);
       }
     }
     if (low > high) return false;
@@ -112,28 +112,28 @@ class Chooser {
     return true;
   }
 
-  double most_;
+  double max_speed_;
 };
 
 // If no velocity satisfies all half-planes: the one that violates those after the first `hard` the
 // least, and satisfies these.
-void least_outside(const Chooser& chooser, const std::vector<HalfPlane>& planes,
-                   std::size_t hard, std::size_t first, std::vector<HalfPlane>& between, Vec2& v) {
-  double outside = 0;
+void least_violation(const VelocityProgram& program, const std::vector<HalfPlane>& planes,
+                   std::size_t hard, std::size_t first, std::vector<HalfPlane>& bisectors, Vec2& v) {
+  double violation = 0;
   for (std::size_t i = std::max(first, hard); i < planes.size(); ++i) {
-    if (planes[i].limit - planes[i].normal.dot(v) <= outside) continue;
-    between.assign(planes.begin(), planes.begin() + static_cast<std::ptrdiff_t>(hard));
+    if (planes[i].limit - planes[i].normal.dot(v) <= violation) continue;
+    bisectors.assign(planes.begin(), planes.begin() + static_cast<std::ptrdiff_t>(hard));
     for (std::size_t j = hard; j < i; ++j) {
       const Vec2 normal = planes[j].normal - planes[i].normal;
       const double size = normal.length();
       if (size < PARALLEL) continue;
-      between.push_back({normal * (1 / size), (planes[j].limit - planes[i].limit) / size});
+      bisectors.push_back({normal * (1 / size), (planes[j].limit - planes[i].limit) / size});
     }
     Vec2 relaxed;
-    if (chooser.choose(between.data(), between.size(), planes[i].normal, true, relaxed) ==
-        between.size())
+    if (program.solve(bisectors.data(), bisectors.size(), planes[i].normal, true, relaxed) ==
+        bisectors.size())
       v = relaxed;
-    outside = planes[i].limit - planes[i].normal.dot(v);
+    violation = planes[i].limit - planes[i].normal.dot(v);
   }
 }
 
@@ -144,29 +144,29 @@ struct Rules {
 
 struct Agents {
   const Neighbours& grid;
-  const double *points, *velocities, *preferred, *radii, *most, *gives, *shoulders;
+  const double *points, *velocities, *preferred, *radii, *max_speeds, *yielding, *shoulders;
   double depth;
   const std::int32_t *groups, *starts;
   const double* walls;
-  const std::uint8_t* does;
+  const std::uint8_t* modes;
 
   // Distance from the middle of agent i to its outline along a unit vector: a disc, or an ellipse
   // of the same depth if its shoulders are turned.
-  double half(std::size_t i, const Vec2& direction) const {
+  double half_width(std::size_t i, const Vec2& direction) const {
     const Vec2 line = vec2(shoulders + 2 * i);
-    const double much = line.length();
-    if (much < TINY) return radii[i];
-    const double along = line.dot(direction) / much, square = std::min(along * along, 1.0);
-    return radii[i] * (1 - std::min(much, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
+    const double amount = line.length();
+    if (amount < TINY) return radii[i];
+    const double along = line.dot(direction) / amount, square = std::min(along * along, 1.0);
+    return radii[i] * (1 - std::min(amount, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
   }
 
   bool turned(std::size_t i) const { return shoulders[2 * i] != 0 || shoulders[2 * i + 1] != 0; }
 
   // Smallest distance of two agents, given the offset of the other.
-  double wide(std::size_t i, std::size_t j, const Vec2& off, double squared) const {
+  double min_distance(std::size_t i, std::size_t j, const Vec2& off, double squared) const {
     if ((!turned(i) && !turned(j)) || !(squared > 0)) return radii[i] + radii[j];
     const Vec2 direction = off * (1 / std::sqrt(squared));
-    return half(i, direction) + half(j, direction);
+    return half_width(i, direction) + half_width(j, direction);
   }
 };
 
@@ -175,7 +175,7 @@ class Walker {
   Walker(const Rules& rules, const Agents& agents) : rules_(rules), agents_(agents) {}
 
   Vec2 velocity(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
-    look(self, hit, end);
+    find_neighbours(self, hit, end);
     planes_.clear();
     for (std::int32_t k = agents_.starts[self]; k < agents_.starts[self + 1]; ++k) {
       const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
@@ -184,19 +184,19 @@ class Walker {
     const std::size_t hard = planes_.size();
     const Vec2 velocity = vec2(agents_.velocities + 2 * self);
     // Blocked agents look less far ahead: all would stop if each avoided the others.
-    const double likes = std::max(vec2(agents_.preferred + 2 * self).length(), TINY);
-    const double least = between(1, SHORTEST);
-    horizon_ = std::max(rules_.horizon * std::clamp(velocity.length() / likes, least, 1.0), rules_.step);
+    const double preferred_speed = std::max(vec2(agents_.preferred + 2 * self).length(), TINY);
+    const double least = blended(1, SHORTEST);
+    horizon_ = std::max(rules_.horizon * std::clamp(velocity.length() / preferred_speed, least, 1.0), rules_.step);
     for (const Neighbour& one : neighbours_) avoid(self, velocity, one);
-    const Chooser chooser(agents_.most[self]);
+    const VelocityProgram program(agents_.max_speeds[self]);
     Vec2 v;
-    const Vec2 desired = wish(self);
-    const std::size_t met = chooser.choose(planes_.data(), planes_.size(), desired, false, v);
-    if (met < planes_.size()) least_outside(chooser, planes_, hard, met, between_, v);
+    const Vec2 desired = steered(self);
+    const std::size_t satisfied = program.solve(planes_.data(), planes_.size(), desired, false, v);
+    if (satisfied < planes_.size()) least_violation(program, planes_, hard, satisfied, bisectors_, v);
     pressed_ = pressed(self, velocity);
     const double speed = v.length();
-    const double most = between(STUCK, PRESSED) * desired.length();
-    if (speed < most) v += (desired - v) * (between(SHOVE, PRESSES) * (1 - speed / most));
+    const double min_speed = blended(STUCK, PRESSED) * desired.length();
+    if (speed < min_speed) v += (desired - v) * (blended(SHOVE, PRESSES) * (1 - speed / min_speed));
     return v;
   }
 
@@ -214,11 +214,11 @@ class Walker {
   // allow stays turned.
   double pressed(std::size_t self, const Vec2& velocity) const {
     const Vec2 desired = vec2(agents_.preferred + 2 * self);
-    const double likes = desired.length(), yaw = vec2(agents_.shoulders + 2 * self).length();
-    if (likes < TINY && yaw < TINY) return 0;
-    const Vec2 forward = desired * (likes > TINY ? 1 / likes : 0.0);
-    const double slow = 1 - velocity.dot(forward) / (BLOCKED * std::max(likes, TINY));
-    const double blocked = likes > TINY ? std::clamp(slow, 0.0, 1.0) : 0.0;
+    const double preferred_speed = desired.length(), yaw = vec2(agents_.shoulders + 2 * self).length();
+    if (preferred_speed < TINY && yaw < TINY) return 0;
+    const Vec2 forward = desired * (preferred_speed > TINY ? 1 / preferred_speed : 0.0);
+    const double slow = 1 - velocity.dot(forward) / (BLOCKED * std::max(preferred_speed, TINY));
+    const double blocked = preferred_speed > TINY ? std::clamp(slow, 0.0, 1.0) : 0.0;
     double most = 0, side = 1;
     for (const Neighbour& one : neighbours_) {
       const double wide = agents_.radii[self] + agents_.radii[one.which];
@@ -226,20 +226,20 @@ class Walker {
       const Vec2 other = vec2(agents_.preferred + 2 * one.which);
       const bool against = other.dot(forward) < ALONG * other.length();
       const double near = std::clamp(1 - gap / (SHOULDER_GAP * wide), 0.0, 1.0);
-      double much = against ? blocked * near : 0.0;
-      if (gap < 0) much = std::max(much, yaw);
-      if (much > most) most = much, side = one.off.dot(left_of(forward)) < 0 ? -1 : 1;
+      double strength = against ? blocked * near : 0.0;
+      if (gap < 0) strength = std::max(strength, yaw);
+      if (strength > most) most = strength, side = one.off.dot(left_of(forward)) < 0 ? -1 : 1;
     }
     return side * most;
   }
 
   // A value without oncoming agents, and with many.
-  double between(double alone, double met) const { return alone + (met - alone) * met_; }
+  double blended(double alone, double crowded) const { return alone + (crowded - alone) * crossing_; }
 
-  void look(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
+  void find_neighbours(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
     neighbours_.clear();
     costs_.fill(0);
-    met_ = 0;
+    crossing_ = 0;
     const Vec2 here = vec2(agents_.points + 2 * self);
     const Vec2 desired = vec2(agents_.preferred + 2 * self);
     const double speed = desired.length(), wide = 2 * agents_.radii[self];
@@ -251,17 +251,17 @@ class Walker {
     for (; hit < end; ++hit) {
       const std::size_t which =
           static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
-      if (which == self || agents_.does[which] == GONE) continue;
+      if (which == self || agents_.modes[which] == GONE) continue;
       const Vec2 off = vec2(agents_.points + 2 * which) - here;
-      keep({off, off.dot(off), which});
+      insert_sorted({off, off.dot(off), which});
       const double along = off.dot(near);
-      if (along > 0) weigh(off.dot(sideways), 1 - along, which, fast);
+      if (along > 0) add_cost(off.dot(sideways), 1 - along, which, fast);
     }
-    met_ = std::min(met_, 1.0);
+    crossing_ = std::min(crossing_, 1.0);
   }
 
   // Keeps the nearest in order; of two at equal distance, the first.
-  void keep(const Neighbour& one) {
+  void insert_sorted(const Neighbour& one) {
     const auto nearer = [](const Neighbour& a, const Neighbour& b) {
       return a.squared != b.squared ? a.squared < b.squared : a.which < b.which;
     };
@@ -280,15 +280,15 @@ class Walker {
 
   // Adds the cost of walking in the lanes of an agent ahead: higher the nearer, and the slower
   // along or the faster against.
-  void weigh(double sideways, double near, std::size_t which, const Vec2& fast) {
+  void add_cost(double sideways, double near, std::size_t which, const Vec2& fast) {
     // One extra lane on each side, so that both lanes an agent covers exist.
     const double slot = sideways + (LANES + 1);
     if (!(slot >= 0 && slot < 2 * LANES + 2)) return;
-    const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
-    const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));
-    const double cost = near * std::clamp(1 - goes, 0.0, 2.0);
+    const double preferred_speed = vec2(agents_.preferred + 2 * which).dot(fast);
+    const double mean_speed = 0.5 * (preferred_speed + vec2(agents_.velocities + 2 * which).dot(fast));
+    const double cost = near * std::clamp(1 - mean_speed, 0.0, 2.0);
     // A standing agent is no stream.
-    if (likes < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY) met_ += near;
+    if (preferred_speed < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY) crossing_ += near;
     const int lane = static_cast<int>(slot);
     const double second = cost * (slot - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - second;
@@ -306,7 +306,7 @@ class Walker {
       for (int k = 1; k <= LANES; ++k) {
         const double off = direction * k, lane_cost = costs_[static_cast<std::size_t>(LANES + 1 + direction * k)];
         if (!open(self, here + left * (off * wide))) break;
-        const double cost = lane_cost + STRAY * k + across - rules_.side * met_ * off;
+        const double cost = lane_cost + STRAY * k + across - rules_.side * crossing_ * off;
         if (cost < least - SAME_COST) least = cost, best = off;
         across += ACROSS * lane_cost;
       }
@@ -324,11 +324,11 @@ class Walker {
 
   // The preferred velocity: slower behind agents in the same direction, away from near ones, and
   // against oncoming ones in the cheapest lane.
-  Vec2 wish(std::size_t self) const {
+  Vec2 steered(std::size_t self) const {
     Vec2 desired = vec2(agents_.preferred + 2 * self);
     const double speed = desired.length(), radius = agents_.radii[self];
     const Vec2 forward = desired * (speed > TINY ? 1 / speed : 0.0);
-    const double headway = rules_.headway * between(1, CLOSER);
+    const double headway = rules_.headway * blended(1, CLOSER);
     double most = speed;
     Vec2 away;
     for (const Neighbour& one : neighbours_) {
@@ -346,14 +346,14 @@ class Walker {
       if (gap < rules_.space && far > TINY && !together)
         away -= one.off * (rules_.push * (1 - gap / rules_.space) / far);
     }
-    if (met_ == 0) return forward * most + away;
-    const double slant = std::clamp(SLANT * lane(self, forward), -MOST_SLANT, MOST_SLANT);
+    if (crossing_ == 0) return forward * most + away;
+    const double slant = std::clamp(SLANT * lane(self, forward), -MAX_SLANT, MAX_SLANT);
     return forward * most + left_of(forward) * (slant * speed) + away;
   }
 
   // The half-plane of velocities of the reciprocal avoidance of two agents.
   void avoid(std::size_t self, const Vec2& velocity, const Neighbour& one) {
-    const double wide = agents_.wide(self, one.which, one.off, one.squared);
+    const double wide = agents_.min_distance(self, one.which, one.off, one.squared);
     const Vec2 relative = velocity - vec2(agents_.velocities + 2 * one.which);
     const bool distinct = one.squared > wide * wide;
     const double time = distinct ? horizon_ : rules_.step;
@@ -379,7 +379,7 @@ class Walker {
       normal = cross > 0 ? Vec2{-edge.y, edge.x} : Vec2{edge.y, -edge.x};
       change = edge * relative.dot(edge) - relative;
     }
-    const double fraction = agents_.does[one.which] == WALKS ? 0.5 : 1.0;
+    const double fraction = agents_.modes[one.which] == WALKS ? 0.5 : 1.0;
     planes_.push_back({normal, normal.dot(velocity + change * fraction)});
   }
 
@@ -387,48 +387,48 @@ class Walker {
   const Agents& agents_;
   std::vector<Neighbour> neighbours_;
   std::array<double, 2 * LANES + 3> costs_;
-  double met_ = 0;  // number of oncoming or crossing agents, weighted by distance: 1 at most
+  double crossing_ = 0;  // number of oncoming or crossing agents, weighted by distance: 1 at most
   double horizon_ = 0, pressed_ = 0;
-  std::vector<HalfPlane> planes_, between_;
+  std::vector<HalfPlane> planes_, bisectors_;
 };
 
 struct Pair {
   std::int32_t one, other;
 };
 
-// Moves agents apart, and out of walls, until none overlaps another by more than `enough`. Returns
+// Moves agents apart, and out of walls, until none overlaps another by more than `tolerance`. Returns
 // the largest remaining overlap.
 double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pairs,
-                std::size_t count, std::int64_t rounds, double enough) {
+                std::size_t count, std::int64_t max_passes, double tolerance) {
   double worst = 0;
-  for (std::int64_t round = 0; round <= rounds; ++round) {
+  for (std::int64_t pass = 0; pass <= max_passes; ++pass) {
     worst = 0;
-    const bool last = round == rounds;
+    const bool last = pass == max_passes;
     for (const Pair& pair : pairs) {
       const std::size_t i = static_cast<std::size_t>(pair.one),
                         j = static_cast<std::size_t>(pair.other);
       const Vec2 off = moved[j] - moved[i];
       const double squared = off.dot(off);
-      const double wide = agents.wide(i, j, off, squared);
+      const double wide = agents.min_distance(i, j, off, squared);
       if (squared >= wide * wide) continue;
-      const double far = std::sqrt(squared), lack = wide - far;
-      worst = std::max(worst, lack);
-      const double a = agents.gives[i] * (agents.does[i] == WALKS);
-      const double b = agents.gives[j] * (agents.does[j] == WALKS);
+      const double far = std::sqrt(squared), deficit = wide - far;
+      worst = std::max(worst, deficit);
+      const double a = agents.yielding[i] * (agents.modes[i] == WALKS);
+      const double b = agents.yielding[j] * (agents.modes[j] == WALKS);
       if (last || a + b == 0) continue;
       const Vec2 direction = far > TINY ? off * (1 / far) : Vec2{1, 0};
-      moved[i] -= direction * (lack * a / (a + b));
-      moved[j] += direction * (lack * b / (a + b));
+      moved[i] -= direction * (deficit * a / (a + b));
+      moved[j] += direction * (deficit * b / (a + b));
     }
     for (std::size_t i = 0; i < count; ++i)
       for (std::int32_t k = agents.starts[i]; k < agents.starts[i + 1]; ++k) {
         const double* wall = agents.walls + 4 * static_cast<std::size_t>(k);
-        const double lack = wall[3] - vec2(wall).dot(moved[i]);
-        if (lack <= 0 || agents.does[i] != WALKS) continue;
-        worst = std::max(worst, lack);
-        if (!last) moved[i] += vec2(wall) * lack;
+        const double deficit = wall[3] - vec2(wall).dot(moved[i]);
+        if (deficit <= 0 || agents.modes[i] != WALKS) continue;
+        worst = std::max(worst, deficit);
+        if (!last) moved[i] += vec2(wall) * deficit;
       }
-    if (worst <= enough) break;
+    if (worst <= tolerance) break;
   }
   return worst;
 }
@@ -436,28 +436,28 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
 }  // namespace
 
 CrowdStepped crowd_step(const CrowdStep& options) {
-  const auto& [points, velocities, preferred, radii, most, gives, shoulders, depth, groups, does,
+  const auto& [points, velocities, preferred, radii, max_speeds, yielding, shoulders, depth, groups, modes,
                starts, walls,
-               sight, nearest, horizon, space, push, headway, side, step, rounds, enough] = options;
+               sight, nearest, horizon, space, push, headway, side, step, max_passes, tolerance] = options;
   const std::size_t count = points.shape(0);
-  check::at_most("points", count, check::MOST_ROWS);
+  check::at_most("points", count, check::MAX_ROWS);
   check::shape("points", points, {check::ANY, 2});
   check::shape("velocities", velocities, {count, 2});
   check::shape("preferred", preferred, {count, 2});
   check::shape("radii", radii, {count});
-  check::shape("most", most, {count});
-  check::shape("gives", gives, {count});
+  check::shape("max_speeds", max_speeds, {count});
+  check::shape("yielding", yielding, {count});
   check::numbers("shoulders", shoulders, {count, 2});
   check::between("depth", depth, 0, 1);
   check::shape("groups", groups, {count});
-  check::shape("does", does, {count});
+  check::shape("modes", modes, {count});
   check::shape("starts", starts, {count + 1});
   check::shape("walls", walls, {check::ANY, 4});
   check::starts("starts", starts, walls.shape(0));
   for (const auto* one : {&points, &velocities, &preferred, &walls}) check::finite("points", *one);
   check::finite("radii", radii);
-  check::finite("most", most);
-  for (std::size_t i = 0; i < count; ++i) check::positive("gives", gives.data()[i]);
+  check::finite("max_speeds", max_speeds);
+  for (std::size_t i = 0; i < count; ++i) check::positive("yielding", yielding.data()[i]);
   check::positive("sight", sight);
   check::between("nearest", nearest, 0, 1000);
   check::positive("horizon", horizon);
@@ -466,8 +466,8 @@ CrowdStepped crowd_step(const CrowdStep& options) {
   check::not_negative("headway", headway);
   check::between("side", side, -1, 1);
   check::positive("step", step);
-  check::between("rounds", rounds, 0, 10000);
-  check::not_negative("enough", enough);
+  check::between("max_passes", max_passes, 0, 10000);
+  check::not_negative("tolerance", tolerance);
   Out<double, 2> out(count, 2), speeds(count, 2);
   Out<double, 1> pressed(count);
   double worst = 0;
@@ -486,13 +486,13 @@ CrowdStepped crowd_step(const CrowdStep& options) {
                     static_cast<std::size_t>(nearest)};
   const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
   const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),
-                      radii.data(), most.data(), gives.data(), shoulders.data(), depth,
-                      groups.data(), starts.data(), walls.data(), does.data()};
+                      radii.data(), max_speeds.data(), yielding.data(), shoulders.data(), depth,
+                      groups.data(), starts.data(), walls.data(), modes.data()};
   Walker walker(rules, agents);
   grid.visit_all<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
                                        const std::int32_t* end) {
     const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-    const bool walks = agents.does[which] == WALKS;
+    const bool walks = agents.modes[which] == WALKS;
     const Vec2 v = walks ? walker.velocity(which, hit, end) : Vec2();
     pressed.get()[which] = walks ? walker.pressed() : 0.0;
     moved[which] = vec2(agents.points + 2 * which) + v * step;
@@ -507,12 +507,12 @@ CrowdStepped crowd_step(const CrowdStep& options) {
     close.visit_all<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
                                          const std::int32_t* end) {
       const std::int32_t* index = close.index();
-      if (does.data()[index[i]] == GONE) return;
+      if (modes.data()[index[i]] == GONE) return;
       for (; hit < end; ++hit)
-        if (does.data()[index[*hit]] != GONE) pairs.push_back({index[i], index[*hit]});
+        if (modes.data()[index[*hit]] != GONE) pairs.push_back({index[i], index[*hit]});
     });
   }
-  worst = separate(agents, moved.get(), pairs, count, rounds, enough);
+  worst = separate(agents, moved.get(), pairs, count, max_passes, tolerance);
   for (std::size_t i = 0; i < count; ++i) {
     const Vec2 v = (moved[i] - vec2(agents.points + 2 * i)) * (1 / step);
     out.get()[2 * i] = moved[i].x, out.get()[2 * i + 1] = moved[i].y;
@@ -524,11 +524,11 @@ CrowdStepped crowd_step(const CrowdStep& options) {
 namespace {
 
 // A node, and its distance from the seeds.
-struct Reached {
+struct QueuedNode {
   double distance;
   std::int64_t node;
 
-  bool operator>(const Reached& b) const {
+  bool operator>(const QueuedNode& b) const {
     return distance != b.distance ? distance > b.distance : node > b.node;
   }
 };
@@ -539,7 +539,7 @@ struct Reached {
 Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts) {
   const std::size_t rows = free.shape(0), columns = free.shape(1), count = rows * columns;
-  check::at_most("free", count, check::MOST_ROWS);
+  check::at_most("free", count, check::MAX_ROWS);
   check::positive("cell", cell);
   check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
   check::numbers("starts", starts, {seeds.shape(0)});
@@ -548,7 +548,7 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
   double* distances = out.get();
   std::fill_n(distances, count, never);
   std::vector<std::uint8_t> done(count, 0);
-  std::vector<Reached> heap;
+  std::vector<QueuedNode> heap;
   const auto reach = [&](std::size_t node, double distance) {
     if (!free.data()[node] || done[node] || distance >= distances[node]) return;
     distances[node] = distance;

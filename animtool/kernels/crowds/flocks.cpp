@@ -10,14 +10,14 @@ namespace animtool {
 
 namespace {
 
-struct Pull {
+struct Interaction {
   double weight, radius;
 };
 
-struct Rule {
+struct FlockRule {
   double radius, cosine;
   std::size_t nearest;  // 0 for all
-  Pull attraction, alignment, repulsion;
+  Interaction attraction, alignment, repulsion;
   double softening;
 
   // Whether pairs in sight interact symmetrically.
@@ -28,13 +28,13 @@ struct Rule {
 };
 
 // The offset to another over its squared length, for repulsion.
-Vec shove(const Rule& rule, const Vec& off, double squared) {
+Vec repulsion(const FlockRule& rule, const Vec& off, double squared) {
   const bool pushes = squared <= rule.repulsion.radius * rule.repulsion.radius && squared > 0;
   return off * (pushes ? 1 / (squared + rule.softening * rule.softening) : 0.0);
 }
 
 // Symmetric interactions: each pair is visited once.
-double together(const Rule& rule, const Neighbours& grid, const Vec* velocities, double most,
+double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velocities, double max_tests,
                 double* out, std::int32_t* counts) {
   struct Sums {
     Vec pull, away;
@@ -44,8 +44,8 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
   const Block<std::int32_t> sight_counts = block<std::int32_t>(grid.size());
   std::fill_n(sight_counts.get(), grid.size(), 0);
   const double *x = grid.x(), *y = grid.y(), *z = grid.z();
-  const double looked = grid.visit_all<true>(
-      most, [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
+  const double tested = grid.visit_all<true>(
+      max_tests, [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
         const Vec here = load(at), velocity = velocities[i];
         Sums sum_i;
         sight_counts[i] += static_cast<std::int32_t>(end - hit);
@@ -54,7 +54,7 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
           const Vec off = Vec{x[j], y[j], z[j]} - here;
           Vec pull = off * rule.attraction.weight;
           pull += (velocities[j] - velocity) * rule.alignment.weight;
-          const Vec away = shove(rule, off, dot(off, off));
+          const Vec away = repulsion(rule, off, dot(off, off));
           sum_i.pull += pull;
           sum_i.away += away;
           sums[j].pull -= pull;
@@ -71,18 +71,18 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
     out[3 * which] = sum.x, out[3 * which + 1] = sum.y, out[3 * which + 2] = sum.z;
     counts[which] = sight_counts[i];
   }
-  return looked;
+  return tested;
 }
 
 // The forces on one member from those it sees among its neighbours.
-class Seer {
+class NeighbourForces {
  public:
-  Seer(const Rule& rule, const Neighbours& grid, const Vec* velocities)
+  NeighbourForces(const FlockRule& rule, const Neighbours& grid, const Vec* velocities)
       : rule_(rule), grid_(grid), velocities_(velocities) {}
 
   std::size_t add(std::size_t self, const Vec& here, const Vec& velocity,
                   const std::int32_t* hit, const std::int32_t* end, double* out) {
-    look(self, here, velocity, hit, end);
+    find_visible(self, here, velocity, hit, end);
     const double follow = rule_.attraction.radius * rule_.attraction.radius;
     const double align = rule_.alignment.radius * rule_.alignment.radius;
     Vec centre, heading, away;
@@ -90,7 +90,7 @@ class Seer {
     for (const Neighbour& one : neighbours_) {
       if (one.squared <= follow) centre += one.off, followed += 1;
       if (one.squared <= align) heading += velocities_[one.at] - velocity, aligned += 1;
-      away += shove(rule_, one.off, one.squared);
+      away += repulsion(rule_, one.off, one.squared);
     }
     Vec sum = centre * (followed > 0 ? rule_.attraction.weight / followed : 0.0);
     sum += heading * (aligned > 0 ? rule_.alignment.weight / aligned : 0.0);
@@ -106,9 +106,9 @@ class Seer {
     std::size_t at;
   };
 
-  void look(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
+  void find_visible(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
             const std::int32_t* end) {
-    const double behind = rule_.cosine * std::sqrt(dot(velocity, velocity));
+    const double min_projection = rule_.cosine * std::sqrt(dot(velocity, velocity));
     const std::int32_t* index = grid_.index();
     neighbours_.clear();
     for (; hit < end; ++hit) {
@@ -116,7 +116,7 @@ class Seer {
       if (static_cast<std::size_t>(index[j]) == self) continue;
       const Vec off = Vec{grid_.x()[j], grid_.y()[j], grid_.z()[j]} - here;
       const double squared = dot(off, off);
-      if (rule_.cosine > -1 && dot(off, velocity) < behind * std::sqrt(squared)) continue;
+      if (rule_.cosine > -1 && dot(off, velocity) < min_projection * std::sqrt(squared)) continue;
       neighbours_.push_back({off, squared, j});
     }
     if (!rule_.nearest || neighbours_.size() <= rule_.nearest) return;
@@ -130,13 +130,13 @@ class Seer {
     std::sort(neighbours_.begin(), neighbours_.end(), nearer);
   }
 
-  const Rule& rule_;
+  const FlockRule& rule_;
   const Neighbours& grid_;
   const Vec* velocities_;
   std::vector<Neighbour> neighbours_;
 };
 
-Pull pull(const char* name, const In<double, 1>& pair) {
+Interaction interaction(const char* name, const In<double, 1>& pair) {
   check::shape(name, pair, {2});
   check::finite(name, pair);
   check::not_negative(name, pair.data()[1]);
@@ -150,7 +150,7 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
                               std::optional<In<std::int32_t, 1>> others, double radius,
                               double cosine, std::int64_t nearest, In<double, 1> attraction,
                               In<double, 1> alignment, In<double, 1> repulsion, double softening,
-                              In<double, 2> period, double most) {
+                              In<double, 2> period, double max_tests) {
   const std::size_t count = check::points("points", points);
   check::shape("velocities", velocities, {count, 3});
   check::positive("radius", radius);
@@ -166,17 +166,17 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
     if (*which)
       check::indices(which == &members ? "members" : "others", **which, 0,
                      static_cast<std::int64_t>(count));
-  const Rule rule{radius,
+  const FlockRule rule{radius,
                   cosine,
                   static_cast<std::size_t>(nearest),
-                  pull("attraction", attraction),
-                  pull("alignment", alignment),
-                  pull("repulsion", repulsion),
+                  interaction("attraction", attraction),
+                  interaction("alignment", alignment),
+                  interaction("repulsion", repulsion),
                   softening};
   const std::size_t size = members ? members->shape(0) : count;
   Out<double, 2> result(size, 3);
   Out<std::int32_t, 1> counts(size);
-  double looked = 0;
+  double tested = 0;
   std::fill_n(result.get(), 3 * size, 0.0);
   std::fill_n(counts.get(), size, 0);
   const Neighbours grid(points.data(), others ? others->data() : nullptr,
@@ -186,29 +186,29 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
     sorted[i] = load(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
   const bool open = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
   const bool all = open && !members && !others;
-  Seer seer(rule, grid, sorted.get());
+  NeighbourForces forces(rule, grid, sorted.get());
   const auto add = [&](std::size_t number, std::size_t which, const Vec& at, const Vec& velocity,
                        const std::int32_t* hit, const std::int32_t* end) {
-    const std::size_t count = seer.add(which, at, velocity, hit, end, result.get() + 3 * number);
+    const std::size_t count = forces.add(which, at, velocity, hit, end, result.get() + 3 * number);
     counts.get()[number] = static_cast<std::int32_t>(count);
   };
   if (all && rule.mutual())
-    looked = together(rule, grid, sorted.get(), most, result.get(), counts.get());
+    tested = add_mutual(rule, grid, sorted.get(), max_tests, result.get(), counts.get());
   else if (all)
-    looked = grid.visit_all<false>(most, [&](std::size_t i, const double* at,
+    tested = grid.visit_all<false>(max_tests, [&](std::size_t i, const double* at,
                                                 const std::int32_t* hit,
                                                 const std::int32_t* end) {
       const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
       add(which, which, load(at), sorted[i], hit, end);
     });
   else
-    looked = grid.visit(points.data(), members ? members->data() : nullptr, size, most,
+    tested = grid.visit(points.data(), members ? members->data() : nullptr, size, max_tests,
                         [&](std::size_t number, std::size_t which, const double* at,
                             const std::int32_t* hit, const std::int32_t* end) {
                           add(number, which, load(at), load(velocities.data() + 3 * which), hit,
                               end);
                         });
-  return {std::move(result), std::move(counts), looked};
+  return {std::move(result), std::move(counts), tested};
 }
 
 }  // namespace animtool

@@ -2,15 +2,18 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <tuple>
 
 #include "base/arrays.h"
 
 namespace animtool {
 
-Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
-                               In<double, 1> values, In<std::int64_t, 1> kinds,
-                               In<double, 2> ins, In<double, 2> outs, In<double, 2> at);
+// The values, unless there is an array to fill.
+std::optional<Out<double, 2>> evaluate_curves(
+    In<std::int64_t, 1> first, In<double, 1> times, In<double, 1> values,
+    In<std::int64_t, 1> kinds, In<double, 2> ins, In<double, 2> outs, In<double, 2> at,
+    std::optional<Filled<double, 2>> out);
 
 Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
                                   In<std::int64_t, 1> kinds, In<double, 1> at,

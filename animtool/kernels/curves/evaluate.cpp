@@ -1,6 +1,7 @@
 // Scalar curves: segments between keys, evaluated at many times.
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "base/checks.h"
 #include "curves/curves.h"
@@ -38,7 +39,8 @@ Cubic bezier(double near, double far, double end) {
 // A handle longer than the segment is shrunk to it, its slope kept; the length as
 // a share of the segment.
 struct Handle {
-  Handle(const double* offset, double span) : length_ratio(std::fabs(offset[0]) / span), dv(offset[1]) {
+  Handle(const double* offset, double span)
+      : length_ratio(std::fabs(offset[0]) / span), dv(offset[1]) {
     if (length_ratio > 1) {
       dv /= length_ratio;
       length_ratio = 1;
@@ -134,21 +136,20 @@ void solve_quickly(const Cubic& time, const double* x, double* u, std::size_t n)
   }
 }
 
-void evaluate_half(const Half& half, const double* at, double* out, std::size_t n) {
-  double x[kChunk], u[kChunk];
-  for (; n; at += kChunk, out += kChunk) {
+// Values at times whose fractions from the key of the half are known.
+void evaluate_half(const Half& half, const double* fractions, double* out, std::size_t n) {
+  if (!half.solve) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = half.value + half.rise.at(fractions[i]);
+    return;
+  }
+  double u[kChunk];
+  for (; n; fractions += kChunk, out += kChunk) {
     const std::size_t count = std::min(n, kChunk);
-    for (std::size_t i = 0; i < count; ++i) x[i] = (at[i] - half.key) / half.span;
-    const double* cursor = x;
-    if (half.solve) {
-      solve_quickly(half.time, x, u, count);
-      for (std::size_t i = 0; i < count; ++i)
-        if (!(u[i] >= 0)) u[i] = solve_guarded(half.time, x[i]);
-      cursor = u;
-    }
-    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.at(cursor[i]);
+    solve_quickly(half.time, fractions, u, count);
+    for (std::size_t i = 0; i < count; ++i)
+      if (!(u[i] >= 0)) u[i] = solve_guarded(half.time, fractions[i]);
+    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.at(u[i]);
     n -= count;
-    if (!n) return;
   }
 }
 
@@ -159,90 +160,170 @@ std::size_t run_length(const double* at, std::size_t n, double low, double high)
   return i;
 }
 
-// Times in a straight segment that are worked out one by one.
-constexpr std::size_t FEW = 16;
+void set_fractions(const double* at, double key, double span, double* out, std::size_t n) {
+  for (std::size_t i = 0; i < n; ++i) out[i] = (at[i] - key) / span;
+}
 
+// Keys of all curves, and those of one.
 struct Keys {
   const double *times, *values;
   const std::int64_t* kinds;
   const double *ins, *outs;
+  std::size_t count;
+
+  Keys part(std::size_t begin, std::size_t end) const {
+    return {times + begin, values + begin, kinds + begin, ins + 2 * begin, outs + 2 * begin,
+            end - begin};
+  }
 };
 
-// One curve, keys [begin, end): held outside them. Runs of times within one half
-// of a segment are evaluated together.
-void evaluate_curve(const Keys& keys, std::size_t begin, std::size_t end, const double* at,
-                    double* out, std::size_t n) {
-  const double* const times = keys.times;
-  const double start = times[begin], stop = times[end - 1];
-  std::size_t k = begin;
-  for (std::size_t f = 0; f < n;) {
-    const double t = at[f];
-    if (!(t >= start && t < stop)) {
-      out[f++] = t < start ? keys.values[begin] : keys.values[end - 1];
-      continue;
-    }
-    // Times mostly ascend: then it is this segment or the next.
-    if (!(t >= times[k] && t < times[k + 1])) {
-      if (k + 2 < end && t >= times[k + 1] && t < times[k + 2])
-        ++k;
-      else
-        k = static_cast<std::size_t>(std::upper_bound(times + begin, times + end, t) - times) - 1;
-    }
-    // Few times in a segment that is straight: it is not worth looking at as a whole.
-    if (keys.kinds[k] <= kLinear && (f + FEW >= n || at[f + FEW] >= times[k + 1])) {
-      const double from = times[k], to = times[k + 1], span = to - from;
-      const double first = keys.values[k], middle = from + 0.5 * span;
-      const bool is_hold = keys.kinds[k] == kHold;
-      const double last = is_hold ? first : keys.values[k + 1], rise = last - first;
-      for (; f < n && at[f] >= from && at[f] < to; ++f)
-        out[f] = at[f] >= middle ? last + (at[f] - to) / -span * -rise
-                                 : first + (at[f] - from) / span * rise;
-      continue;
-    }
-    const Segment segment = make_segment(times + k, keys.values + k, keys.kinds[k],
-                                         keys.outs + 2 * k, keys.ins + 2 * (k + 1));
-    while (f < n) {
-      const bool late = at[f] >= segment.middle;
-      const double low = late ? segment.middle : segment.start;
-      const double high = late ? segment.end : segment.middle;
-      const std::size_t run = run_length(at + f, n - f, low, high);
-      if (!run) break;
-      evaluate_half(segment.halves[late], at + f, out + f, run);
+constexpr std::size_t OUTSIDE = static_cast<std::size_t>(-1);
+
+// Consecutive times in one half of a segment, or outside of the keys.
+struct Run {
+  std::size_t begin, end;
+  std::size_t segment;  // its first key, or OUTSIDE
+  std::size_t nearer;   // the nearer key
+};
+
+// Which segments times are in. Curves with keys at the same times share it.
+class Walk {
+ public:
+  static constexpr std::size_t MOST = 1024;
+
+  explicit Walk(const Keys& keys) : times_(keys.times), last_(keys.count - 1) {}
+
+  // Goes over at most MOST times, ascending mostly.
+  void over(const double* at, std::size_t n) {
+    size_ = 0;
+    for (std::size_t f = 0; f < n;) {
+      const double t = at[f];
+      if (!(t >= times_[0] && t < times_[last_])) {
+        const bool before = t < times_[0];
+        const std::size_t begin = f++;
+        while (f < n && (before ? at[f] < times_[0] : !(at[f] < times_[last_]))) ++f;
+        runs_[size_++] = {begin, f, OUTSIDE, before ? 0 : last_};
+        continue;
+      }
+      // Mostly it is this segment or the next.
+      if (!(t >= times_[at_] && t < times_[at_ + 1])) {
+        if (at_ + 1 < last_ && t >= times_[at_ + 1] && t < times_[at_ + 2])
+          ++at_;
+        else
+          at_ = static_cast<std::size_t>(std::upper_bound(times_, times_ + last_, t) - times_) - 1;
+      }
+      const double from = times_[at_], to = times_[at_ + 1], span = to - from;
+      const double middle = from + 0.5 * span;
+      const bool late = t >= middle;
+      const std::size_t run = run_length(at + f, n - f, late ? middle : from, late ? to : middle);
+      set_fractions(at + f, late ? to : from, late ? -span : span, fractions_ + f, run);
+      runs_[size_++] = {f, f + run, at_, at_ + late};
       f += run;
     }
   }
+
+  const Run* begin() const { return runs_; }
+  const Run* end() const { return runs_ + size_; }
+  // Of each time in a segment: the time from the nearer key, of the way to the other one.
+  const double* fractions() const { return fractions_; }
+
+ private:
+  const double* times_;
+  std::size_t last_, at_ = 0, size_ = 0;
+  Run runs_[MOST];
+  double fractions_[MOST];
+};
+
+// Times in a Bezier segment, whose middle depends on its handles.
+void evaluate_bezier(const Segment& segment, const double* at, double* out, std::size_t n) {
+  double fractions[Walk::MOST];
+  for (std::size_t f = 0; f < n;) {
+    const bool late = at[f] >= segment.middle;
+    const Half& half = segment.halves[late];
+    const std::size_t run = run_length(at + f, n - f, late ? segment.middle : segment.start,
+                                       late ? segment.end : segment.middle);
+    set_fractions(at + f, half.key, half.span, fractions, run);
+    evaluate_half(half, fractions, out + f, run);
+    f += run;
+  }
 }
 
-// What would keep the search for a segment from its end: times out of order, or a segment
-// whose middle is no number. The last key of a curve begins no segment.
-void check_keys(const Keys& keys, const std::int64_t* first, std::size_t curves,
-                std::size_t count) {
-  for (std::size_t c = 0; c < curves; ++c)
-    if (first[c] == first[c + 1])
-      check::refuse("first", "curve " + check::text(c) + " has no key");
-  std::uint64_t bits = 0;
-  for (std::size_t k = 0; k < count; ++k) bits |= static_cast<std::uint64_t>(keys.kinds[k]);
-  if (bits > kBezier) check::indices("kinds", keys.kinds, count, kHold, kBezier + 1);
-  for (std::size_t c = 0; c < curves; ++c) {
-    const std::int64_t begin = first[c], end = first[c + 1];
-    const double* times = keys.times + begin;
-    check::ascending("times", times, static_cast<std::size_t>(end - begin));
-    // Those between are finite if the ends are, and no segment is longer than the curve.
-    check::finite("times", times[end - begin - 1] - times[0]);
-  }
-  if (bits < kBezier) return;
-  for (std::size_t k = 0; k + 1 < count; ++k) {
-    if (keys.kinds[k] != kBezier) continue;
-    if (std::isnan(keys.outs[2 * k])) check::refuse("outs", "a time is not a number");
-    if (std::isnan(keys.ins[2 * (k + 1)])) check::refuse("ins", "a time is not a number");
+// One curve, held outside its keys.
+void evaluate_curve(const Keys& keys, const Walk& walk, const double* at, double* out) {
+  for (const Run* run = walk.begin(); run < walk.end(); ++run) {
+    const std::size_t f = run->begin, k = run->segment, n = run->end - f;
+    const double value = keys.values[run->nearer];
+    if (k == OUTSIDE) {
+      std::fill_n(out + f, n, value);
+      continue;
+    }
+    const std::int64_t kind = keys.kinds[k];
+    if (kind == kHold) {
+      std::fill_n(out + f, n, keys.values[k]);
+    } else if (kind == kLinear) {
+      const double rise = keys.values[k + 1] - keys.values[k];
+      const double signed_rise = run->nearer == k ? rise : -rise;
+      for (std::size_t i = f; i < f + n; ++i) out[i] = value + walk.fractions()[i] * signed_rise;
+    } else {
+      const Segment segment = make_segment(keys.times + k, keys.values + k, kind,
+                                           keys.outs + 2 * k, keys.ins + 2 * (k + 1));
+      if (kind == kCubic) {
+        evaluate_half(segment.halves[run->nearer != k], walk.fractions() + f, out + f, n);
+        continue;
+      }
+      while (run + 1 < walk.end() && run[1].segment == k) ++run;
+      evaluate_bezier(segment, at + f, out + f, run->end - f);
+    }
   }
 }
+
+[[noreturn]] void refuse(const char* name, std::size_t curve, const char* why) {
+  check::refuse(name, "curve " + check::text(curve) + ": " + why);
+}
+
+// The last key of a curve begins no segment. Handles are looked at where a segment has them.
+void check_curve(const Keys& keys, std::size_t curve, bool times_known) {
+  const std::size_t segments = keys.count - 1;
+  if (!times_known) {
+    // Those between are finite if the ends are, and no segment is longer than the curve.
+    if (!std::isfinite(keys.times[segments] - keys.times[0])) refuse("times", curve, "not finite");
+    std::uint64_t wrong = 0;
+    for (std::size_t k = 0; k < segments; ++k) wrong |= !(keys.times[k] < keys.times[k + 1]);
+    if (wrong) refuse("times", curve, "not ascending");
+  }
+  check::finite("values", keys.values, keys.count);
+  std::uint64_t bits = 0;
+  for (std::size_t k = 0; k < segments; ++k) bits |= static_cast<std::uint64_t>(keys.kinds[k]);
+  if (bits <= kLinear) return;
+  if (bits > kBezier) check::indices("kinds", keys.kinds, segments, kHold, kBezier + 1);
+  double out_sum = 0, in_sum = 0;  // no numbers where a handle is not finite
+  bool out_back = false, in_back = false;
+  for (std::size_t k = 0; k < segments; ++k) {
+    if (keys.kinds[k] <= kLinear) continue;
+    const double *out = keys.outs + 2 * k, *in = keys.ins + 2 * (k + 1);
+    out_sum += out[0] * 0 + out[1] * 0, in_sum += in[0] * 0 + in[1] * 0;
+    const bool bezier = keys.kinds[k] == kBezier;
+    out_back |= bezier && out[0] < 0, in_back |= bezier && in[0] > 0;
+  }
+  if (out_sum != 0) refuse("outs", curve, "not finite");
+  if (in_sum != 0) refuse("ins", curve, "not finite");
+  if (out_back) refuse("outs", curve, "a handle points away from its segment");
+  if (in_back) refuse("ins", curve, "a handle points away from its segment");
+}
+
+bool equal(const double* a, const double* b, std::size_t count) {
+  return a == b || !std::memcmp(a, b, count * sizeof(double));
+}
+
+// Curves that are looked at together: their keys stay in the processor's cache.
+constexpr std::size_t TOGETHER = 8;
 
 }  // namespace
 
-Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
-                               In<double, 1> values, In<std::int64_t, 1> kinds,
-                               In<double, 2> ins, In<double, 2> outs, In<double, 2> at) {
+std::optional<Out<double, 2>> evaluate_curves(
+    In<std::int64_t, 1> first, In<double, 1> times, In<double, 1> values,
+    In<std::int64_t, 1> kinds, In<double, 2> ins, In<double, 2> outs, In<double, 2> at,
+    std::optional<Filled<double, 2>> out) {
   const std::size_t count = times.shape(0), rows = at.shape(0), frames = at.shape(1);
   check::shape("first", first, {check::ANY});
   check::shape("times", times, {check::ANY});
@@ -253,14 +334,36 @@ Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
   check::shape("ins", ins, {count, 2});
   check::shape("outs", outs, {count, 2});
   check::shape("at", at, {rows == 1 ? 1 : curves, check::ANY});
-  const Keys keys{times.data(), values.data(), kinds.data(), ins.data(), outs.data()};
-  check_keys(keys, first.data(), curves, count);
-  Out<double, 2> result(curves, frames);
+  if (out) check::shape("out", *out, {curves, frames});
+  const Keys all{times.data(), values.data(), kinds.data(), ins.data(), outs.data(), count};
+  const auto keys_of = [&](std::size_t c) {
+    return all.part(static_cast<std::size_t>(first.data()[c]),
+                    static_cast<std::size_t>(first.data()[c + 1]));
+  };
+  const auto at_of = [&](std::size_t c) { return at.data() + (rows == 1 ? 0 : c * frames); };
   for (std::size_t c = 0; c < curves; ++c)
-    evaluate_curve(keys, static_cast<std::size_t>(first.data()[c]),
-                   static_cast<std::size_t>(first.data()[c + 1]),
-                   at.data() + (rows == 1 ? 0 : c * frames), result.get() + c * frames, frames);
-  return result;
+    if (!keys_of(c).count) refuse("first", c, "it has no key");
+  std::optional<Out<double, 2>> made;
+  if (!out) made.emplace(curves, frames);
+  double* const result = out ? out->data() : made->get();
+  for (std::size_t c = 0, next; c < curves; c = next) {
+    const Keys keys = keys_of(c);
+    check_curve(keys, c, false);
+    for (next = c + 1; next < curves && next < c + TOGETHER; ++next) {
+      const Keys other = keys_of(next);
+      if (other.count != keys.count || !equal(other.times, keys.times, keys.count) ||
+          !equal(at_of(next), at_of(c), frames))
+        break;
+      check_curve(other, next, true);
+    }
+    Walk walk(keys);
+    for (std::size_t f = 0; f < frames; f += Walk::MOST) {
+      walk.over(at_of(c) + f, std::min(Walk::MOST, frames - f));
+      for (std::size_t i = c; i < next; ++i)
+        evaluate_curve(keys_of(i), walk, at_of(c) + f, result + i * frames + f);
+    }
+  }
+  return made;
 }
 
 }  // namespace animtool

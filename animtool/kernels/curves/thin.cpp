@@ -92,7 +92,7 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
     In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
     double standing, double hips) {
   const std::size_t frames = rotations.shape(0), moving = rotations.shape(1), count = parents.shape(0);
-  check::at_most("turns", frames * moving, check::MOST_ROWS);
+  check::at_most("turns", frames * moving, check::MAX_ROWS);
   check::numbers("turns", rotations, {check::ANY, check::ANY, 4});
   check::shape("numbers", numbers, {count});
   check::numbers("places", offsets, {count, 3});

@@ -32,25 +32,25 @@ struct alignas(32) Row {
 
 // A body that the fluid pushes, with its displacement from free motion.
 struct Body {
-  double ease = 0;      // 1 over its mass
-  double turning[6];    // its inverse inertia: xx, yy, zz, xy, xz, yz
+  double inverse_mass = 0;      // 1 over its mass
+  double inverse_inertia[6];    // its inverse inertia: xx, yy, zz, xy, xz, yz
   Vec begin, end;       // its centre of mass
-  Vec shift, turned;    // displacement from that, so far
+  Vec shift, rotation;    // displacement from that, so far
   Vec velocity, spin;   // likewise
-  double now[6] = {}, moved[6] = {};  // impulses and angular impulses about the origin
+  double impulse[6] = {}, delayed[6] = {};  // impulses and angular impulses about the origin
 
-  Vec turned_by(Vec moment) const {
-    return {turning[0] * moment.x + turning[3] * moment.y + turning[4] * moment.z,
-            turning[3] * moment.x + turning[1] * moment.y + turning[5] * moment.z,
-            turning[4] * moment.x + turning[5] * moment.y + turning[2] * moment.z};
+  Vec angular_change(Vec moment) const {
+    return {inverse_inertia[0] * moment.x + inverse_inertia[3] * moment.y + inverse_inertia[4] * moment.z,
+            inverse_inertia[3] * moment.x + inverse_inertia[1] * moment.y + inverse_inertia[5] * moment.z,
+            inverse_inertia[4] * moment.x + inverse_inertia[5] * moment.y + inverse_inertia[2] * moment.z};
   }
 };
 
 Pose shifted(const Pose& pose, const Body& body, Vec centre) {
   Pose shifted_pose = pose;
-  const double angle = length(body.turned);
+  const double angle = length(body.rotation);
   if (angle > 0) {
-    const double vector[3] = {body.turned.x, body.turned.y, body.turned.z};
+    const double vector[3] = {body.rotation.x, body.rotation.y, body.rotation.z};
     double quaternion[4];
     Pose change;
     ik::exponential(vector, quaternion);
@@ -68,7 +68,7 @@ Pose shifted(const Pose& pose, const Body& body, Vec centre) {
   return shifted_pose;
 }
 
-struct Rule {
+struct FluidRule {
   double spacing, density, viscosity, tension;
   double radius() const { return REACH * spacing; }
   double mass() const { return density * spacing * spacing * spacing; }
@@ -76,7 +76,7 @@ struct Rule {
 
 class Steps {
  public:
-  Steps(const Rule& rule, std::vector<Collider> colliders, std::vector<std::int32_t> owners,
+  Steps(const FluidRule& rule, std::vector<Collider> colliders, std::vector<std::int32_t> owners,
         std::vector<Body> bodies, double step, double sound)
       : rule_(rule),
         sound_(sound),
@@ -91,15 +91,15 @@ class Steps {
     count_ = count;
     const std::size_t rows = count + 1;
     order_.assign(rows, static_cast<std::int32_t>(count));
-    point_.assign(rows, {NOWHERE, NOWHERE, NOWHERE, 0});
+    point_.assign(rows, {PADDING_POSITION, PADDING_POSITION, PADDING_POSITION, 0});
     before_ = point_;
-    velocity_.assign(rows, {}), pulled_.assign(rows, {}), pressure_.assign(rows, 0);
+    velocity_.assign(rows, {}), accelerations_.assign(rows, {}), pressure_.assign(rows, 0);
     for (std::size_t i = 0; i < count; ++i) {
       order_[i] = static_cast<std::int32_t>(i);
       const double *x = state + 3 * i, *v = state + 3 * (count + i), *a = accelerations + 3 * i;
       point_[i] = {x[0], x[1], x[2], 0};
       velocity_[i] = {v[0], v[1], v[2], 0};
-      pulled_[i] = {a[0], a[1], a[2], 0};
+      accelerations_[i] = {a[0], a[1], a[2], 0};
     }
     poses_.resize(colliders_.size());
     old_poses_.resize(colliders_.size());
@@ -107,25 +107,25 @@ class Steps {
   }
 
   // Takes the substeps one after the other.
-  void run(std::size_t parts) {
-    const double h = step_ / static_cast<double>(parts);
+  void run(std::size_t substeps) {
+    const double h = step_ / static_cast<double>(substeps);
     // Short substeps are as stiff as long ones, up to the stability limit.
     const double fraction = std::min(sound_ * h / rule_.spacing, 1.0);
-    relaxed_ = RELAXED * fraction * fraction;
-    for (std::size_t k = 0; k < parts; ++k) {
-      const double fraction = static_cast<double>(k + 1) / static_cast<double>(parts);
+    relaxation_ = RELAXATION * fraction * fraction;
+    for (std::size_t k = 0; k < substeps; ++k) {
+      const double fraction = static_cast<double>(k + 1) / static_cast<double>(substeps);
       predict(h);
       old_poses_ = poses_;
       pose_colliders(fraction, poses_);
       if (!listed_ || stale()) list();
-      look();
-      draw(h, k, parts);
-      press(h);
-      settle(h);
-      slow(h, k, parts);
+      measure_density();
+      apply_tension(h, k, substeps);
+      apply_pressure(h);
+      resolve_contacts(h);
+      apply_damping(h, k, substeps);
       push_bodies(h, 1 - fraction);
     }
-    for (double& one : pressure_) one /= static_cast<double>(parts);
+    for (double& one : pressure_) one /= static_cast<double>(substeps);
   }
 
   void store_state(double* state, double* pressure) const {
@@ -141,18 +141,18 @@ class Steps {
   void densities(double* out) {
     before_ = point_;
     list();
-    look();
-    for (std::size_t i = 0; i < count_; ++i) out[order_[i]] = 1 + dense_[i];
+    measure_density();
+    for (std::size_t i = 0; i < count_; ++i) out[order_[i]] = 1 + excess_densities_[i];
   }
 
   const std::vector<Body>& bodies() const { return bodies_; }
   double compression() const { return compression_; }
 
  private:
-  struct Near {
+  struct ColliderContact {
     std::int32_t collider;
-    Beyond contribution;
-    Vec pushed = {};  // displacement, then the velocity change from it
+    WallContribution contribution;
+    Vec correction = {};  // displacement, then the velocity change from it
     Vec point = {};
   };
 
@@ -160,7 +160,7 @@ class Steps {
     for (std::size_t i = 0; i < count_; ++i) {
       Row& x = point_[i];
       Row& v = velocity_[i];
-      const Row& a = pulled_[i];
+      const Row& a = accelerations_[i];
       before_[i] = x;
       v.x += h * a.x, v.y += h * a.y, v.z += h * a.z;
       x.x += h * v.x, x.y += h * v.y, x.z += h * v.z;
@@ -219,24 +219,24 @@ class Steps {
     }
     by.push_back(static_cast<std::int32_t>(count_));
     reorder(order_, by), reorder(point_, by), reorder(before_, by), reorder(velocity_, by);
-    reorder(pulled_, by), reorder(pressure_, by);
-    first_.assign(count_ + 1, 0);
+    reorder(accelerations_, by), reorder(pressure_, by);
+    neighbour_starts_.assign(count_ + 1, 0);
     partners_.clear();
     grid.visit_all<true>(std::numeric_limits<double>::infinity(),
                             [&](std::size_t i, const double*, const std::int32_t* hit,
                                 const std::int32_t* end) {
                               partners_.insert(partners_.end(), hit, end);
                               while (partners_.size() % WIDE) partners_.push_back(by.back());
-                              first_[i + 1] = partners_.size();
+                              neighbour_starts_[i + 1] = partners_.size();
                             });
-    for (std::size_t i = grid.size(); i < count_; ++i) first_[i + 1] = partners_.size();
+    for (std::size_t i = grid.size(); i < count_; ++i) neighbour_starts_[i + 1] = partners_.size();
     factor_.resize(partners_.size());
     listed_at_ = point_;
     listed_poses_ = poses_;
     listed_ = true;
     list_colliders();
     if (rule_.tension > 0) film_.list(&point_.data()->x, count_);
-    dense_.resize(count_), virial_.resize(count_);
+    excess_densities_.resize(count_), virial_.resize(count_);
   }
 
   void list_colliders() {
@@ -249,8 +249,8 @@ class Steps {
     }
     middle_ = (low + high) * 0.5;
     extent_ = length(high - low) / 2 + radius_;
-    near_.clear();
-    near_first_.assign(count_ + 1, 0);
+    contacts_.clear();
+    contact_starts_.assign(count_ + 1, 0);
     const double reach = radius_ * (1 + SKIN);
     std::vector<std::size_t> close;
     for (std::size_t c = 0; c < colliders_.size(); ++c)
@@ -260,8 +260,8 @@ class Steps {
     for (std::size_t i = 0; i < count_; ++i) {
       for (const std::size_t c : close)
         if (collide::sample(colliders_[c], poses_[c], point_[i].vec(), 0, reach).distance < reach)
-          near_.push_back({static_cast<std::int32_t>(c), {}});
-      near_first_[i + 1] = near_.size();
+          contacts_.push_back({static_cast<std::int32_t>(c), {}});
+      contact_starts_[i + 1] = contacts_.size();
     }
   }
 
@@ -269,16 +269,16 @@ class Steps {
     const double inverse = 1 / radius_;
     // Second derivative factor of the weight, over the distance.
     const double steep = -3 * inverse * inverse / lattice_;
-    return {count_,          first_.data(),    partners_.data(),     &point_.data()->x,
-            &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
+    return {count_,          neighbour_starts_.data(),    partners_.data(),     &point_.data()->x,
+            &velocity_.data()->x, factor_.data(), &sums_.data()->x, &corrections_.data()->x,
             squares_.data(), inverse,          steep,            0,
             0};
   }
 
   // The density of each, and its gradient.
-  void look() {
-    sums_.assign(count_ + 1, {}), moved_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
-    loops_.look(pairs());
+  void measure_density() {
+    sums_.assign(count_ + 1, {}), corrections_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
+    loops_.measure_density(pairs());
     const double scale = 1 / lattice_, steep = Walls::steepness() / (radius_ * radius_);
     const double per_wall = Walls::virial();
     double sum = 0;
@@ -286,13 +286,13 @@ class Steps {
       Row slope = sums_[i];
       const double inner = (1 + slope.w) * scale - 1;
       slope.w = squares_[i];
-      const double beyond = look_at_colliders(i, scale, slope), dense = inner + beyond;
-      dense_[i] = dense;
-      const double over = std::max(dense, 0.0);
-      sum += over;
+      const double beyond = measure_colliders(i, scale, slope), dense = inner + beyond;
+      excess_densities_[i] = dense;
+      const double excess = std::max(dense, 0.0);
+      sum += excess;
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
-      point_[i].w = over > 0 ? -relaxed_ * over / std::max(STEEP * steepness, steep) : 0.0;
+      point_[i].w = excess > 0 ? -relaxation_ * excess / std::max(GRADIENT_DAMPING * steepness, steep) : 0.0;
       // A wall presses as the lattice layers it replaces would.
       virial_[i] = -per_wall * beyond * point_[i].w;
     }
@@ -300,91 +300,91 @@ class Steps {
   }
 
   // Surface tension. One evaluation covers as many substeps as the shortest ripples allow.
-  void draw(double h, std::size_t part, std::size_t parts) {
+  void apply_tension(double h, std::size_t substep, std::size_t substeps) {
     if (!(rule_.tension > 0)) return;
     const double period = std::sqrt(rule_.mass() / rule_.tension);
-    const double longest = std::min(RIPPLED * period / h, static_cast<double>(parts));
-    const std::size_t together = std::max<std::size_t>(static_cast<std::size_t>(longest), 1);
-    if (part % together != 0) return;
-    const double lasts = h * static_cast<double>(std::min(together, parts - part));
+    const double max_substeps = std::min(CAPILLARY_LIMIT * period / h, static_cast<double>(substeps));
+    const std::size_t combined = std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1);
+    if (substep % combined != 0) return;
+    const double duration = h * static_cast<double>(std::min(combined, substeps - substep));
     film_.measure(&point_.data()->x, count_);
-    film_.pull(&point_.data()->x, count_, -rule_.tension * h * lasts / rule_.mass(),
-               &moved_.data()->x);
+    film_.pull(&point_.data()->x, count_, -rule_.tension * h * duration / rule_.mass(),
+               &corrections_.data()->x);
   }
 
   // Velocity damping comes before the next neighbour update: together with pressure it would
   // overshoot.
-  void slow(double h, std::size_t part, std::size_t parts) {
-    std::fill(moved_.begin(), moved_.end(), Row());
-    const bool dragged = drag(h, part, parts), calmed = calm(h, part, parts);
-    if (!dragged && !calmed) return;
+  void apply_damping(double h, std::size_t substep, std::size_t substeps) {
+    std::fill(corrections_.begin(), corrections_.end(), Row());
+    const bool is_viscous = apply_viscosity(h, substep, substeps), is_damped = damp_noise(h, substep, substeps);
+    if (!is_viscous && !is_damped) return;
     for (std::size_t i = 0; i < count_; ++i) {
-      velocity_[i].x += moved_[i].x, velocity_[i].y += moved_[i].y;
-      velocity_[i].z += moved_[i].z;
+      velocity_[i].x += corrections_[i].x, velocity_[i].y += corrections_[i].y;
+      velocity_[i].z += corrections_[i].z;
     }
   }
 
   // Viscosity. One evaluation covers as many substeps as are stable together.
-  bool drag(double h, std::size_t part, std::size_t parts) {
-    const double longest = STICKY * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
-    const std::size_t together = longest < static_cast<double>(parts)
-                                     ? std::max<std::size_t>(static_cast<std::size_t>(longest), 1)
-                                     : parts;
-    if (!(rule_.viscosity > 0) || part % together != 0) return false;
+  bool apply_viscosity(double h, std::size_t substep, std::size_t substeps) {
+    const double max_substeps = VISCOUS_LIMIT * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
+    const std::size_t combined = max_substeps < static_cast<double>(substeps)
+                                     ? std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1)
+                                     : substeps;
+    if (!(rule_.viscosity > 0) || substep % combined != 0) return false;
     FluidPairs layout = pairs();
-    layout.drag = -2 * rule_.viscosity * h * static_cast<double>(std::min(together, parts - part));
-    loops_.drag(layout);
+    layout.damping = -2 * rule_.viscosity * h * static_cast<double>(std::min(combined, substeps - substep));
+    loops_.apply_viscosity(layout);
     return true;
   }
 
   // Removes the noise of particles, averaged over many substeps.
-  bool calm(double h, std::size_t part, std::size_t parts) {
+  bool damp_noise(double h, std::size_t substep, std::size_t substeps) {
     // Not what viscosity takes itself. Drops that are pulled together would set.
     if (rule_.tension > 0) return false;
-    const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
-    if (part % CALMED != 0 || !(left > 0)) return false;
+    const double strength = 1 - rule_.viscosity / (NOISE_VISCOSITY * sound_ * rule_.spacing);
+    if (substep % NOISE_SUBSTEPS != 0 || !(strength > 0)) return false;
     const double fraction = std::min(sound_ * h / rule_.spacing, 1.0);
     FluidPairs layout = pairs();
     layout.noise = NOISE * sound_;
-    layout.drag = -CALM * left * fraction * static_cast<double>(std::min(CALMED, parts - part));
-    loops_.calm(layout);
+    layout.damping = -NOISE_DECAY * strength * fraction * static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
+    loops_.damp_noise(layout);
     return true;
   }
 
-  double look_at_colliders(std::size_t i, double scale, Row& slope) {
-    const std::size_t first = near_first_[i], last = near_first_[i + 1];
+  double measure_colliders(std::size_t i, double scale, Row& slope) {
+    const std::size_t first = contact_starts_[i], last = contact_starts_[i + 1];
     if (first == last) return 0;
-    double open = 1;
+    double open_fraction = 1;
     for (std::size_t k = first; k < last; ++k) {
-      const std::size_t c = static_cast<std::size_t>(near_[k].collider);
-      near_[k].contribution = beyond(colliders_[c], poses_[c], point_[i].vec(), radius_);
-      open *= 1 - near_[k].contribution.fraction;
+      const std::size_t c = static_cast<std::size_t>(contacts_[k].collider);
+      contacts_[k].contribution = wall_contribution(colliders_[c], poses_[c], point_[i].vec(), radius_);
+      open_fraction *= 1 - contacts_[k].contribution.fraction;
     }
     const double full = walls().full() * scale;
     for (std::size_t k = first; k < last; ++k) {
       double others = full;
       for (std::size_t m = first; m < last; ++m)
-        if (m != k) others *= 1 - near_[m].contribution.fraction;
-      Vec& gradient = near_[k].contribution.slope;
+        if (m != k) others *= 1 - contacts_[m].contribution.fraction;
+      Vec& gradient = contacts_[k].contribution.slope;
       gradient = gradient * others;
-      near_[k].contribution.push = near_[k].contribution.push * others;
+      contacts_[k].contribution.push = contacts_[k].contribution.push * others;
       slope.x += gradient.x, slope.y += gradient.y, slope.z += gradient.z;
       slope.w += dot(gradient, gradient);
     }
-    return full * (1 - open);
+    return full * (1 - open_fraction);
   }
 
   // Moves dense particles apart.
-  void press(double h) {
-    loops_.press(pairs());
+  void apply_pressure(double h) {
+    loops_.apply_pressure(pairs());
     const double per = rule_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
-      pressure_[i] += (virial_[i] + moved_[i].w) * per;
-      Vec to = point_[i].vec() + moved_[i].vec();
-      for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
+      pressure_[i] += (virial_[i] + corrections_[i].w) * per;
+      Vec to = point_[i].vec() + corrections_[i].vec();
+      for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
         // The wall presses as the fluid in front of it does.
-        const Vec by = near_[k].contribution.push * point_[i].w;
-        near_[k].pushed = by;
+        const Vec by = contacts_[k].contribution.push * point_[i].w;
+        contacts_[k].correction = by;
         to = to + by;
       }
       point_[i].x = to.x, point_[i].y = to.y, point_[i].z = to.z;
@@ -400,29 +400,29 @@ class Steps {
   // Between two colliders each pushes into the other: this many iterations, and no further than
   // this fraction of a spacing.
   static constexpr int ALTERNATIONS = 16;
-  static constexpr double FITS = 1e-4;
+  static constexpr double CONTACT_TOLERANCE = 1e-4;
 
   // Keeps particles out of colliders, and updates their velocities.
-  void settle(double h) {
+  void resolve_contacts(double h) {
     const double rate = 1 / h, size = rule_.spacing / 2;
     for (std::size_t i = 0; i < count_; ++i) {
       Vec x = point_[i].vec();
       Vec v = (x - before_[i].vec()) * rate;
       int touched = 0;
-      for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
-        Near& near = near_[k];
-        const Vec impulse = near.pushed * rate, old = v;
-        touched += meet(near, before_[i].vec(), rate, length(impulse), x, v) > 0;
-        near.pushed = impulse + (v - old);
+      for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
+        ColliderContact& contact = contacts_[k];
+        const Vec impulse = contact.correction * rate, old = v;
+        touched += resolve_contact(contact, before_[i].vec(), rate, length(impulse), x, v) > 0;
+        contact.correction = impulse + (v - old);
       }
       for (int round = 0; round < ALTERNATIONS && touched > 1; ++round) {
         double deepest = 0;
-        for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
+        for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
           const Vec old = v;
-          deepest = std::max(deepest, meet(near_[k], before_[i].vec(), rate, 0, x, v));
-          near_[k].pushed = near_[k].pushed + (v - old);
+          deepest = std::max(deepest, resolve_contact(contacts_[k], before_[i].vec(), rate, 0, x, v));
+          contacts_[k].correction = contacts_[k].correction + (v - old);
         }
-        if (deepest <= FITS * size) break;
+        if (deepest <= CONTACT_TOLERANCE * size) break;
       }
       point_[i].x = x.x, point_[i].y = x.y, point_[i].z = x.z;
       velocity_[i] = {v.x, v.y, v.z, 0};
@@ -430,34 +430,34 @@ class Steps {
   }
 
   // Moves a position and velocity out of a collider with an impulse; returns the penetration depth.
-  double meet(Near& near, Vec before, double rate, double pressed, Vec& x, Vec& v) {
+  double resolve_contact(ColliderContact& contact, Vec before, double rate, double normal_impulse, Vec& x, Vec& v) {
     const double size = rule_.spacing / 2;
-    const std::size_t c = static_cast<std::size_t>(near.collider);
+    const std::size_t c = static_cast<std::size_t>(contact.collider);
     const Collider& collider = colliders_[c];
     double deepest = 0;
     // The walls of a container's corner collide one after another.
     for (int wall = 0; wall < WALLS; ++wall) {
       const Vec from = poses_[c].to_local(before);
       const Sample sample = collide::sample_since(collider, from, poses_[c], x, size, size);
-      if (!wall) near.point = x - sample.normal * (sample.distance + size);
+      if (!wall) contact.point = x - sample.normal * (sample.distance + size);
       const bool touches = sample.distance < 0;
-      if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;
+      if (!touches && (wall || !(collider.friction > 0 && normal_impulse > 0))) break;
       deepest = std::max(deepest, -sample.distance);
       const Vec surface = transported(c, x) * rate;
-      const double into = dot(v - surface, sample.normal);
+      const double normal_velocity = dot(v - surface, sample.normal);
       if (touches) {
         x = x - sample.normal * sample.distance;
-        if (into < 0) {
-          v = v - sample.normal * ((1 + collider.restitution) * into);
-          pressed -= into;
+        if (normal_velocity < 0) {
+          v = v - sample.normal * ((1 + collider.restitution) * normal_velocity);
+          normal_impulse -= normal_velocity;
         }
       }
-      if (collider.friction > 0 && pressed > 0) {
+      if (collider.friction > 0 && normal_impulse > 0) {
         const Vec relative = v - surface;
         const Vec along = relative - sample.normal * dot(relative, sample.normal);
-        const double speed = length(along), taken = collider.friction * pressed;
-        v = v - along * (speed > taken ? taken / speed : 1.0);
-        pressed = 0;
+        const double speed = length(along), friction_limit = collider.friction * normal_impulse;
+        v = v - along * (speed > friction_limit ? friction_limit / speed : 1.0);
+        normal_impulse = 0;
       }
       if (!touches || collider.shape != Shape::BOX || !collider.container) break;
     }
@@ -465,45 +465,45 @@ class Steps {
   }
 
   // Bodies take the opposite impulses of particles.
-  void push_bodies(double h, double left) {
+  void push_bodies(double h, double remaining_fraction) {
     if (bodies_.empty()) return;
-    const double fraction = 1 - left;
+    const double fraction = 1 - remaining_fraction;
     std::vector<Vec> impulses(bodies_.size()), twists(bodies_.size());
     const double mass = rule_.mass();
-    for (const Near& near : near_) {
-      const std::int32_t owner = owners_[static_cast<std::size_t>(near.collider)];
+    for (const ColliderContact& contact : contacts_) {
+      const std::int32_t owner = owners_[static_cast<std::size_t>(contact.collider)];
       if (owner < 0) continue;
       const std::size_t b = static_cast<std::size_t>(owner);
-      const Vec impulse = near.pushed * -mass;
+      const Vec impulse = contact.correction * -mass;
       impulses[b] = impulses[b] + impulse;
-      twists[b] = twists[b] + cross(near.point, impulse);
+      twists[b] = twists[b] + cross(contact.point, impulse);
     }
     for (std::size_t b = 0; b < bodies_.size(); ++b) {
       Body& body = bodies_[b];
       const double all[6] = {impulses[b].x, impulses[b].y, impulses[b].z,
                              twists[b].x,  twists[b].y,  twists[b].z};
       for (int k = 0; k < 6; ++k)
-        body.now[k] += all[k], body.moved[k] += all[k] * left * step_;
+        body.impulse[k] += all[k], body.delayed[k] += all[k] * remaining_fraction * step_;
       const Vec centre = body.begin + (body.end - body.begin) * fraction + body.shift;
-      body.velocity = body.velocity + impulses[b] * body.ease;
-      body.spin = body.spin + body.turned_by(twists[b] - cross(centre, impulses[b]));
+      body.velocity = body.velocity + impulses[b] * body.inverse_mass;
+      body.spin = body.spin + body.angular_change(twists[b] - cross(centre, impulses[b]));
       body.shift = body.shift + body.velocity * h;
-      body.turned = body.turned + body.spin * h;
+      body.rotation = body.rotation + body.spin * h;
     }
   }
 
   // The padding particle of neighbour lists.
-  static constexpr double NOWHERE = 1e30;
+  static constexpr double PADDING_POSITION = 1e30;
   // Over squared spacing / viscosity.
-  static constexpr double STICKY = 0.1;
+  static constexpr double VISCOUS_LIMIT = 0.1;
   // Over the square root of mass / tension.
-  static constexpr double RIPPLED = 0.5;
+  static constexpr double CAPILLARY_LIMIT = 0.5;
 
   const FluidFunctions& loops_ =
       fluid_in_quads() ? *fluid_in_quads() : FluidLoops<Plain>::functions;
-  const Rule rule_;
+  const FluidRule rule_;
   const double sound_;
-  double relaxed_ = 0;
+  double relaxation_ = 0;
   const std::vector<Collider> colliders_;
   const std::vector<std::int32_t> owners_;
   std::vector<Body> bodies_;
@@ -515,10 +515,10 @@ class Steps {
   Vec middle_;
   // All in grid order; `order_` maps to the original order.
   std::vector<std::int32_t> order_, partners_;
-  std::vector<std::size_t> first_, near_first_;
-  std::vector<double> factor_, squares_, dense_, pressure_, virial_;
-  std::vector<Row> point_, before_, velocity_, pulled_, moved_, sums_, listed_at_;
-  std::vector<Near> near_;
+  std::vector<std::size_t> neighbour_starts_, contact_starts_;
+  std::vector<double> factor_, squares_, excess_densities_, pressure_, virial_;
+  std::vector<Row> point_, before_, velocity_, accelerations_, corrections_, sums_, listed_at_;
+  std::vector<ColliderContact> contacts_;
   std::vector<Pose> poses_, old_poses_, listed_poses_;
 };
 
@@ -528,7 +528,7 @@ class Steps {
 
 namespace {
 
-fluid::Rule rule_of(double spacing, double density, double viscosity, double tension) {
+fluid::FluidRule rule_of(double spacing, double density, double viscosity, double tension) {
   check::positive("spacing", spacing);
   check::positive("density", density);
   check::not_negative("viscosity", viscosity);
@@ -542,7 +542,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          In<double, 2> bodies, In<double, 3> state,
                          In<double, 2> accelerations, double spacing, double density,
                          double viscosity, double tension, double sound, double step,
-                         std::int64_t parts) {
+                         std::int64_t substeps) {
   const std::size_t count = state.shape(1), pushed = bodies.shape(0);
   std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("owners", owners, {shapes.size()});
@@ -551,16 +551,16 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   check::finite("bodies", bodies);
   check::shape("state", state, {2, check::ANY, 3});
   check::shape("accelerations", accelerations, {count, 3});
-  check::at_most("state", count, check::MOST_ROWS);
+  check::at_most("state", count, check::MAX_ROWS);
   check::positive("sound", sound);
   check::positive("step", step);
-  check::between("parts", parts, 1, 1 << 24);
-  const fluid::Rule rule = rule_of(spacing, density, viscosity, tension);
+  check::between("substeps", substeps, 1, 1 << 24);
+  const fluid::FluidRule rule = rule_of(spacing, density, viscosity, tension);
   std::vector<fluid::Body> moved(pushed);
   for (std::size_t b = 0; b < pushed; ++b) {
     const double* row = bodies.data() + 13 * b;
-    moved[b].ease = row[0];
-    std::copy_n(row + 1, 6, moved[b].turning);
+    moved[b].inverse_mass = row[0];
+    std::copy_n(row + 1, 6, moved[b].inverse_inertia);
     moved[b].begin = collide::load(row + 7), moved[b].end = collide::load(row + 10);
   }
   Out<double, 3> result(2, count, 3), wrenches(2, pushed, 6);
@@ -569,12 +569,12 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   fluid::Steps steps(rule, std::move(shapes), {owners.data(), owners.data() + owners.size()},
                      std::move(moved), step, sound);
   steps.begin(state.data(), accelerations.data(), count);
-  steps.run(static_cast<std::size_t>(parts));
+  steps.run(static_cast<std::size_t>(substeps));
   steps.store_state(result.get(), pressures.get());
   compression = steps.compression();
   for (std::size_t b = 0; b < pushed; ++b) {
-    std::copy_n(steps.bodies()[b].now, 6, wrenches.get() + 6 * b);
-    std::copy_n(steps.bodies()[b].moved, 6, wrenches.get() + 6 * (pushed + b));
+    std::copy_n(steps.bodies()[b].impulse, 6, wrenches.get() + 6 * b);
+    std::copy_n(steps.bodies()[b].delayed, 6, wrenches.get() + 6 * (pushed + b));
   }
   return {std::move(result), std::move(pressures), std::move(wrenches), compression};
 }
@@ -583,8 +583,8 @@ Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, d
   const std::size_t count = points.shape(0);
   std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("points", points, {check::ANY, 3});
-  check::at_most("points", count, check::MOST_ROWS);
-  const fluid::Rule rule = rule_of(spacing, 1, 0, 0);
+  check::at_most("points", count, check::MAX_ROWS);
+  const fluid::FluidRule rule = rule_of(spacing, 1, 0, 0);
   Out<double, 1> result(count);
   const std::vector<std::int32_t> owners(shapes.size(), -1);
   fluid::Steps steps(rule, std::move(shapes), owners, {}, 1, 1);
@@ -598,7 +598,7 @@ Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, d
 double fluid_area(In<double, 2> points, double spacing) {
   const std::size_t count = points.shape(0);
   check::shape("points", points, {check::ANY, 3});
-  check::at_most("points", count, check::MOST_ROWS);
+  check::at_most("points", count, check::MAX_ROWS);
   check::positive("spacing", spacing);
   std::vector<double> rows(4 * count);
   for (std::size_t i = 0; i < count; ++i) std::copy_n(points.data() + 3 * i, 3, &rows[4 * i]);

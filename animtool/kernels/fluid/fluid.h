@@ -19,33 +19,33 @@ constexpr double REACH = 2.0;
 // Margin of neighbour lists beyond the radius, over the radius.
 constexpr double SKIN = 0.15;
 // Effective gap to walls and bodies, in spacings, calibrated by the displaced volume of fluid.
-constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.12;
+constexpr double WALL_GAP = 0.02, BODY_GAP = 0.12;
 // Relaxation of a step to the lattice solution: all particles move at once, and steps of more than
 // two thirds diverge if every second one is dense. All have the same stiffness, so that pressure
 // has a potential: otherwise it would drive circulation forever. Much denser particles are less
 // stiff, by this fraction of their squared gradients.
-constexpr double RELAXED = 0.45, STEEP = 0.6;
+constexpr double RELAXATION = 0.45, GRADIENT_DAMPING = 0.6;
 // Pairs that separate or approach by less than this over the speed of sound are noise, which decays
-// by CALM each time sound travels one spacing; faster ones hardly decay. This many substeps are
+// by NOISE_DECAY each time sound travels one spacing; faster ones hardly decay. This many substeps are
 // combined.
-constexpr double NOISE = 1.6e-3, CALM = 0.1;
+constexpr double NOISE = 1.6e-3, NOISE_DECAY = 0.1;
 // Its equivalent viscosity, over the speed of sound and the spacing, from how it slows shear slower
 // than noise.
-constexpr double CALM_VISCOSITY = 0.012;
-constexpr std::size_t CALMED = 8;
+constexpr double NOISE_VISCOSITY = 0.012;
+constexpr std::size_t NOISE_SUBSTEPS = 8;
 
 // Kernel weight by distance over the radius, and its derivative over the distance, both by the
 // radius and unscaled. Of its family it is the one that keeps lattices of this radius nearly as
 // dense under strain: otherwise fluid sets, and bodies stick in it.
 struct Weight {
   static double at(double q) {
-    const double left = 1 - q;
-    return left * left * left * (1 + 3 * q - 3 * q * q);
+    const double remaining = 1 - q;
+    return remaining * remaining * remaining * (1 + 3 * q - 3 * q * q);
   }
   // Derivative over q.
   static double slope(double q) {
-    const double left = 1 - q;
-    return -3 * q * left * left * (6 - 5 * q);
+    const double remaining = 1 - q;
+    return -3 * q * remaining * remaining * (6 - 5 * q);
   }
 };
 
@@ -84,13 +84,13 @@ class Walls {
 const Walls& walls();
 
 // Contribution of a collider to the density of a particle, as a fraction of the full one.
-struct Beyond {
+struct WallContribution {
   double fraction = 0, distance = 0;
   Vec slope;   // gradient of the fraction, in the world [1/m]
-  Vec push;    // pressing part of it: see `beyond_box`
+  Vec push;    // pressing part of it: see `box_contribution`
   Vec normal;  // outward direction of the collider
 };
 
-Beyond beyond(const collide::Collider& c, const collide::Pose& pose, Vec point, double radius);
+WallContribution wall_contribution(const collide::Collider& c, const collide::Pose& pose, Vec point, double radius);
 
 }  // namespace animtool::fluid

@@ -15,18 +15,18 @@ struct FluidPairs {
   const std::int32_t* partners;
   const double *points, *velocities;  // positions with multipliers
   double* factors;        // of each pair: kernel derivative over the distance
-  double *sums, *moved;   // slopes and weights; displacements and virials
+  double *sums, *corrections;   // slopes and weights; displacements and virials
   double* squares;        // of slopes
   double inverse, steep;  // 1 over the radius; the scale of slopes
-  double drag;            // of velocities
+  double damping;            // of velocities
   double noise;           // speed of particles that counts as rest
 };
 
 struct FluidFunctions {
-  void (*look)(const FluidPairs&);   // computes factors, adds to sums and squares
-  void (*drag)(const FluidPairs&);   // adds to displacements: viscosity
-  void (*calm)(const FluidPairs&);   // adds to displacements: noise damping
-  void (*press)(const FluidPairs&);  // adds to displacements: pressure multipliers
+  void (*measure_density)(const FluidPairs&);   // computes factors, adds to sums and squares
+  void (*apply_viscosity)(const FluidPairs&);   // adds to displacements: viscosity
+  void (*damp_noise)(const FluidPairs&);   // adds to displacements: noise damping
+  void (*apply_pressure)(const FluidPairs&);  // adds to displacements: pressure multipliers
 };
 const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
 
@@ -37,7 +37,7 @@ struct FluidLoops {
   // Visits each particle's partners, four at a time: position of the first, the rows from them to
   // it, and its update; partners take the opposite update, except the fourth number.
   template <class Do>
-  static void each(const FluidPairs& pairs, double* out, Do act) {
+  static void for_each_pair(const FluidPairs& pairs, double* out, Do act) {
     for (std::size_t i = 0; i < pairs.count; ++i) {
       const double* at = pairs.points + 4 * i;
       const D here[4] = {at[0], at[1], at[2], at[3]};
@@ -58,15 +58,15 @@ struct FluidLoops {
 
   static D squares_of(const D* off) { return off[0] * off[0] + off[1] * off[1] + off[2] * off[2]; }
 
-  static void look(const FluidPairs& pairs) {
+  static void measure_density(const FluidPairs& pairs) {
     const D inverse = pairs.inverse, steep = pairs.steep;
-    each(pairs, pairs.sums, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
-      const D squared = squares_of(off), q = root(squared) * inverse;
-      const D left = most(1.0 - q, 0.0), square = left * left;
+    for_each_pair(pairs, pairs.sums, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+      const D squared = squares_of(off), q = sqrt(squared) * inverse;
+      const D remaining = max(1.0 - q, 0.0), square = remaining * remaining;
       const D factor = steep * square * (6.0 - 5.0 * q);
       factor.store(pairs.factors + k);
       for (std::size_t c = 0; c < 3; ++c) parts[c] = factor * off[c];
-      parts[3] = 0.0 - square * left * (1.0 + 3.0 * q * left);
+      parts[3] = 0.0 - square * remaining * (1.0 + 3.0 * q * remaining);
       double squares[WIDE];
       (factor * factor * squared).store(squares);
       for (std::size_t c = 0; c < WIDE; ++c) pairs.squares[pairs.partners[k + c]] += squares[c];
@@ -75,9 +75,9 @@ struct FluidLoops {
   }
 
   // Brookshaw's Laplacian, of velocities.
-  static void drag(const FluidPairs& pairs) {
-    const D viscous = pairs.drag;
-    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D*, D* parts) {
+  static void apply_viscosity(const FluidPairs& pairs) {
+    const D viscous = pairs.damping;
+    for_each_pair(pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D*, D* parts) {
       D there[4];
       gather(pairs.velocities, pairs.partners + k, there);
       const D across = viscous * D::of(pairs.factors + k);
@@ -89,9 +89,9 @@ struct FluidLoops {
 
   // Damps relative speeds along pairs that are as slow as particle noise. Momentum and spin are
   // conserved.
-  static void calm(const FluidPairs& pairs) {
-    const D scale = pairs.drag, noise = pairs.noise * pairs.noise, none = 1e-300;
-    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+  static void damp_noise(const FluidPairs& pairs) {
+    const D scale = pairs.damping, noise = pairs.noise * pairs.noise, none = 1e-300;
+    for_each_pair(pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
       D there[4];
       gather(pairs.velocities, pairs.partners + k, there);
       D along = 0.0;
@@ -105,15 +105,15 @@ struct FluidLoops {
   }
 
   // Half of a pair's pressure times its offset is the virial of each.
-  static void press(const FluidPairs& pairs) {
-    each(pairs, pairs.moved, [&](std::size_t, std::size_t k, const D* off, D* parts) {
+  static void apply_pressure(const FluidPairs& pairs) {
+    for_each_pair(pairs, pairs.corrections, [&](std::size_t, std::size_t k, const D* off, D* parts) {
       const D push = off[3] * D::of(pairs.factors + k);
       for (std::size_t c = 0; c < 3; ++c) parts[c] = push * off[c];
       parts[3] = 0.0 - push * squares_of(off) * (0.5 / 3);
     });
   }
 
-  static constexpr FluidFunctions functions{look, drag, calm, press};
+  static constexpr FluidFunctions functions{measure_density, apply_viscosity, damp_noise, apply_pressure};
 };
 
 }  // namespace animtool

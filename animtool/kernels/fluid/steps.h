@@ -15,7 +15,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          In<double, 2> bodies, In<double, 3> state,
                          In<double, 2> accelerations, double spacing, double density,
                          double viscosity, double tension, double sound, double step,
-                         std::int64_t parts);
+                         std::int64_t substeps);
 
 Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing);
 double fluid_area(In<double, 2> points, double spacing);

@@ -34,10 +34,10 @@ void gauss(double* at, double* weight) {
 // Visits each point of a lattice around one, with its distance in radii.
 template <class Act>
 void each_point(Act act) {
-  const int far = static_cast<int>(std::ceil(REACH));
-  for (int x = -far; x <= far; ++x)
-    for (int y = -far; y <= far; ++y)
-      for (int z = -far; z <= far; ++z)
+  const int reach = static_cast<int>(std::ceil(REACH));
+  for (int x = -reach; x <= reach; ++x)
+    for (int y = -reach; y <= reach; ++y)
+      for (int z = -reach; z <= reach; ++z)
         act(x, y, std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH);
 }
 
@@ -78,11 +78,11 @@ Walls::Walls() {
   // At an edge both walls overlap in the same corner: their product counts once.
   full_ = wall * wall / edge;
   // A lattice wall contributes what the replaced layers would.
-  double least = 0.5, most = 2, value, slope;
+  double low = 0.5, high = 2, value, slope;
   for (int round = 0; round < 60; ++round) {
-    scale_ = (least + most) / 2;
+    scale_ = (low + high) / 2;
     integral(0.5 / REACH, 0, value, slope);
-    (value > wall / full_ ? least : most) = scale_;
+    (value > wall / full_ ? low : high) = scale_;
   }
   for (int i = 0; i < KNOTS; ++i)
     integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
@@ -98,12 +98,12 @@ void Walls::integral(double distance, double curved, double& value, double& slop
   for (int i = 0; i < SHELLS; ++i) {
     const double r = from + span * radii_[i];
     const double shell = 4 * r * r * Weight::at(r) * weights_[i] * span * norm;
-    const double top = 2 * d + curvature * (d * d + r * r), under = 2 * r * stretch;
-    const double cosine = top / under;
+    const double numerator = 2 * d + curvature * (d * d + r * r), denominator = 2 * r * stretch;
+    const double cosine = numerator / denominator;
     if (cosine >= 1) continue;
     value += shell * (1 - std::max(cosine, -1.0)) / 2;
     if (cosine > -1)
-      slope -= shell * ((2 + 2 * curvature * d) / under - cosine * curvature / stretch) / 2;
+      slope -= shell * ((2 + 2 * curvature * d) / denominator - cosine * curvature / stretch) / 2;
   }
   if (d < 0)  // shells entirely beyond it
     for (int i = 0; i < SHELLS; ++i) {
@@ -121,9 +121,9 @@ void Walls::fraction(double distance, double curvature, double& value, double& s
   if (curvature != 0) return integral(distance, curvature, value, slope);
   const double at = (std::max(distance, -1.0) + 1) * ((KNOTS - 1) / 2);
   const int knot = std::min(static_cast<int>(at), KNOTS - 2);
-  const double part = at - knot;
-  value = flat_[knot][0] * (1 - part) + flat_[knot + 1][0] * part;
-  slope = flat_[knot][1] * (1 - part) + flat_[knot + 1][1] * part;
+  const double fraction = at - knot;
+  value = flat_[knot][0] * (1 - fraction) + flat_[knot + 1][0] * fraction;
+  slope = flat_[knot][1] * (1 - fraction) + flat_[knot + 1][1] * fraction;
 }
 
 const Walls& walls() {
@@ -143,18 +143,18 @@ double curvature(const Collider& c) {
 
 // Moving fluid layers are looser than a lattice: the gap to a wall, and to a body it flows around,
 // is larger by this, in radii.
-double nearer(const Collider& c) {
-  return (c.container || c.shape == Shape::PLANE ? LOOSE : LOOSE_AROUND) / REACH;
+double layer_gap(const Collider& c) {
+  return (c.container || c.shape == Shape::PLANE ? WALL_GAP : BODY_GAP) / REACH;
 }
 
 // A box presses through the nearest face; changes of the fraction along a face would make it wider.
-void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
+void box_contribution(const Collider& c, const Pose& pose, Vec point, double radius, WallContribution& out) {
   const Vec local = pose.to_local(point);
   const double at[3] = {local.x, local.y, local.z};
   double inside[3], slopes[3];
   for (int k = 0; k < 3; ++k) {
     const double half = std::max(
-        c.size[k] + (nearer(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
+        c.size[k] + (layer_gap(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
     double high, low, falls, rises;
     walls().fraction((half - at[k]) / radius, 0, high, falls);
     walls().fraction((half + at[k]) / radius, 0, low, rises);
@@ -173,17 +173,17 @@ void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, B
 
 }  // namespace
 
-Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
+WallContribution wall_contribution(const Collider& c, const Pose& pose, Vec point, double radius) {
   const Sample sample = collide::sample(c, pose, point, 0, radius);
-  Beyond out;
+  WallContribution out;
   out.distance = sample.distance, out.normal = sample.normal;
   if (!(sample.distance < radius)) return out;
   if (c.shape == Shape::BOX) {
-    beyond_box(c, pose, point, radius, out);
+    box_contribution(c, pose, point, radius, out);
     return out;
   }
   double slope;
-  walls().fraction(sample.distance / radius + nearer(c), curvature(c) * radius, out.fraction, slope);
+  walls().fraction(sample.distance / radius + layer_gap(c), curvature(c) * radius, out.fraction, slope);
   out.slope = out.push = sample.normal * (slope / radius);
   return out;
 }

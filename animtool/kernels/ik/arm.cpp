@@ -555,8 +555,8 @@ class SixPins : public Arm {
   double goal_[9];  // rotation of the last node from its pose at zero angles
   Triple wrist_;    // target of the wrist
   const double* start_ = nullptr;
-  std::array<Branch, MOST_BRANCHES> branches_;
-  std::array<std::size_t, MOST_BRANCHES> order_;
+  std::array<Branch, MAX_BRANCHES> branches_;
+  std::array<std::size_t, MAX_BRANCHES> order_;
   std::size_t count_ = 0;
 };
 

@@ -41,7 +41,7 @@ Descent::End Descent::descend(double damping, bool thorough) {
     else
       damping = std::max(damping, 1e-9) * grow;
     grow = fresh ? 2 : grow * 2;
-    if (damping > MOST_DAMPING || trusted < MIN_ROTATION) return End::STUCK;
+    if (damping > MAX_DAMPING || trusted < MIN_ROTATION) return End::STUCK;
     if (fresh) {
       slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
       std::swap(now_, next_);

@@ -186,7 +186,7 @@ class Descent : public Attempt {
   enum class End { REACHED, STUCK, SLOW, BUDGET };
 
   // Bounds of the damping of all descents.
-  static constexpr double LEAST_DAMPING = 1e-12, MOST_DAMPING = 1e8;
+  static constexpr double LEAST_DAMPING = 1e-12, MAX_DAMPING = 1e8;
   // In this many steps a descent has to reduce the cost to this fraction.
   static constexpr int MAX_STALLED = 6;
   static constexpr double PROGRESS = 0.3;

@@ -37,7 +37,7 @@ class Arm : public ClosedForm {
   virtual std::size_t branches(const double* start, const double* target, double* poses) = 0;
 };
 
-constexpr std::size_t MOST_BRANCHES = 8, ARM_PINS = 6;
+constexpr std::size_t MAX_BRANCHES = 8, ARM_PINS = 6;
 
 std::unique_ptr<Arm> make_arm(const Task& task, double length_tolerance, double angle_tolerance);
 

@@ -20,9 +20,9 @@ enum class Op {
 };
 
 // Numbers of an instruction.
-constexpr int MOST_NUMBERS = 6;
+constexpr int MAX_NUMBERS = 6;
 // Largest stack depth of a program, and largest number of derivatives of a value.
-constexpr std::size_t MOST_STACKED = 1024, MOST_SLOPES = 1024;
+constexpr std::size_t MAX_STACKED = 1024, MAX_SLOPES = 1024;
 
 inline int arguments(Op op) {
   switch (op) {
@@ -41,7 +41,7 @@ struct Instruction {
   // NUMBER: its value; POINT: x, y, slope; CURVE: whether it is smooth; COORDINATE: scale; BALL:
   // factors of the twist, the swing about x and y, and the swing angle, and the middle of the
   // twist's range.
-  double numbers[MOST_NUMBERS];
+  double numbers[MAX_NUMBERS];
   int slot;  // of the first degree of freedom, among the program's
 };
 

@@ -88,7 +88,7 @@ class PathFit : public Descent {
   // that is within this multiple of c, and nearer by this factor. If more than this many are
   // stray, the pose is wrong, not the targets.
   static constexpr double STRAY = 2, CLOSE = 2, NEARER = 0.25;
-  static constexpr std::size_t MOST_STRAYS = 16;
+  static constexpr std::size_t MAX_STRAYS = 16;
   // This many goals outweigh the pose extrapolated from earlier frames.
   static constexpr double DOUBT = 3;
   // Fraction of the velocity that is kept per frame without observations.
@@ -301,7 +301,7 @@ class PathFit : public Descent {
       const double miss = weight * kept_.misses[PARTS * e];
       if (!(weight > 0) || miss * miss > STRAY * limit) strays_.push_back(e);
     }
-    if (strays_.size() < 2 || strays_.size() > MOST_STRAYS) return;
+    if (strays_.size() < 2 || strays_.size() > MAX_STRAYS) return;
     std::int64_t* taken = taken_ + static_cast<std::size_t>(t) * task_.goals.size();
     const std::vector<double> before(source_targets(t), source_targets(t) + task_.goals.size() * TARGET_WIDTH);
     for (const std::size_t from : strays_) {
@@ -539,7 +539,7 @@ IkFitted fit_ik(const IkFitting& source_targets) {
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);
   check_poses("starts", task, frames, starts);
-  check::at_most("path", frames, check::MOST_ROWS);
+  check::at_most("path", frames, check::MAX_ROWS);
   check_targets("targets", task, frames, targets);
   check::positive("anchor", anchor);
   check::not_negative("speed", speed);

@@ -338,7 +338,7 @@ constexpr std::array<int, PARTS + 1> COLUMNS = sums([]<class Kind>() { return Ki
 constexpr int WEIGHTS = COLUMNS[PARTS];
 constexpr int TARGET_WIDTH = WEIGHTS + PARTS;
 // Number of rows of a goal with all kinds.
-constexpr int MOST_GOAL_ROWS = sums([]<class Kind>() { return Kind::ROWS; })[PARTS];
+constexpr int MAX_GOAL_ROWS = sums([]<class Kind>() { return Kind::ROWS; })[PARTS];
 constexpr std::array<bool, PARTS> METRIC = [] {
   std::array<bool, PARTS> metric{};
   each_kind([&]<class Kind>(int part) { metric[part] = Kind::METRIC; });

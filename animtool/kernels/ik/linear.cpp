@@ -7,7 +7,7 @@ namespace animtool::ik {
 
 bool factor_cholesky(double* a, double* column, int m) {
   using namespace cholesky;
-  return factor<Inverses, Small::FAILS>(a, m, m, column, [](std::size_t) { return 0.0; });
+  return factor<Inverses, Small::FAIL>(a, m, m, column, [](std::size_t) { return 0.0; });
 }
 
 void solve_factored(const double* a, double* b, int m) {

@@ -11,7 +11,7 @@ namespace animtool::ik {
 namespace {
 
 // Matrices over the rows are indexed with int.
-constexpr std::size_t MOST_GOALS = 46340 / MOST_GOAL_ROWS;
+constexpr std::size_t MAX_GOALS = 46340 / MAX_GOAL_ROWS;
 // Numbers of a goal: both parts of its offset, its aim axis, and its weights.
 constexpr std::size_t GOAL_NUMBERS = 9 + PARTS;
 
@@ -30,7 +30,7 @@ constexpr std::int64_t INSTRUCTION = 3;
 // Value of a node's `follows` column if its coordinate is a program.
 constexpr std::int64_t FOLLOWS_PROGRAM = 2;
 // Degrees of freedom that are gathered before doubles are taken out.
-constexpr std::size_t MOST_ROWS_READ = 4 * MOST_SLOPES;
+constexpr std::size_t MAX_ROWS_READ = 4 * MAX_SLOPES;
 
 // Degrees of freedom that a program depends on: of its coordinates, and of other programs.
 void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& program) {
@@ -42,11 +42,11 @@ void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& progr
       const std::vector<int>& others = chain.programs[one.which].dofs;
       program.dofs.insert(program.dofs.end(), others.begin(), others.end());
     }
-    if (program.dofs.size() > MOST_ROWS_READ) {
+    if (program.dofs.size() > MAX_ROWS_READ) {
       std::sort(program.dofs.begin(), program.dofs.end());
       program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()),
                          program.dofs.end());
-      if (program.dofs.size() > MOST_SLOPES) check::refuse("nodes", "a program reads too much");
+      if (program.dofs.size() > MAX_SLOPES) check::refuse("nodes", "a program reads too much");
     }
   }
   std::sort(program.dofs.begin(), program.dofs.end());
@@ -75,7 +75,7 @@ void check_stack(Program& program) {
     stacked += 1 - taken;
     program.depth = std::max(program.depth, stacked);
   }
-  if (stacked != 1 || points || program.depth > MOST_STACKED)
+  if (stacked != 1 || points || program.depth > MAX_STACKED)
     check::refuse("nodes", "a program does not come to one value");
 }
 
@@ -92,18 +92,18 @@ void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& number
       const std::int64_t* row = nodes.data() + 4 * n;
       check::between("nodes", row[0], INSTRUCTION, INSTRUCTION);
       check::between("nodes", row[2], 0, static_cast<std::int64_t>(Op::COUNT) - 1);
-      check::finite("numbers", numbers.data() + 18 * n, MOST_NUMBERS);
-      check::between("nodes", row[3], 1, static_cast<std::int64_t>(check::MOST_ROWS));
+      check::finite("numbers", numbers.data() + 18 * n, MAX_NUMBERS);
+      check::between("nodes", row[3], 1, static_cast<std::int64_t>(check::MAX_ROWS));
       const std::int64_t which = row[3] - 1;
       Instruction one{static_cast<Op>(row[2]), 0, {}, 0};
-      std::copy(numbers.data() + 18 * n, numbers.data() + 18 * n + MOST_NUMBERS, one.numbers);
+      std::copy(numbers.data() + 18 * n, numbers.data() + 18 * n + MAX_NUMBERS, one.numbers);
       if (one.op == Op::COORDINATE || one.op == Op::BALL) {
         check::indices("nodes", &which, 1, 1, coordinates + 1);
         if (balls[which - 1] != (one.op == Op::BALL) || dof_of[which - 1] < 0)
           check::refuse("nodes", "a program reads no such coordinate");
       }
       if (one.op == Op::RESULT) check::indices("nodes", &which, 1, 1, number + 1);
-      if (one.op == Op::CURVE) check::indices("nodes", &which, 1, 1, check::MOST_ROWS);
+      if (one.op == Op::CURVE) check::indices("nodes", &which, 1, 1, check::MAX_ROWS);
       one.which = static_cast<int>(one.op == Op::CURVE ? which : which - 1);
       program.instructions.push_back(one);
     }
@@ -121,7 +121,7 @@ void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& number
 Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers) {
   check::shape("nodes", nodes, {check::ANY, 4});
   check::shape("numbers", numbers, {nodes.shape(0), 18});
-  check::at_most("nodes", nodes.shape(0), check::MOST_ROWS);
+  check::at_most("nodes", nodes.shape(0), check::MAX_ROWS);
   Chain chain;
   int coordinates = 0, dofs = 0;
   std::vector<int> dof_of;
@@ -145,7 +145,7 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     std::copy(values + 14, values + 18, node.limit);
     if (node.kind == Kind::BALL) prepare(node);
     if (row[3] == FOLLOWS_PROGRAM) {
-      check::between("nodes", row[2], 0, check::MOST_ROWS);
+      check::between("nodes", row[2], 0, check::MAX_ROWS);
       if (node.kind == Kind::BALL) check::refuse("nodes", "a ball follows no program");
       node.program = static_cast<int>(row[2]);
       chain.nodes.push_back(node);
@@ -184,7 +184,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                double rest_weight) {
   check::shape("goals", goals, {check::ANY, 4});
   check::shape("goal_numbers", goal_numbers, {goals.shape(0), GOAL_NUMBERS});
-  check::at_most("goals", goals.shape(0), MOST_GOALS);
+  check::at_most("goals", goals.shape(0), MAX_GOALS);
   check::finite("goal_numbers", goal_numbers);
   check::not_negative("rest_weight", rest_weight);
   Task task;

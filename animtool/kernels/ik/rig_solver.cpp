@@ -267,7 +267,7 @@ Out<double, 2> RigSolver::branches(In<double, 1> start, In<double, 2> targets) {
   check::finite("start", start);
   parts.check_world("targets", 1, {targets.data(), {1, goals, TARGET_WIDTH}});
   std::vector<double> from(parts.plain.coordinates), target(goals * TARGET_WIDTH);
-  double poses[MOST_BRANCHES * ARM_PINS];
+  double poses[MAX_BRANCHES * ARM_PINS];
   parts.map.to_chain(start.data(), from.data());
   parts.pack_targets(targets.data(), target.data());
   const std::size_t count = parts.arm->branches(from.data(), target.data(), poses);

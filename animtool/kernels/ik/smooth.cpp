@@ -81,7 +81,7 @@ class PathSmoother {
   static constexpr int TRIES = 8;
   static constexpr double STIFFER = 4;
   // Passes over the limits, steps of conjugate gradients, and their tolerance.
-  static constexpr int PASSES = 5, MOST_ROUNDS = 60;
+  static constexpr int PASSES = 5, MAX_ROUNDS = 60;
   static constexpr double LOOSE = 1e-2, ROUGH = 3e-1;
 
   // The values of goals are kept, even if they yielded to other goals or to a preference.
@@ -327,7 +327,7 @@ class PathSmoother {
     for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i] - image_[i];
     double size_now = precondition();
     along_ = conditioned_;
-    for (int round = 0; round < MOST_ROUNDS && size_now > small && size_now > 0; ++round) {
+    for (int round = 0; round < MAX_ROUNDS && size_now > small && size_now > 0; ++round) {
       band_.multiply(along_, width_, image_);
       const double bend = product(along_, image_);
       if (!(bend > 0)) return;
@@ -436,7 +436,7 @@ IkSmoothed smooth_ik(const IkSmoothing& arrays) {
   const Chain plain = task.chain;
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);
-  check::at_most("path", frames, check::MOST_ROWS);
+  check::at_most("path", frames, check::MAX_ROWS);
   check_targets("targets", task, frames, targets);
   check_targets("sought", task, frames, sought);
   check::shape("stretches", stretches, {frames, e});

@@ -50,7 +50,7 @@ class GoalSpace {
               inner(row_of(block, i), row_of(block, j), 0, block.columns);
     for (int i = 0; i < m; ++i) work.gram[i * m + i] += DAMPING;
     work.felt.resize(m);
-    cholesky::factor<cholesky::Inverses, cholesky::Small::COUNTS_FOR_NOTHING>(
+    cholesky::factor<cholesky::Inverses, cholesky::Small::IGNORE>(
         work.gram.data(), m, m, work.felt.data(), [](std::size_t) { return DAMPING / 2; });
     factor_.clear();
     for (int i = 0; i < m; ++i)

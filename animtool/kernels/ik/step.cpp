@@ -14,7 +14,7 @@ bool Stepper::fix_violations(const State& state, const double* step, std::vector
 bool Stepper::step(const State& state, const Linearized& linear, double damping, bool curved,
                    double longest, double* out) {
   shut(state);
-  for (int pass = 0; pass < MOST_PASSES; ++pass) {
+  for (int pass = 0; pass < MAX_PASSES; ++pass) {
     if (!(curved ? solve_curved(state, linear, damping, longest, out)
                  : linear.primal ? solve_primal(linear, damping, out)
                                  : solve_dual(state, linear, damping, out)))
@@ -295,7 +295,7 @@ bool Stepper::solve_curved(const State& state, const Linearized& linear, double 
     size += rest_[d] * rest_[d], along += rest_[d] * free_[d];
   }
   const double enough = size * LOOSE * LOOSE * std::min(1.0, size);
-  const int rounds = std::min(2 * dofs + 10, MOST_ROUNDS);
+  const int rounds = std::min(2 * dofs + 10, MAX_ROUNDS);
   for (int round = 0; round < rounds && size > enough && size > 1e-300; ++round) {
     hessian(state, linear, true, damping, search_.data(), product_.data());
     project(product_.data());

@@ -65,8 +65,8 @@ class Stepper {
   static void move(const Node& node, const double* now, const double* by, double* next);
 
  private:
-  static constexpr int MOST_PASSES = 12;
-  static constexpr int MOST_ROUNDS = 300;
+  static constexpr int MAX_PASSES = 12;
+  static constexpr int MAX_ROUNDS = 300;
   static constexpr double LOOSE = 1e-2;
   static constexpr double LEAST_FLOOR = 1e-9;
 

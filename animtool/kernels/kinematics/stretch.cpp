@@ -10,7 +10,7 @@ namespace {
 
 // UsdSkel calls a matrix singular below this determinant.
 constexpr double SINGULAR = 1e-10;
-constexpr int MOST_STEPS = 60;
+constexpr int MAX_STEPS = 60;
 
 // Cofactors: the inverse transposed, times the determinant, which is returned.
 double cofactors(const double* a, double* c) {
@@ -31,7 +31,7 @@ double squared_norm(const double* a) {
 // The orthogonal factor nearest to a regular matrix: Newton's iteration with the
 // scaling of Higham (1986), "Computing the polar decomposition".
 void polar(double* x) {
-  for (int step = 0; step < MOST_STEPS; ++step) {
+  for (int step = 0; step < MAX_STEPS; ++step) {
     double c[9], moved = 0;
     const double det = cofactors(x, c);
     const double inverse_norm = std::sqrt(squared_norm(c)) / std::fabs(det);

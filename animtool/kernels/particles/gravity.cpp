@@ -34,9 +34,9 @@ struct Cell {
   double centre[3];
   double mass;
   double moments[6];
-  double radius;   // square of the largest distance from the centre
+  double squared_radius;   // square of the largest distance from the centre
   double largest;  // largest mass of one body
-  double third;    // sum of mass times cubed distance, to the power of 2/5
+  double error_moment;    // sum of mass times cubed distance, to the power of 2/5
   std::size_t begin, end, next;
   bool leaf;
 };
@@ -64,19 +64,19 @@ class Bodies {
     length_ = std::exp2(std::ceil(std::log2(size > 0 ? size : 1)));
     mass_ = std::exp2(std::ceil(std::log2(total > 0 ? total : 1)));
     const double soft = softening / length_;
-    softened_ = soft * soft;
+    squared_softening_ = soft * soft;
     for (auto& column : columns_) column = block<double>(count);
   }
 
   void fill(const double* points, const double* masses, const std::int32_t* order) {
     for (std::size_t i = 0; i < count_; ++i) {
       const std::size_t from = order ? static_cast<std::size_t>(order[i]) : i;
-      for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = within(points + 3 * from, k);
+      for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = scaled(points + 3 * from, k);
       columns_[3][i] = masses[from] / mass_;
     }
   }
 
-  double within(const double* point, std::size_t k) const {
+  double scaled(const double* point, std::size_t k) const {
     return (point[k] - middle_[k]) / length_;
   }
   GravityBodies bodies() const {
@@ -84,7 +84,7 @@ class Bodies {
   }
   const double* column(std::size_t k) const { return columns_[k].get(); }
   std::size_t size() const { return count_; }
-  double softened() const { return softened_; }
+  double squared_softening() const { return squared_softening_; }
 
   // Padded targets: the last one is repeated.
   GravityTargets targets(std::size_t first, std::size_t end, const double* middle) const {
@@ -118,7 +118,7 @@ class Bodies {
 
  private:
   std::size_t count_;
-  double middle_[3], length_, mass_, softened_;
+  double middle_[3], length_, mass_, squared_softening_;
   Block<double> columns_[4];
 };
 
@@ -131,8 +131,8 @@ class Tree {
     for (std::size_t i = 0; i < count; ++i) {
       std::uint64_t key = 0;
       for (std::size_t k = 0; k < 3; ++k) {
-        const double cell = (bodies.within(points + 3 * i, k) + 1) * (CELLS / 2);
-        key |= spaced(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS - 1))) << k;
+        const double cell = (bodies.scaled(points + 3 * i, k) + 1) * (CELLS / 2);
+        key |= spread_bits(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS - 1))) << k;
       }
       sorted_.keys[i] = key;
       sorted_.indices[i] = static_cast<std::int32_t>(i);
@@ -180,8 +180,8 @@ class Tree {
   }
 
   // Estimates the accelerations of a group by a coarse sum at its centre of mass.
-  double strength(const Cell& group) const {
-    const double soft = bodies_.softened();
+  double estimated_acceleration(const Cell& group) const {
+    const double soft = bodies_.squared_softening();
     double sum[3] = {0, 0, 0};
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
@@ -191,7 +191,7 @@ class Tree {
         squared += off[k] * off[k];
       }
       const bool inside = cell.begin >= group.begin && cell.end <= group.end;
-      if (!inside && !cell.leaf && squared <= COARSE * COARSE * cell.radius) {
+      if (!inside && !cell.leaf && squared <= COARSE * COARSE * cell.squared_radius) {
         ++i;
         continue;
       }
@@ -202,40 +202,40 @@ class Tree {
       i = cell.next;
     }
     const double around = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
-    const double within = group.radius + soft;
+    const double squared_extent = group.squared_radius + soft;
     // The heaviest body, which dominates the others, is attracted by the rest alone.
-    return around + (within > 0 ? (group.mass - group.largest) / within : 0.0);
+    return around + (squared_extent > 0 ? (group.mass - group.largest) / squared_extent : 0.0);
   }
 
-  void walk(const Bounds& bounds, double least, std::vector<float>& far,
-            std::vector<GravityRun>& near) const {
-    const double soft = bodies_.softened();
-    far.clear();
-    near.clear();
+  void walk(const Bounds& bounds, double threshold, std::vector<float>& far_cells,
+            std::vector<GravityRun>& near_runs) const {
+    const double soft = bodies_.squared_softening();
+    far_cells.clear();
+    near_runs.clear();
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
       const double squared = bounds.squared_from(cell.centre);
       const bool several = cell.end - cell.begin > 1;
-      if (several && squared > cell.radius &&
-          cell.third <= least * (squared + soft)) {
+      if (several && squared > cell.squared_radius &&
+          cell.error_moment <= threshold * (squared + soft)) {
         for (std::size_t k = 0; k < 3; ++k)
-          far.push_back(static_cast<float>(cell.centre[k] - bounds.middle[k]));
-        far.push_back(static_cast<float>(cell.mass));
-        for (const double moment : cell.moments) far.push_back(static_cast<float>(moment));
+          far_cells.push_back(static_cast<float>(cell.centre[k] - bounds.middle[k]));
+        far_cells.push_back(static_cast<float>(cell.mass));
+        for (const double moment : cell.moments) far_cells.push_back(static_cast<float>(moment));
       } else if (!cell.leaf) {
         ++i;
         continue;
-      } else if (!near.empty() && near.back().end == cell.begin) {
-        near.back().end = cell.end;
+      } else if (!near_runs.empty() && near_runs.back().end == cell.begin) {
+        near_runs.back().end = cell.end;
       } else {
-        near.push_back({cell.begin, cell.end});
+        near_runs.push_back({cell.begin, cell.end});
       }
       i = cell.next;
     }
   }
 
  private:
-  static std::uint64_t spaced(std::uint64_t x) {
+  static std::uint64_t spread_bits(std::uint64_t x) {
     x = (x | x << 32) & 0x1f00000000ffff;
     x = (x | x << 16) & 0x1f0000ff0000ff;
     x = (x | x << 8) & 0x100f00f00f00f00f;
@@ -245,7 +245,7 @@ class Tree {
 
   void build(std::size_t begin, std::size_t end, unsigned level) {
     const std::size_t number = cells_.size();
-    cells_.push_back(summed(begin, end));
+    cells_.push_back(cell_of(begin, end));
     cells_[number].leaf = end - begin <= LEAF || level == LEVELS;
     if (!cells_[number].leaf) {
       const unsigned shift = 3 * (LEVELS - 1 - level);
@@ -261,7 +261,7 @@ class Tree {
     cells_[number].next = cells_.size();
   }
 
-  Cell summed(std::size_t begin, std::size_t end) const {
+  Cell cell_of(std::size_t begin, std::size_t end) const {
     const auto [x, y, z, mass] = bodies_.bodies();
     Cell cell{};
     cell.begin = begin, cell.end = end;
@@ -278,17 +278,17 @@ class Tree {
     for (std::size_t k = 0; k < 3; ++k)
       cell.centre[k] = cell.mass > 0 ? cell.centre[k] / cell.mass
                                      : middle[k] / static_cast<double>(end - begin);
-    double third = 0;
+    double error_moment = 0;
     for (std::size_t i = begin; i < end; ++i) {
       const double a = x[i] - cell.centre[0], b = y[i] - cell.centre[1];
       const double c = z[i] - cell.centre[2], m = mass[i];
       const double squared = a * a + b * b + c * c;
-      const double each[6] = {a * a, a * b, a * c, b * b, b * c, c * c};
-      for (std::size_t k = 0; k < 6; ++k) cell.moments[k] += m * each[k];
-      cell.radius = std::max(cell.radius, squared);
-      third += m * squared * std::sqrt(squared);
+      const double products[6] = {a * a, a * b, a * c, b * b, b * c, c * c};
+      for (std::size_t k = 0; k < 6; ++k) cell.moments[k] += m * products[k];
+      cell.squared_radius = std::max(cell.squared_radius, squared);
+      error_moment += m * squared * std::sqrt(squared);
     }
-    cell.third = std::pow(third, 0.4);
+    cell.error_moment = std::pow(error_moment, 0.4);
     return cell;
   }
 
@@ -297,28 +297,28 @@ class Tree {
   std::vector<Cell> cells_;
 };
 
-void by_tree(Bodies& bodies, const double* points, const double* masses, double constant,
+void sum_by_tree(Bodies& bodies, const double* points, const double* masses, double constant,
              double accuracy, const GravityFunctions& loops) {
   const Tree tree(bodies, points, masses);
-  std::vector<float> far;
-  std::vector<GravityRun> near;
-  const float soft = static_cast<float>(bodies.softened());
+  std::vector<float> far_cells;
+  std::vector<GravityRun> near_runs;
+  const float soft = static_cast<float>(bodies.squared_softening());
   tree.each_group([&](const Cell& group) {
     const auto bounds = tree.bounds(group);
-    const double least = std::pow(CELL_ERROR * accuracy * tree.strength(group), 0.4);
-    tree.walk(bounds, least, far, near);
+    const double threshold = std::pow(CELL_ERROR * accuracy * tree.estimated_acceleration(group), 0.4);
+    tree.walk(bounds, threshold, far_cells, near_runs);
     for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
       const GravityTargets to = bodies.targets(first, group.end, bounds.middle);
       GravitySums sums{};
-      loops.far(far.data(), far.size() / GRAVITY_FAR, soft, to, sums);
-      for (const GravityRun& run : near)
-        loops.near(bodies.bodies(), run, bodies.softened(), to, sums);
+      loops.far(far_cells.data(), far_cells.size() / GRAVITY_FAR, soft, to, sums);
+      for (const GravityRun& run : near_runs)
+        loops.near(bodies.bodies(), run, bodies.squared_softening(), to, sums);
       bodies.write(sums, first, group.end, tree.order(), constant);
     }
   });
 }
 
-void directly(Bodies& bodies, const double* points, const double* masses, double constant,
+void sum_directly(Bodies& bodies, const double* points, const double* masses, double constant,
               const GravityFunctions& loops) {
   // Blocks of sources that stay in the cache for all targets.
   constexpr std::size_t TILE = 1024;
@@ -330,7 +330,7 @@ void directly(Bodies& bodies, const double* points, const double* masses, double
   std::fill_n(sums.get(), blocks, GravitySums{});
   for (std::size_t tile = 0; tile < count; tile += TILE)
     for (std::size_t i = 0; i < blocks; ++i)
-      loops.exact(bodies.bodies(), {tile, std::min(count, tile + TILE)}, bodies.softened(),
+      loops.exact(bodies.bodies(), {tile, std::min(count, tile + TILE)}, bodies.squared_softening(),
                   bodies.targets(i * GRAVITY_WIDTH, count, middle), sums[i]);
   for (std::size_t i = 0; i < blocks; ++i)
     bodies.write(sums[i], i * GRAVITY_WIDTH, count, nullptr, constant);
@@ -359,9 +359,9 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     bodies.potential = potentials.get();
     bodies.rate = rates.get();
     if (accuracy > 0)
-      by_tree(bodies, points.data(), masses.data(), constant, accuracy, loops);
+      sum_by_tree(bodies, points.data(), masses.data(), constant, accuracy, loops);
     else
-      directly(bodies, points.data(), masses.data(), constant, loops);
+      sum_directly(bodies, points.data(), masses.data(), constant, loops);
   }
   return {std::move(accelerations), std::move(potentials),
           std::move(rates)};

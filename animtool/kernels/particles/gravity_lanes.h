@@ -19,11 +19,11 @@ struct GravityLoops {
   using D = Wide<double, GRAVITY_WIDTH, On>;
 
   static void add(const D& a, double* to) { (D::of(to) + a).store(to); }
-  static void raise(const D& a, double* to) { most(D::of(to), a).store(to); }
-  static F inverse_root(const F& a) { return 1.0f / root(a); }
+  static void store_max(const D& a, double* to) { max(D::of(to), a).store(to); }
+  static F inverse_root(const F& a) { return 1.0f / sqrt(a); }
   // A value if two bodies are distinct, else 0.
   static F if_distinct(const F& squared, const F& value) {
-    return kept(below(MIN_SQUARED_DISTANCE, squared), value);
+    return masked(less(MIN_SQUARED_DISTANCE, squared), value);
   }
 
   // Pair interactions, in either precision.
@@ -37,14 +37,14 @@ struct GravityLoops {
       y = y + pull * off[1];
       z = z + pull * off[2];
       potential = potential + mass * inverse;
-      rate = most(rate, (mass + target_mass) * cubed);
+      rate = max(rate, (mass + target_mass) * cubed);
     }
-    void into(GravitySums& sums) const {
+    void add_to(GravitySums& sums) const {
       add(D(x), sums.x);
       add(D(y), sums.y);
       add(D(z), sums.z);
       add(D(potential), sums.potential);
-      raise(D(rate), sums.rate);
+      store_max(D(rate), sums.rate);
     }
   };
 
@@ -62,7 +62,7 @@ struct GravityLoops {
       const D rest = 1.0 - reach * root * root;
       part.pull(off, from.mass[j], target_mass, root + root * rest * (0.5 + 0.375 * rest));
     }
-    part.into(sums);
+    part.add_to(sums);
   }
 
   static void near(const GravityBodies& from, GravityRun run, double softened,
@@ -79,7 +79,7 @@ struct GravityLoops {
         part.pull(off, static_cast<float>(from.mass[j]), target_mass,
                   if_distinct(squared, inverse));
       }
-      part.into(sums);
+      part.add_to(sums);
     }
   }
 
@@ -111,7 +111,7 @@ struct GravityLoops {
         part.potential = part.potential + mass +
                          squared * inverse * (1.5f * across - 0.5f * trace);
       }
-      part.into(sums);
+      part.add_to(sums);
     }
   }
 

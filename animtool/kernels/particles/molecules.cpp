@@ -26,11 +26,11 @@ void check_box(const In<double, 1>& box, double reach) {
 }  // namespace
 
 std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> molecule_pairs(
-    In<double, 2> points, In<double, 1> box, double reach, std::int64_t most) {
+    In<double, 2> points, In<double, 1> box, double reach, std::int64_t max_pairs) {
   const std::size_t count = check::points("points", points);
   check::finite("points", points);
   check::positive("reach", reach);
-  check::not_negative("most", static_cast<double>(most));
+  check::not_negative("max_pairs", static_cast<double>(max_pairs));
   check_box(box, reach);
   Out<std::int32_t, 1> order(count);
   Out<std::int64_t, 1> starts(count + 1);
@@ -46,7 +46,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
     ranks[which] = rank++;
   };
   grid.visit(points.data(), nullptr, count, HUGE_VAL, ranked);
-  const std::int32_t nobody = static_cast<std::int32_t>(count);
+  const std::int32_t padding = static_cast<std::int32_t>(count);
   std::size_t row = 0;
   bool fits = true;
   starts.get()[0] = 0;
@@ -54,15 +54,15 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
              [&](std::size_t, std::size_t, const double*, const std::int32_t* hit,
                  const std::int32_t* end) {
                const std::int32_t self = static_cast<std::int32_t>(row);
-               fits = fits && listed.size() <= static_cast<std::size_t>(most);
+               fits = fits && listed.size() <= static_cast<std::size_t>(max_pairs);
                for (; hit < end && fits; ++hit) {
                  const std::int32_t other = ranks[grid.index()[*hit]];
                  if (other > self) listed.push_back(other);
                }
-               while (listed.size() % WIDE) listed.push_back(nobody);
+               while (listed.size() % WIDE) listed.push_back(padding);
                starts.get()[++row] = static_cast<std::int64_t>(listed.size());
              });
-  if (!fits) check::refuse("most", "there are more pairs than " + check::text(most));
+  if (!fits) check::refuse("max_pairs", "there are more pairs than " + check::text(max_pairs));
   Out<std::int32_t, 1> partners(listed.size());
   std::copy(listed.begin(), listed.end(), partners.get());
   return {std::move(order), std::move(starts), std::move(partners)};

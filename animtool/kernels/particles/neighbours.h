@@ -17,44 +17,44 @@ namespace animtool {
 
 // Grid positions, in the layout of loops built for several processors: up to NEAR_SPARE are read
 // past the end, and written past the last match.
-struct NearPoints {
+struct GridPoints {
   const double *x, *y, *z;
-  double most;  // squared radius
+  double squared_radius;  // squared radius
 };
-struct NearRun {
+struct GridRun {
   std::size_t begin, end;
 };
-constexpr std::size_t NEAR_SPARE = 4;
+constexpr std::size_t GRID_PADDING = 4;
 // Appends the grid indices of runs within the radius of a point.
-using NearFunction = std::int32_t* (*)(const NearPoints& points, const NearRun* run,
-                                       const NearRun* last, const double* at,
+using NeighbourFunction = std::int32_t* (*)(const GridPoints& points, const GridRun* run,
+                                       const GridRun* last, const double* at,
                                        std::int32_t* next);
-NearFunction near_in_quads();  // null where the processor has no such registers
+NeighbourFunction neighbours_in_quads();  // null where the processor has no such registers
 
 class Neighbours {
  public:
-  // Points `chosen` of `points` (N, 3), null for all; non-finite ones have no neighbours. A
+  // Points `subset` of `points` (N, 3), null for all; non-finite ones have no neighbours. A
   // periodic axis wraps around: it starts at `low`, and is at least two radii long.
-  Neighbours(const double* points, const std::int32_t* chosen, std::size_t count, double radius,
+  Neighbours(const double* points, const std::int32_t* subset, std::size_t count, double radius,
              const double* low, const double* period);
 
   // Number of grid positions, in grid order.
   std::size_t size() const { return index_.size(); }
-  const double* x() const { return near_points_.x; }
-  const double* y() const { return near_points_.y; }
-  const double* z() const { return near_points_.z; }
+  const double* x() const { return sorted_points_.x; }
+  const double* y() const { return sorted_points_.y; }
+  const double* z() const { return sorted_points_.z; }
   const std::int32_t* index() const { return index_.data(); }  // of `points`
 
   // Visits some points, null for all: the number among them, the index in `points`, the wrapped
   // position, and grid indices within the radius, itself included. Returns the number of tested
-  // distances, and stops above `most`.
+  // distances, and stops above `max_tests`.
   template <class Function>
-  double visit(const double* points, const std::int32_t* seekers, std::size_t count, double most,
+  double visit(const double* points, const std::int32_t* query_keys, std::size_t count, double max_tests,
                Function function) const;
 
-  // The same for each grid position; with `once`, only with later ones.
-  template <bool once, class Function>
-  double visit_all(double most, Function function) const;
+  // The same for each grid position; with `later_only`, only with later ones.
+  template <bool later_only, class Function>
+  double visit_all(double max_tests, Function function) const;
 
  private:
   struct Cell {
@@ -63,7 +63,7 @@ class Neighbours {
   };
   template <class Function>
   void each_cell(const std::vector<Cell>& cells, Function function) const;
-  SortedKeys seekers(const double* points, const std::int32_t* chosen, std::size_t count) const;
+  SortedKeys query_keys(const double* points, const std::int32_t* subset, std::size_t count) const;
   void wrapped(const double* point, double* out) const;
   bool inside(const double* point) const;
   std::uint64_t key(const double* point) const;
@@ -78,15 +78,15 @@ class Neighbours {
   // Wider than the radius by the rounding of cell numbers.
   static constexpr double SLACK = 1 + 1e-9;
   // Largest number of cells of an axis: three such keys fit 63 bits.
-  static constexpr double MOST_CELLS = (1 << 21) - 2 * PAD - 1;
+  static constexpr double MAX_CELLS = (1 << 21) - 2 * PAD - 1;
 
-  double radius_, low_[3], period_[3], first_[3] = {0, 0, 0}, over_[3] = {1, 1, 1};
-  double last_[3] = {0, 0, 0};  // cells of each axis, less one
+  double radius_, low_[3], period_[3], origin_[3] = {0, 0, 0}, inverse_cell_[3] = {1, 1, 1};
+  double last_cell_[3] = {0, 0, 0};  // cells of each axis, less one
   std::uint64_t row_ = 0, layer_ = 0;
   std::vector<Cell> cells_;  // non-empty cells, and a sentinel
   Block<double> grid_points_;  // positions along x, then y, then z
-  NearPoints near_points_{};
-  NearFunction near_;
+  GridPoints sorted_points_{};
+  NeighbourFunction find_neighbours_;
   std::vector<std::int32_t> index_;
 };
 
@@ -94,9 +94,9 @@ template <class Function>
 void Neighbours::each_cell(const std::vector<Cell>& cells, Function function) const {
   const Cell* bounds[RUNS][2];
   for (auto& bound : bounds) bound[0] = bound[1] = cells_.data();
-  NearRun runs[RUNS];
+  GridRun runs[RUNS];
   for (std::size_t c = 0; c + 1 < cells.size(); ++c) {
-    std::size_t room = 0;
+    std::size_t capacity = 0;
     for (std::size_t k = 0; k < RUNS; ++k) {
       const std::uint64_t middle =
           cells[c].key + (k / 3) * layer_ + (k % 3) * row_ - layer_ - row_;
@@ -105,56 +105,56 @@ void Neighbours::each_cell(const std::vector<Cell>& cells, Function function) co
       end = std::max(end, begin);
       while (end->key <= middle + 1) ++end;
       runs[k] = {begin->begin, end->begin};
-      room += end->begin - begin->begin;
+      capacity += end->begin - begin->begin;
     }
-    if (!function(cells[c].begin, cells[c + 1].begin, runs, room)) return;
+    if (!function(cells[c].begin, cells[c + 1].begin, runs, capacity)) return;
   }
 }
 
 template <class Function>
-double Neighbours::visit(const double* points, const std::int32_t* chosen, std::size_t count,
-                         double most, Function function) const {
-  const SortedKeys sorted = seekers(points, chosen, count);
+double Neighbours::visit(const double* points, const std::int32_t* subset, std::size_t count,
+                         double max_tests, Function function) const {
+  const SortedKeys sorted = query_keys(points, subset, count);
   std::vector<std::int32_t> hits;
-  double looked = 0;
+  double tested = 0;
   each_cell(cells_of(sorted.keys.get(), sorted.count),
-            [&](std::size_t first, std::size_t last, const NearRun* runs, std::size_t room) {
-              looked += static_cast<double>(last - first) * static_cast<double>(room);
-              if (hits.size() < room + NEAR_SPARE) hits.resize(2 * room + NEAR_SPARE);
-              for (std::size_t i = first; i < last && looked <= most; ++i) {
+            [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
+              tested += static_cast<double>(last - first) * static_cast<double>(capacity);
+              if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+              for (std::size_t i = first; i < last && tested <= max_tests; ++i) {
                 const std::size_t number = static_cast<std::size_t>(sorted.indices[i]);
                 const std::size_t which =
-                    chosen ? static_cast<std::size_t>(chosen[number]) : number;
+                    subset ? static_cast<std::size_t>(subset[number]) : number;
                 double at[3];
                 wrapped(points + 3 * which, at);
                 function(number, which, at, hits.data(),
-                         near_(near_points_, runs, runs + RUNS, at, hits.data()));
+                         find_neighbours_(sorted_points_, runs, runs + RUNS, at, hits.data()));
               }
-              return looked <= most;
+              return tested <= max_tests;
             });
-  return looked;
+  return tested;
 }
 
-template <bool once, class Function>
-double Neighbours::visit_all(double most, Function function) const {
+template <bool later_only, class Function>
+double Neighbours::visit_all(double max_tests, Function function) const {
   std::vector<std::int32_t> hits;
-  double looked = 0;
+  double tested = 0;
   each_cell(cells_,
-            [&](std::size_t first, std::size_t last, const NearRun* runs, std::size_t room) {
-              looked += static_cast<double>(last - first) * static_cast<double>(room);
-              if (hits.size() < room + NEAR_SPARE) hits.resize(2 * room + NEAR_SPARE);
-              for (std::size_t i = first; i < last && looked <= most; ++i) {
+            [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
+              tested += static_cast<double>(last - first) * static_cast<double>(capacity);
+              if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+              for (std::size_t i = first; i < last && tested <= max_tests; ++i) {
                 const double at[3] = {x()[i], y()[i], z()[i]};
-                NearRun behind[RUNS];
-                std::copy(runs, runs + RUNS, behind);
-                if (once) behind[CENTRE].begin = i + 1;
+                GridRun searched[RUNS];
+                std::copy(runs, runs + RUNS, searched);
+                if (later_only) searched[CENTRE].begin = i + 1;
                 function(i, at, hits.data(),
-                         near_(near_points_, behind + (once ? CENTRE : 0), behind + RUNS, at,
+                         find_neighbours_(sorted_points_, searched + (later_only ? CENTRE : 0), searched + RUNS, at,
                                hits.data()));
               }
-              return looked <= most;
+              return tested <= max_tests;
             });
-  return looked;
+  return tested;
 }
 
 }  // namespace animtool

@@ -9,7 +9,7 @@ namespace animtool {
 namespace {
 
 // The finaliser of splitmix64 (S. Vigna, 2015).
-inline std::uint64_t mixed(std::uint64_t z) {
+inline std::uint64_t hash_bits(std::uint64_t z) {
   z += 0x9E3779B97F4A7C15u;
   z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
   z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
@@ -17,7 +17,7 @@ inline std::uint64_t mixed(std::uint64_t z) {
 }
 
 // A number from -1 to 1 of 21 bits.
-inline double part(std::uint64_t bits) {
+inline double signed_fraction(std::uint64_t bits) {
   return static_cast<double>(bits & 0x1FFFFF) * (1.0 / (1 << 20)) - 1;
 }
 
@@ -30,32 +30,32 @@ inline Fade fade(double x) {
 }
 
 // Adds the curl of one time slice of the lattice.
-void add_swirls(const std::int64_t* cell, const double* inside, const Fade* fades,
+void add_curl(const std::int64_t* cell, const double* inside, const Fade* fades,
                 std::int64_t slice, std::uint64_t seed, double amount, double* out) {
   for (int corner = 0; corner < 8; ++corner) {
-    double off[3], weight[3], lean[3];
+    double off[3], weight[3], weight_slope[3];
     std::uint64_t key = seed;
     for (int i = 0; i < 3; ++i) {
-      const int picked = corner >> i & 1;
-      off[i] = inside[i] - picked;
-      weight[i] = picked ? fades[i].weight : 1 - fades[i].weight;
-      lean[i] = picked ? fades[i].slope : -fades[i].slope;
-      key = mixed(key ^ static_cast<std::uint64_t>(cell[i] + picked));
+      const int upper = corner >> i & 1;
+      off[i] = inside[i] - upper;
+      weight[i] = upper ? fades[i].weight : 1 - fades[i].weight;
+      weight_slope[i] = upper ? fades[i].slope : -fades[i].slope;
+      key = hash_bits(key ^ static_cast<std::uint64_t>(cell[i] + upper));
     }
-    key = mixed(key ^ static_cast<std::uint64_t>(slice));
+    key = hash_bits(key ^ static_cast<std::uint64_t>(slice));
     const double product = weight[0] * weight[1] * weight[2];
-    const double slope[3] = {lean[0] * weight[1] * weight[2], weight[0] * lean[1] * weight[2],
-                             weight[0] * weight[1] * lean[2]};
-    double tilt[3][3];
+    const double slope[3] = {weight_slope[0] * weight[1] * weight[2], weight[0] * weight_slope[1] * weight[2],
+                             weight[0] * weight[1] * weight_slope[2]};
+    double gradient[3][3];
     for (int field = 0; field < 3; ++field) {
-      const std::uint64_t bits = mixed(key + field);
-      const double g[3] = {part(bits), part(bits >> 21), part(bits >> 42)};
-      const double ramp = g[0] * off[0] + g[1] * off[1] + g[2] * off[2];
-      for (int axis = 0; axis < 3; ++axis) tilt[field][axis] = product * g[axis] + slope[axis] * ramp;
+      const std::uint64_t bits = hash_bits(key + field);
+      const double g[3] = {signed_fraction(bits), signed_fraction(bits >> 21), signed_fraction(bits >> 42)};
+      const double value = g[0] * off[0] + g[1] * off[1] + g[2] * off[2];
+      for (int axis = 0; axis < 3; ++axis) gradient[field][axis] = product * g[axis] + slope[axis] * value;
     }
-    out[0] += amount * (tilt[2][1] - tilt[1][2]);
-    out[1] += amount * (tilt[0][2] - tilt[2][0]);
-    out[2] += amount * (tilt[1][0] - tilt[0][1]);
+    out[0] += amount * (gradient[2][1] - gradient[1][2]);
+    out[1] += amount * (gradient[0][2] - gradient[2][0]);
+    out[2] += amount * (gradient[1][0] - gradient[0][1]);
   }
 }
 
@@ -77,15 +77,15 @@ Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64
       inside[i] = at - low;
       fades[i] = fade(inside[i]);
     }
-    const double when = times.data()[n], now = std::floor(when);
-    const std::int64_t slice = std::fabs(now) < 1e15 ? static_cast<std::int64_t>(now) : 0;
-    const double fraction = fade(when - now).weight;
+    const double time = times.data()[n], slice_start = std::floor(time);
+    const std::int64_t slice = std::fabs(slice_start) < 1e15 ? static_cast<std::int64_t>(slice_start) : 0;
+    const double fraction = fade(time - slice_start).weight;
     // The mean of two different fields would be weaker than either.
-    const double size = std::sqrt(fraction * fraction + (1 - fraction) * (1 - fraction));
+    const double norm = std::sqrt(fraction * fraction + (1 - fraction) * (1 - fraction));
     double* out = result.get() + 3 * n;
     out[0] = out[1] = out[2] = 0;
-    add_swirls(cell, inside, fades, slice, seed, (1 - fraction) / size, out);
-    if (fraction > 0) add_swirls(cell, inside, fades, slice + 1, seed, fraction / size, out);
+    add_curl(cell, inside, fades, slice, seed, (1 - fraction) / norm, out);
+    if (fraction > 0) add_curl(cell, inside, fades, slice + 1, seed, fraction / norm, out);
   }
   return result;
 }

@@ -25,17 +25,17 @@ alignas(16) constexpr std::int32_t PACKED[16][4] = {
     {2, 3, 0, 0}, {0, 2, 3, 0}, {1, 2, 3, 0}, {0, 1, 2, 3}};
 constexpr std::int32_t COUNTS[16] = {0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};
 
-std::int32_t* near_four(const NearPoints& points, const NearRun* run, const NearRun* last,
+std::int32_t* neighbours_by_fours(const GridPoints& points, const GridRun* run, const GridRun* last,
                         const double* at, std::int32_t* next) {
-  const FourVec<Quads> here = FourVec<Quads>::spread(at);
-  const Four<Quads> most = points.most;
+  const FourVec<Quads> here = FourVec<Quads>::broadcast(at);
+  const Four<Quads> squared_radius = points.squared_radius;
   for (; run < last; ++run)
     for (std::size_t i = run->begin; i < run->end; i += 4) {
       const FourVec<Quads> there{Four<Quads>::of(points.x + i), Four<Quads>::of(points.y + i),
                                  Four<Quads>::of(points.z + i)};
       const FourVec<Quads> off = there - here;
       unsigned bits = static_cast<unsigned>(
-          _mm256_movemask_pd(_mm256_cmp_pd(dot(off, off).row, most.row, _CMP_LE_OQ)));
+          _mm256_movemask_pd(_mm256_cmp_pd(dot(off, off).row, squared_radius.row, _CMP_LE_OQ)));
       if (run->end - i < 4) bits &= (1u << (run->end - i)) - 1;
       const __m128i matches =
           _mm_add_epi32(_mm_load_si128(reinterpret_cast<const __m128i*>(PACKED[bits])),
@@ -48,11 +48,11 @@ std::int32_t* near_four(const NearPoints& points, const NearRun* run, const Near
 
 }  // namespace
 
-NearFunction near_in_quads() { return has_quads() ? near_four : nullptr; }
+NeighbourFunction neighbours_in_quads() { return has_quads() ? neighbours_by_fours : nullptr; }
 
 #else
 
-NearFunction near_in_quads() { return nullptr; }
+NeighbourFunction neighbours_in_quads() { return nullptr; }
 
 #endif
 

@@ -45,8 +45,8 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
                          In<std::int64_t, 2> excluded) {
   const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
   check::numbers("inertias", inertias, {check::ANY, 4});
-  check::at_most("inertias", count, check::MOST_ROWS);
-  check::at_most("bodies", shapes, check::MOST_ROWS);
+  check::at_most("inertias", count, check::MAX_ROWS);
+  check::at_most("bodies", shapes, check::MAX_ROWS);
   check::indices("bodies", bodies, 0, static_cast<std::int64_t>(count));
   check::numbers("numbers", numbers, {shapes, 3});
   check::numbers("points", points, {check::ANY, 3});
@@ -58,10 +58,10 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   for (std::size_t i = 0; i < count; ++i) {
     const double* in = inertias.data() + 4 * i;
     check::positive("inertias", in[0]);
-    world_.bodies[i].ease = 1 / in[0];
+    world_.bodies[i].inverse_mass = 1 / in[0];
     for (int k = 0; k < 3; ++k) {
       check::not_negative("inertias", in[k + 1]);
-      world_.bodies[i].turning.of[k] = in[k + 1] > 0 ? 1 / in[k + 1] : 0;
+      world_.bodies[i].inverse_inertia.of[k] = in[k + 1] > 0 ? 1 / in[k + 1] : 0;
     }
   }
   world_.shapes.resize(shapes);
@@ -93,12 +93,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     body.reach = std::max(body.reach, shape.core.reach);
   }
   read_joints(joints, joint_numbers);
-  check::shape("apart", excluded, {check::ANY, 2});
-  check::at_most("apart", excluded.shape(0), check::MOST_ROWS);
+  check::shape("excluded", excluded, {check::ANY, 2});
+  check::at_most("excluded", excluded.shape(0), check::MAX_ROWS);
   for (std::size_t k = 0; k < excluded.shape(0); ++k) {
-    check::between("apart", excluded.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
-    check::between("apart", excluded.data()[2 * k + 1], 0,
-                   static_cast<std::int64_t>(count + check::MOST_ROWS));
+    check::between("excluded", excluded.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
+    check::between("excluded", excluded.data()[2 * k + 1], 0,
+                   static_cast<std::int64_t>(count + check::MAX_ROWS));
   }
   for (std::size_t k = 0; k < excluded.shape(0); ++k)
     exclude(excluded.data()[2 * k], excluded.data()[2 * k + 1]);
@@ -119,14 +119,14 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     if (in[1] == in[2]) check::refuse("joints", "a body is joined to itself");
     for (const int at : {3, 10, 19}) check_rotation("joint_numbers", n + at);
     rigid::Joint joint;
-    joint.kind = static_cast<rigid::Joined>(in[0]);
+    joint.kind = static_cast<rigid::JointKind>(in[0]);
     joint.a = in[1], joint.b = static_cast<std::size_t>(in[2]);
     joint.on_a = {load(n), rotation(n + 3)}, joint.on_b = {load(n + 7), rotation(n + 10)};
     joint.low = n[14], joint.high = n[15], joint.swing[0] = n[16], joint.swing[1] = n[17];
     joint.target = n[18], joint.goal = rotation(n + 19);
     check::not_negative("joint_numbers", n[23]);
     check::not_negative("joint_numbers", n[24]);
-    joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
+    joint.stiffness = n[23], joint.damping = n[24], joint.max_force = n[25];
     joint.speed = n[26];
     world_.joints.push_back(joint);
   }
@@ -138,26 +138,26 @@ void RigidBodies::exclude(std::int64_t one, std::int64_t other) {
 }
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
-                        In<double, 2> contacts, In<double, 2> kept_impulses, In<double, 2> forces,
+                        In<double, 2> contacts, In<double, 2> joint_impulses, In<double, 2> forces,
                         ColliderArrays colliders, In<double, 3> anchors, double step,
-                        std::int64_t method, std::int64_t substeps, std::int64_t rounds,
-                        double tolerance, double drowsy, double rest) {
+                        std::int64_t method, std::int64_t substeps, std::int64_t iterations,
+                        double tolerance, double sleep_speed, double sleep_time) {
   const rigid::World& world = bodies.world();
   const std::size_t count = world.bodies.size(), joints = world.joints.size();
-  const std::size_t kept_count = pairs.shape(0);
+  const std::size_t stored_count = pairs.shape(0);
   check::numbers("state", state, {count, STATE});
   check::shape("pairs", pairs, {check::ANY, 2});
-  check::numbers("contacts", contacts, {kept_count, CONTACT});
-  check::numbers("held", kept_impulses, {joints, rigid::ROWS});
+  check::numbers("contacts", contacts, {stored_count, CONTACT});
+  check::numbers("joint_impulses", joint_impulses, {joints, rigid::ROWS});
   check::numbers("forces", forces, {count, 6});
   check::numbers("anchors", anchors, {joints, 2, POSE});
   check::positive("step", step);
   check::between("method", method, 0, 3);
   check::between("substeps", substeps, 1, 1000);
-  check::between("rounds", rounds, 1, 100000);
+  check::between("max_iterations", iterations, 1, 100000);
   check::not_negative("tolerance", tolerance);
-  check::not_negative("drowsy", drowsy);
-  check::not_negative("rest", rest);
+  check::not_negative("sleep_speed", sleep_speed);
+  check::not_negative("sleep_time", sleep_time);
   const std::vector<collide::Collider> all = read_colliders(colliders);
   const auto shapes = static_cast<std::int64_t>(world.shapes.size());
   std::vector<rigid::State> states(count);
@@ -166,21 +166,21 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
     check_rotation("state", in + 3);
     states[i] = {load(in), load(in + 7), load(in + 10), rotation(in + 3), in[13]};
   }
-  std::vector<rigid::Kept> kept(kept_count);
-  for (std::size_t i = 0; i < kept_count; ++i) {
+  std::vector<rigid::StoredContact> stored(stored_count);
+  for (std::size_t i = 0; i < stored_count; ++i) {
     const std::int64_t* pair = pairs.data() + 2 * i;
     check::between("pairs", pair[0], 0, shapes - 1);
     check::between("pairs", pair[1], 0, shapes + static_cast<std::int64_t>(all.size()) - 1);
-    kept[i] = {pair[0], pair[1], load(contacts.data() + CONTACT * i),
+    stored[i] = {pair[0], pair[1], load(contacts.data() + CONTACT * i),
                load(contacts.data() + CONTACT * i + 3)};
-    if (i && (kept[i].first != kept[i - 1].first ? kept[i].first < kept[i - 1].first
-                                                 : kept[i].second < kept[i - 1].second))
+    if (i && (stored[i].first != stored[i - 1].first ? stored[i].first < stored[i - 1].first
+                                                 : stored[i].second < stored[i - 1].second))
       check::refuse("pairs", "they do not ascend");
   }
   std::vector<std::array<double, rigid::ROWS>> impulses(joints);
   std::vector<collide::Motion> frames(joints);
   for (std::size_t k = 0; k < joints; ++k) {
-    std::copy_n(kept_impulses.data() + rigid::ROWS * k, rigid::ROWS, impulses[k].begin());
+    std::copy_n(joint_impulses.data() + rigid::ROWS * k, rigid::ROWS, impulses[k].begin());
     const double* pose = anchors.data() + 2 * POSE * k;
     check_rotation("anchors", pose + 3), check_rotation("anchors", pose + POSE + 3);
     frames[k] = collide::Motion(pose, pose + POSE);
@@ -191,27 +191,27 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
     pushes[i] = load(forces.data() + 6 * i), twists[i] = load(forces.data() + 6 * i + 3);
   }
   const rigid::Settings settings{static_cast<rigid::Method>(method), static_cast<int>(substeps),
-                                 static_cast<int>(rounds), tolerance, drowsy, rest};
-  report = rigid::step_world(world, states, kept, impulses, pushes, twists, all, frames,
+                                 static_cast<int>(iterations), tolerance, sleep_speed, sleep_time};
+  report = rigid::step_world(world, states, stored, impulses, pushes, twists, all, frames,
                              settings, step);
-  Out<double, 2> moved(count, STATE), touching(kept.size(), CONTACT), holding(joints, rigid::ROWS);
-  Out<std::int64_t, 2> touched(kept.size(), 2);
+  Out<double, 2> moved(count, STATE), touching(stored.size(), CONTACT), holding(joints, rigid::ROWS);
+  Out<std::int64_t, 2> touched(stored.size(), 2);
   for (std::size_t i = 0; i < count; ++i) {
     double* to = moved.get() + STATE * i;
     const rigid::State& s = states[i];
     store(s.at, to), store(s.velocity, to + 7), store(s.momentum, to + 10);
-    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w, to[13] = s.idle;
+    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w, to[13] = s.slow_time;
   }
-  for (std::size_t i = 0; i < kept.size(); ++i) {
-    touched.get()[2 * i] = kept[i].first, touched.get()[2 * i + 1] = kept[i].second;
-    store(kept[i].at, touching.get() + CONTACT * i), store(kept[i].force, touching.get() + CONTACT * i + 3);
+  for (std::size_t i = 0; i < stored.size(); ++i) {
+    touched.get()[2 * i] = stored[i].first, touched.get()[2 * i + 1] = stored[i].second;
+    store(stored[i].at, touching.get() + CONTACT * i), store(stored[i].force, touching.get() + CONTACT * i + 3);
   }
   for (std::size_t k = 0; k < joints; ++k)
     std::copy_n(impulses[k].begin(), rigid::ROWS, holding.get() + rigid::ROWS * k);
   return {std::move(moved), std::move(touched), std::move(touching),
           std::move(holding), report.deepest, report.residual, report.contacts,
-          report.rounds, report.awake, report.unsolved, report.first, report.second,
-          report.follows, report.drive};
+          report.iterations, report.awake, report.unsolved, report.first, report.second,
+          report.drive_step, report.drive};
 }
 
 }  // namespace animtool

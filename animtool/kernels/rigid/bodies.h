@@ -31,9 +31,9 @@ using RigidStepped =
                std::int64_t, double, std::int64_t>;
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
-                        In<double, 2> contacts, In<double, 2> kept_impulses, In<double, 2> forces,
+                        In<double, 2> contacts, In<double, 2> joint_impulses, In<double, 2> forces,
                         ColliderArrays colliders, In<double, 3> anchors, double step,
-                        std::int64_t method, std::int64_t substeps, std::int64_t rounds,
-                        double tolerance, double drowsy, double rest);
+                        std::int64_t method, std::int64_t substeps, std::int64_t iterations,
+                        double tolerance, double sleep_speed, double sleep_time);
 
 }  // namespace animtool

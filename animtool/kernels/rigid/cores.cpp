@@ -22,9 +22,9 @@ constexpr double PREFER_DEEP = 0.1;
 // Squared sine below which two edges are parallel.
 constexpr double PARALLEL = 1e-12;
 // Tolerance of right angles between the faces of a box.
-constexpr double EXACT = 1e-12;
+constexpr double BOX_TOLERANCE = 1e-12;
 // Sine below which a segment lies on a face.
-constexpr double LIES = 1e-2;
+constexpr double COPLANAR = 1e-2;
 
 struct Segment {
   Vec from, to;
@@ -51,18 +51,18 @@ std::pair<Vec, Vec> nearest(const Segment& p, const Segment& q) {
   return {p.from + d * s, q.from + e * t};
 }
 
-Vec corner(const Placed& p, std::size_t face, int k) {
+Vec corner(const PosedCore& p, std::size_t face, int k) {
   return p.points[p.core->loops[static_cast<std::size_t>(p.core->starts[face] + k)]];
 }
 
-int corners(const Placed& p, std::size_t face) {
+int corners(const PosedCore& p, std::size_t face) {
   return p.core->starts[face + 1] - p.core->starts[face];
 }
 
-Vec along(const Placed& p, const Edge& e) { return p.points[e.to] - p.points[e.from]; }
+Vec along(const PosedCore& p, const Edge& e) { return p.points[e.to] - p.points[e.from]; }
 
 // The nearest point of a face to another point.
-Vec nearest_on_face(const Placed& p, std::size_t face, Vec at) {
+Vec nearest_on_face(const PosedCore& p, std::size_t face, Vec at) {
   const Vec n = p.normals[face];
   const int count = corners(p, face);
   bool within = true;
@@ -81,7 +81,7 @@ Vec nearest_on_face(const Placed& p, std::size_t face, Vec at) {
 }
 
 // Adds contact points of a segment, or of a face clipped to the sides of another.
-void clip(const Placed& ref, std::size_t face, std::vector<Vec>& loop, std::vector<Vec>& spare) {
+void clip(const PosedCore& ref, std::size_t face, std::vector<Vec>& loop, std::vector<Vec>& spare) {
   const Vec n = ref.normals[face];
   const int count = corners(ref, face);
   for (int k = 0; k < count && !loop.empty(); ++k) {
@@ -99,8 +99,8 @@ void clip(const Placed& ref, std::size_t face, std::vector<Vec>& loop, std::vect
 }
 
 // Contact points of a reference face with the clipped face. The normal is the reference's.
-void face_points(const Placed& ref, std::size_t face, const std::vector<Vec>& loop, double skin,
-                 double ref_radius, double reach, std::vector<Touching>& contact_points) {
+void face_points(const PosedCore& ref, std::size_t face, const std::vector<Vec>& loop, double skin,
+                 double ref_radius, double reach, std::vector<ContactPoint>& contact_points) {
   const Vec n = ref.normals[face];
   const double offset = ref.offset(face);
   for (Vec p : loop) {
@@ -110,7 +110,7 @@ void face_points(const Placed& ref, std::size_t face, const std::vector<Vec>& lo
   }
 }
 
-int facing(const Placed& p, Vec n) {
+int facing(const PosedCore& p, Vec n) {
   int best = 0;
   double least = FAR;
   for (std::size_t i = 0; i < p.core->faces(); ++i) {
@@ -122,32 +122,32 @@ int facing(const Placed& p, Vec n) {
 
 struct Scratch {
   std::vector<Vec> loop, spare;
-  std::vector<Touching> contact_points;
+  std::vector<ContactPoint> contact_points;
 };
 
 Scratch& scratch() {
-  thread_local Scratch room;
-  return room;
+  thread_local Scratch buffer;
+  return buffer;
 }
 
-Manifold of_face(const Placed& ref, const Placed& other, int face, bool turned, double reach) {
-  Scratch& room = scratch();
-  room.loop.clear(), room.contact_points.clear();
+Manifold of_face(const PosedCore& ref, const PosedCore& other, int face, bool turned, double reach) {
+  Scratch& buffer = scratch();
+  buffer.loop.clear(), buffer.contact_points.clear();
   const Vec n = ref.normals[static_cast<std::size_t>(face)];
   const Core& core = *other.core;
   if (core.faces()) {
     const auto against = static_cast<std::size_t>(facing(other, n));
-    for (int k = 0; k < corners(other, against); ++k) room.loop.push_back(corner(other, against, k));
+    for (int k = 0; k < corners(other, against); ++k) buffer.loop.push_back(corner(other, against, k));
   } else {
-    room.loop.assign(other.points, other.points + core.points.size());
+    buffer.loop.assign(other.points, other.points + core.points.size());
   }
-  clip(ref, static_cast<std::size_t>(face), room.loop, room.spare);
+  clip(ref, static_cast<std::size_t>(face), buffer.loop, buffer.spare);
   const double skin = ref.core->radius + core.radius;
-  face_points(ref, static_cast<std::size_t>(face), room.loop, skin, ref.core->radius, reach,
-              room.contact_points);
+  face_points(ref, static_cast<std::size_t>(face), buffer.loop, skin, ref.core->radius, reach,
+              buffer.contact_points);
   Manifold manifold;
   manifold.normal = turned ? -n : n;
-  keep_four(room.contact_points, n, manifold);
+  reduce_to_four(buffer.contact_points, n, manifold);
   return manifold;
 }
 
@@ -161,8 +161,8 @@ Manifold of_points(Vec a, Vec b, Vec normal, double radius_a, double radius_b) {
 }
 
 // Two without faces: spheres and capsules.
-Manifold meet_round(const Placed& a, const Placed& b, double reach) {
-  const auto segment = [](const Placed& p) {
+Manifold round_manifold(const PosedCore& a, const PosedCore& b, double reach) {
+  const auto segment = [](const PosedCore& p) {
     return Segment{p.points[0], p.points[p.core->points.size() - 1]};
   };
   const Segment p = segment(a), q = segment(b);
@@ -179,79 +179,79 @@ Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   Manifold manifold = of_points(on_a, on_b, normal, ra, rb);
   if (manifold.points[0].gap > reach) manifold.count = 0;
   // Two parallel ones touch along a line.
-  if (!manifold.count || !(sized > 0) || dot(crossed, crossed) > LIES * LIES * sized) return manifold;
+  if (!manifold.count || !(sized > 0) || dot(crossed, crossed) > COPLANAR * COPLANAR * sized) return manifold;
   const double size = dot(d, d);
   double low = dot(q.from - p.from, d) / size, high = dot(q.to - p.from, d) / size;
   if (low > high) std::swap(low, high);
   low = std::max(low, 0.0), high = std::min(high, 1.0);
   if (!(low < high)) return manifold;
-  Scratch& room = scratch();
-  room.contact_points.clear();
+  Scratch& buffer = scratch();
+  buffer.contact_points.clear();
   for (const double s : {low, high}) {
     const Vec at = p.from + d * s;
     const double t = std::clamp(dot(at - q.from, e) / dot(e, e), 0.0, 1.0);
     const double gap = dot(q.from + e * t - at, normal) - ra - rb;
-    if (gap <= reach) room.contact_points.push_back({at + normal * (ra + gap / 2), gap});
+    if (gap <= reach) buffer.contact_points.push_back({at + normal * (ra + gap / 2), gap});
   }
-  keep_four(room.contact_points, normal, manifold);
+  reduce_to_four(buffer.contact_points, normal, manifold);
   return manifold;
 }
 
 // The nearest points of a core with faces and a round one, if they do not overlap.
-std::pair<Vec, Vec> nearest_of(const Placed& solid, const Placed& round) {
+std::pair<Vec, Vec> nearest_of(const PosedCore& solid, const PosedCore& rounded) {
   std::pair<Vec, Vec> best;
   double least = FAR;
-  const auto look = [&](Vec on, Vec off) {
+  const auto keep_nearer = [&](Vec on, Vec off) {
     const double squared = dot(off - on, off - on);
     if (squared < least) least = squared, best = {on, off};
   };
-  const std::size_t ends = round.core->points.size();
+  const std::size_t ends = rounded.core->points.size();
   for (std::size_t i = 0; i < ends; ++i) {
-    const Vec at = round.points[i];
+    const Vec at = rounded.points[i];
     for (std::size_t f = 0; f < solid.core->faces(); ++f)
-      if (dot(solid.normals[f], at) > solid.offset(f)) look(nearest_on_face(solid, f, at), at);
+      if (dot(solid.normals[f], at) > solid.offset(f)) keep_nearer(nearest_on_face(solid, f, at), at);
   }
   if (ends > 1)
     for (const Edge& e : solid.core->edges) {
       const auto [on, off] = nearest({solid.points[e.from], solid.points[e.to]},
-                                     {round.points[0], round.points[1]});
-      look(on, off);
+                                     {rounded.points[0], rounded.points[1]});
+      keep_nearer(on, off);
     }
   return best;
 }
 
-Manifold meet_solid(const Placed& solid, const Placed& round, double reach) {
-  const double skin = solid.core->radius + round.core->radius;
-  const Axis axis = separating_axis(solid, round, reach + skin);
+Manifold meet_solid(const PosedCore& solid, const PosedCore& rounded, double reach) {
+  const double skin = solid.core->radius + rounded.core->radius;
+  const Axis axis = separating_axis(solid, rounded, reach + skin);
   if (axis.gap > reach + skin) return {};
   Vec normal = axis.normal;
   Vec on, off;
   if (axis.gap > 0) {
-    std::tie(on, off) = nearest_of(solid, round);
+    std::tie(on, off) = nearest_of(solid, rounded);
     normal = direction(off - on, axis.normal);
     if (dot(off - on, normal) > reach + skin) return {};
   }
   const int face = axis.kind == Axis::FIRST ? axis.first : -1;
-  const bool flush = face >= 0 && dot(normal, solid.normals[face]) > 1 - LIES * LIES / 2;
-  if (round.core->points.size() > 1 && flush) {
-    const Vec d = round.points[1] - round.points[0];
+  const bool flush = face >= 0 && dot(normal, solid.normals[face]) > 1 - COPLANAR * COPLANAR / 2;
+  if (rounded.core->points.size() > 1 && flush) {
+    const Vec d = rounded.points[1] - rounded.points[0];
     const double tilt = dot(d, solid.normals[face]);
-    if (tilt * tilt <= LIES * dot(d, d)) {
-      const Manifold manifold = of_face(solid, round, face, false, reach);
+    if (tilt * tilt <= COPLANAR * dot(d, d)) {
+      const Manifold manifold = of_face(solid, rounded, face, false, reach);
       if (manifold.count > 1) return manifold;
     }
   }
-  if (axis.gap > 0) return of_points(on, off, normal, solid.core->radius, round.core->radius);
+  if (axis.gap > 0) return of_points(on, off, normal, solid.core->radius, rounded.core->radius);
   if (axis.kind == Axis::EDGES) {
     const auto [p, q] = nearest({axis.edge_a[0], axis.edge_a[1]}, {axis.edge_b[0], axis.edge_b[1]});
-    return of_points(p, q, normal, solid.core->radius, round.core->radius);
+    return of_points(p, q, normal, solid.core->radius, rounded.core->radius);
   }
   // Overlapping at a face: the deepest point of the round one.
-  Vec deepest = round.points[0];
-  for (std::size_t i = 1; i < round.core->points.size(); ++i)
-    if (dot(normal, round.points[i]) < dot(normal, deepest)) deepest = round.points[i];
+  Vec deepest = rounded.points[0];
+  for (std::size_t i = 1; i < rounded.core->points.size(); ++i)
+    if (dot(normal, rounded.points[i]) < dot(normal, deepest)) deepest = rounded.points[i];
   const Vec below = deepest - normal * axis.gap;
-  return of_points(below, deepest, normal, solid.core->radius, round.core->radius);
+  return of_points(below, deepest, normal, solid.core->radius, rounded.core->radius);
 }
 
 Manifold turned(Manifold manifold) {
@@ -266,7 +266,7 @@ bool arcs_cross(Vec a, Vec b, Vec c, Vec d) {
   return cba * dba < 0 && adc * bdc < 0 && cba * bdc > 0;
 }
 
-void look_at_faces(const Placed& a, const Placed& b, bool first, double slack, double reach,
+void best_face_axis(const PosedCore& a, const PosedCore& b, bool first, double slack, double reach,
                    Axis& best) {
   for (std::size_t f = 0; f < a.core->faces(); ++f) {
     const Vec n = a.normals[f];
@@ -281,7 +281,7 @@ void look_at_faces(const Placed& a, const Placed& b, bool first, double slack, d
 }
 
 // The separating axis of two boxes, of 15 candidates, from their half extents.
-Axis separating_boxes(const Placed& a, const Placed& b, double reach, double slack) {
+Axis separating_boxes(const PosedCore& a, const PosedCore& b, double reach, double slack) {
   const Vec off = b.centre - a.centre;
   Vec axes_a[3], far[3];
   double half[3], other[3], cosines[3][3], size[3][3], at[3], along_b[3];
@@ -384,21 +384,21 @@ void Core::find_box() {
   if (normals.size() != 6 || points.size() != 8) return;
   for (std::size_t i = 0; i < 3; ++i) {
     const Vec n = normals[2 * i];
-    if (dot(n, normals[2 * i + 1]) > EXACT - 1) return;
-    if (std::fabs(dot(n, normals[(2 * i + 2) % 6])) > EXACT) return;
+    if (dot(n, normals[2 * i + 1]) > BOX_TOLERANCE - 1) return;
+    if (std::fabs(dot(n, normals[(2 * i + 2) % 6])) > BOX_TOLERANCE) return;
     half[i] = (offsets[2 * i] + offsets[2 * i + 1]) / 2;
   }
   box = true;
 }
 
-Axis separating_axis(const Placed& a, const Placed& b, double reach) {
+Axis separating_axis(const PosedCore& a, const PosedCore& b, double reach) {
   const double size = std::min(a.core->reach, b.core->reach);
   const double slack = PREFER * size;
   if (a.core->box && b.core->box) return separating_boxes(a, b, reach, slack);
   Axis best;
-  look_at_faces(a, b, true, 0, reach, best);
+  best_face_axis(a, b, true, 0, reach, best);
   if (best.gap > reach) return best;
-  look_at_faces(b, a, false, best.kind == Axis::NONE ? 0 : slack, reach, best);
+  best_face_axis(b, a, false, best.kind == Axis::NONE ? 0 : slack, reach, best);
   if (best.gap > reach) return best;
   const bool solid = a.core->faces() > 2 && b.core->faces() > 2;
   const auto try_edges = [&](Vec normal, double gap, Vec a0, Vec a1, Vec b0, Vec b1) {
@@ -426,10 +426,10 @@ Axis separating_axis(const Placed& a, const Placed& b, double reach) {
     return best;
   }
   // For triangles and segments every pair of edges counts.
-  const auto edge_count = [](const Placed& p) {
+  const auto edge_count = [](const PosedCore& p) {
     return p.core->faces() ? p.core->edges.size() : p.core->points.size() - 1;
   };
-  const auto edge_of = [](const Placed& p, std::size_t i) -> Segment {
+  const auto edge_of = [](const PosedCore& p, std::size_t i) -> Segment {
     if (!p.core->faces()) return {p.points[0], p.points[1]};
     return {p.points[p.core->edges[i].from], p.points[p.core->edges[i].to]};
   };
@@ -448,9 +448,9 @@ Axis separating_axis(const Placed& a, const Placed& b, double reach) {
   return best;
 }
 
-Manifold meet(const Placed& a, const Placed& b, double reach) {
+Manifold manifold_of(const PosedCore& a, const PosedCore& b, double reach) {
   if (!a.core->faces()) return b.core->faces() ? turned(meet_solid(b, a, reach))
-                                               : meet_round(a, b, reach);
+                                               : round_manifold(a, b, reach);
   if (!b.core->faces()) return meet_solid(a, b, reach);
   const double skin = a.core->radius + b.core->radius;
   const Axis axis = separating_axis(a, b, reach + skin);
@@ -461,10 +461,10 @@ Manifold meet(const Placed& a, const Placed& b, double reach) {
   return of_points(p, q, axis.normal, a.core->radius, b.core->radius);
 }
 
-void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into) {
+void reduce_to_four(std::vector<ContactPoint>& points, Vec normal, Manifold& into) {
   into.count = 0;
-  if (points.size() <= MOST_POINTS) {
-    for (const Touching& p : points) into.points[static_cast<std::size_t>(into.count++)] = p;
+  if (points.size() <= MAX_POINTS) {
+    for (const ContactPoint& p : points) into.points[static_cast<std::size_t>(into.count++)] = p;
     return;
   }
   const auto take = [&](auto score) {
@@ -474,18 +474,18 @@ void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into) {
       const double s = score(points[i]);
       if (s > most) most = s, best = i;
     }
-    const Touching point = points[best];
+    const ContactPoint point = points[best];
     points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
     into.points[static_cast<std::size_t>(into.count++)] = point;
     return point.at;
   };
-  const Vec a = take([](const Touching& p) { return -p.gap; });
-  const Vec b = take([&](const Touching& p) { return dot(p.at - a, p.at - a); });
+  const Vec a = take([](const ContactPoint& p) { return -p.gap; });
+  const Vec b = take([&](const ContactPoint& p) { return dot(p.at - a, p.at - a); });
   const Vec side = cross(b - a, normal);
-  const auto away = [&](const Touching& p) { return dot(side, p.at - a); };
-  const Vec c = take([&](const Touching& p) { return std::fabs(away(p)); });
+  const auto away = [&](const ContactPoint& p) { return dot(side, p.at - a); };
+  const Vec c = take([&](const ContactPoint& p) { return std::fabs(away(p)); });
   const double sign = dot(side, c - a) < 0 ? -1 : 1;
-  take([&](const Touching& p) { return -sign * away(p); });
+  take([&](const ContactPoint& p) { return -sign * away(p); });
 }
 
 }  // namespace animtool::rigid

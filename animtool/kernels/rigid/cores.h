@@ -41,7 +41,7 @@ struct Core {
 };
 
 // A posed core: its points and face normals in the world.
-struct Placed {
+struct PosedCore {
   const Core* core = nullptr;
   const Vec* points = nullptr;
   const Vec* normals = nullptr;
@@ -59,35 +59,35 @@ struct Placed {
 };
 
 // A core placed by a pose, with its buffers.
-class Placing {
+class CorePoser {
  public:
   void set(const Core& core, const Pose& pose) {
     const std::size_t points = core.points.size(), faces = core.faces();
-    room_.resize(points + faces);
-    for (std::size_t i = 0; i < points; ++i) room_[i] = pose.to_world(core.points[i]);
-    for (std::size_t i = 0; i < faces; ++i) room_[points + i] = pose.rotated(core.normals[i]);
-    placed_ = {&core, room_.data(), room_.data() + points, pose.to_world(core.centre)};
+    buffer_.resize(points + faces);
+    for (std::size_t i = 0; i < points; ++i) buffer_[i] = pose.to_world(core.points[i]);
+    for (std::size_t i = 0; i < faces; ++i) buffer_[points + i] = pose.rotated(core.normals[i]);
+    placed_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
   }
-  const Placed& get() const { return placed_; }
+  const PosedCore& get() const { return placed_; }
 
  private:
-  std::vector<Vec> room_;
-  Placed placed_;
+  std::vector<Vec> buffer_;
+  PosedCore placed_;
 };
 
 // A contact point, halfway between both surfaces, and the gap there.
-struct Touching {
+struct ContactPoint {
   Vec at;
   double gap;
 };
 
-constexpr int MOST_POINTS = 4;
+constexpr int MAX_POINTS = 4;
 
 // A contact manifold: the normal is from the first to the second.
 struct Manifold {
   Vec normal;
   int count = 0;
-  std::array<Touching, MOST_POINTS> points{};
+  std::array<ContactPoint, MAX_POINTS> points{};
 };
 
 // The separation along the best axis, negative if they overlap; at most their distance. Stops
@@ -100,12 +100,12 @@ struct Axis {
   Vec edge_a[2], edge_b[2];                  // ends of edges
 };
 
-Axis separating_axis(const Placed& a, const Placed& b, double reach);
+Axis separating_axis(const PosedCore& a, const PosedCore& b, double reach);
 
 // The contact of two within a distance; no points beyond it.
-Manifold meet(const Placed& a, const Placed& b, double reach);
+Manifold manifold_of(const PosedCore& a, const PosedCore& b, double reach);
 
 // Reduces contact points to the four that matter most, starting at the deepest.
-void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into);
+void reduce_to_four(std::vector<ContactPoint>& points, Vec normal, Manifold& into);
 
 }  // namespace animtool::rigid

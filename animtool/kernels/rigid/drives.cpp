@@ -11,17 +11,17 @@ namespace animtool::rigid {
 namespace {
 
 // Phase of a swing in a substep above which it is damped, not resolved [rad].
-constexpr double FARTHEST = 2;
+constexpr double MAX_PHASE = 2;
 // Decay exponent above which a motion is at rest.
 constexpr double DECAYED = 20;
 // Largest number of joint equations solved together, and around one drive in larger islands.
-constexpr std::size_t TOGETHER = 96, NEAR = 48;
+constexpr std::size_t MAX_EQUATIONS = 96, MAX_NEAR_EQUATIONS = 48;
 // Relative mass below which an equation is redundant; fully constrained bodies are this much
 // heavier.
-constexpr double IMPLIED = 1e-9, FIXED_MASS = 1e6;
+constexpr double REDUNDANT = 1e-9, FIXED_MASS = 1e6;
 // Equations with less independent mass than the first converge slowly by iteration; below the
 // second, a drive does not feel the mass behind it.
-constexpr double INDEPENDENT = 0.02, KNOWN = 1e-3;
+constexpr double INDEPENDENT = 0.02, MIN_INDEPENDENCE = 1e-3;
 
 // Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0 or with a speed.
 struct Response {
@@ -67,40 +67,40 @@ Response response_of(double stiffness, double damping) {
 }
 
 // Angular frequency of a damped spring on a mass [1/s].
-double swing(const Joint& joint, double mass) {
+double damped_frequency(const Joint& joint, double mass) {
   const double z = joint.damping / mass / 2;
   return std::sqrt(std::max(joint.stiffness / mass - z * z, 0.0));
 }
 
-bool followed(const Joint& joint, const Drive& drive, double h) {
-  return drive.known && drive.mass > 0 && swing(joint, drive.mass) * h <= FARTHEST;
+bool is_resolved(const Joint& joint, const Drive& drive, double h) {
+  return drive.moves_mass && drive.mass > 0 && damped_frequency(joint, drive.mass) * h <= MAX_PHASE;
 }
 
 // Inverse mass matrix of joint equations.
-class Masses {
+class InverseMassMatrix {
  public:
-  explicit Masses(const std::vector<Speed>& speeds) : speeds_(speeds) {}
+  explicit InverseMassMatrix(const std::vector<Speed>& speeds) : speeds_(speeds) {}
 
   // Returns the fraction of freedom that earlier equations leave it; at least that of a redundant
   // one.
   double add(const Joint& joint, const Row& row) {
     std::vector<double> line = coupled(joint, row);
-    const double alone = over(joint, row, joint, row);
-    double left = alone;
-    for (const double value : line) left -= value * value;
-    if (!(left > IMPLIED * alone)) return IMPLIED;
-    const double independence = left / alone;
-    line.push_back(std::sqrt(left));
+    const double diagonal = coupling(joint, row, joint, row);
+    double pivot = diagonal;
+    for (const double value : line) pivot -= value * value;
+    if (!(pivot > REDUNDANT * diagonal)) return REDUNDANT;
+    const double independence = pivot / diagonal;
+    line.push_back(std::sqrt(pivot));
     lines_.push_back(std::move(line)), rows_.push_back({&joint, &row});
     return independence;
   }
 
   // Speed change of a row by a unit impulse, with all equations constrained.
-  double ease(const Joint& joint, const Row& row) const {
-    const double alone = over(joint, row, joint, row);
-    double left = alone;
-    for (const double value : coupled(joint, row)) left -= value * value;
-    return std::max(left, alone / FIXED_MASS);
+  double inverse_mass(const Joint& joint, const Row& row) const {
+    const double diagonal = coupling(joint, row, joint, row);
+    double pivot = diagonal;
+    for (const double value : coupled(joint, row)) pivot -= value * value;
+    return std::max(pivot, diagonal / FIXED_MASS);
   }
 
  private:
@@ -113,23 +113,23 @@ class Masses {
   std::vector<double> coupled(const Joint& joint, const Row& row) const {
     std::vector<double> line(rows_.size());
     for (std::size_t i = 0; i < rows_.size(); ++i)
-      line[i] = over(joint, row, *rows_[i].joint, *rows_[i].row);
+      line[i] = coupling(joint, row, *rows_[i].joint, *rows_[i].row);
     cholesky::solve_forward<cholesky::Roots>([&](std::size_t i) { return lines_[i].data(); },
                                              line.size(), line.data());
     return line;
   }
 
   // Speed change of one row by a unit impulse of another.
-  double over(const Joint& p, const Row& u, const Joint& q, const Row& v) const {
+  double coupling(const Joint& p, const Row& u, const Joint& q, const Row& v) const {
     double sum = 0;
-    const auto meet = [&](std::size_t body, double sign, Vec arm_u, Vec arm_v) {
+    const auto add_shared_body = [&](std::size_t body, double sign, Vec arm_u, Vec arm_v) {
       const Speed& s = speeds_[body];
-      sum += sign * (s.ease * dot(u.line, v.line) + dot(arm_u, s.turned(arm_v)));
+      sum += sign * (s.inverse_mass * dot(u.line, v.line) + dot(arm_u, s.angular_response(arm_v)));
     };
-    if (p.b == q.b) meet(p.b, 1, u.arm_b, v.arm_b);
-    if (p.a >= 0 && p.a == q.a) meet(static_cast<std::size_t>(p.a), 1, u.arm_a, v.arm_a);
-    if (p.a >= 0 && static_cast<std::size_t>(p.a) == q.b) meet(q.b, -1, u.arm_a, v.arm_b);
-    if (q.a >= 0 && static_cast<std::size_t>(q.a) == p.b) meet(p.b, -1, u.arm_b, v.arm_a);
+    if (p.b == q.b) add_shared_body(p.b, 1, u.arm_b, v.arm_b);
+    if (p.a >= 0 && p.a == q.a) add_shared_body(static_cast<std::size_t>(p.a), 1, u.arm_a, v.arm_a);
+    if (p.a >= 0 && static_cast<std::size_t>(p.a) == q.b) add_shared_body(q.b, -1, u.arm_a, v.arm_b);
+    if (q.a >= 0 && static_cast<std::size_t>(q.a) == p.b) add_shared_body(p.b, -1, u.arm_b, v.arm_a);
     return sum;
   }
 
@@ -141,15 +141,15 @@ class Masses {
 // Independence of joint equations.
 struct Condition {
   double least = 1;      // smallest of the independent ones
-  bool implied = false;  // whether some are redundant
+  bool has_redundant = false;  // whether some are redundant
 
   void add(double independence) {
-    if (independence > IMPLIED) least = std::min(least, independence);
-    else implied = true;
+    if (independence > REDUNDANT) least = std::min(least, independence);
+    else has_redundant = true;
   }
 };
 
-void add_locks(Masses& to, Condition& condition, const Joint& joint, const Rows& rows) {
+void add_locks(InverseMassMatrix& to, Condition& condition, const Joint& joint, const Rows& rows) {
   for (std::size_t r = 0; r < rows.count; ++r)
     if (rows.of[r].kind == Row::LOCK) condition.add(to.add(joint, rows.of[r]));
 }
@@ -162,7 +162,7 @@ bool have_common_body(const Joint& p, const Joint& q) {
 }
 
 // The joints nearest to one of an island, itself first, up to a number of equations.
-std::vector<std::size_t> near(const std::vector<Joint>& joints,
+std::vector<std::size_t> nearest_joints(const std::vector<Joint>& joints,
                               const std::vector<std::size_t>& island,
                               const std::vector<Rows>& rows, std::size_t begin) {
   std::vector<std::size_t> nearest{begin};
@@ -170,7 +170,7 @@ std::vector<std::size_t> near(const std::vector<Joint>& joints,
   known[begin] = 1;
   std::size_t count = rows[begin].count;
   for (std::size_t i = 0; i < nearest.size(); ++i)
-    for (std::size_t k = 0; k < island.size() && count < NEAR; ++k) {
+    for (std::size_t k = 0; k < island.size() && count < MAX_NEAR_EQUATIONS; ++k) {
       if (known[k] || !have_common_body(joints[island[nearest[i]]], joints[island[k]])) continue;
       known[k] = 1, count += rows[k].count;
       nearest.push_back(k);
@@ -179,47 +179,47 @@ std::vector<std::size_t> near(const std::vector<Joint>& joints,
 }
 
 // Fully constrained bodies are not pushed harder than a hard joint would.
-void bound(const Drive& drive, Row& row) {
-  const double most = drive.mass < row.mass * FIXED_MASS / 2 ? row.give : row.mass;
-  if (row.give > most) row.push *= most / row.give, row.give = most;
+void limit_push(const Drive& drive, Row& row) {
+  const double max_give = drive.mass < row.mass * FIXED_MASS / 2 ? row.give : row.mass;
+  if (row.give > max_give) row.push *= max_give / row.give, row.give = max_give;
 }
 
 }  // namespace
 
-double swing_of(const Joint& joint, double mass, double time) {
+double frequency_of(const Joint& joint, double mass, double time) {
   if (!(mass > 0) || joint.damping / mass * time / 2 > DECAYED) return 0;
-  return swing(joint, mass);
+  return damped_frequency(joint, mass);
 }
 
 void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, double h) {
   drive.speed = speed, drive.error = row.error;
   const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
   const double m = drive.mass;
-  if (!followed(joint, drive, h)) {
+  if (!is_resolved(joint, drive, h)) {
     row.give = h / 2 * (joint.damping + h * joint.stiffness), row.push = h / 2 * pull;
-    return bound(drive, row);
+    return limit_push(drive, row);
   }
   const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
   row.give = m * to.extra;
   row.push = m * to.lag * speed + h / 2 * pull;
-  bound(drive, row);
+  limit_push(drive, row);
 }
 
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h) {
   const double m = drive.mass;
-  if (!followed(joint, drive, h)) {
+  if (!is_resolved(joint, drive, h)) {
     const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
     row.give = h * (joint.damping + h * joint.stiffness), row.push = h * pull;
-    return bound(drive, row);
+    return limit_push(drive, row);
   }
   const double pull = (joint.stiffness * drive.error - joint.damping * joint.speed) / m;
   const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
-  const double others = speed - drive.speed - drive.first / m;
+  const double others = speed - drive.speed - drive.first_impulse / m;
   const double after = to.decay * drive.speed - h * to.by_speed * pull +
                        (2 * to.by_speed - to.by_pull) * others;
   row.give = m * to.extra;
-  row.push = m * (speed - after / to.by_pull) - drive.first;
-  bound(drive, row);
+  row.push = m * (speed - after / to.by_pull) - drive.first_impulse;
+  limit_push(drive, row);
 }
 
 bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
@@ -227,28 +227,28 @@ bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t
                  std::vector<Drives>& drives) {
   std::size_t count = 0;
   for (const Rows& each : rows) count += each.count;
-  const bool complete = count <= TOGETHER;
-  Masses all(speeds);
+  const bool complete = count <= MAX_EQUATIONS;
+  InverseMassMatrix all(speeds);
   Condition condition;
   for (std::size_t k = 0; complete && k < island.size(); ++k)
     add_locks(all, condition, joints[island[k]], rows[k]);
   for (std::size_t k = 0; k < island.size(); ++k) {
     const Joint& joint = joints[island[k]];
     if (!driven(joint)) continue;
-    Masses some(speeds);
+    InverseMassMatrix some(speeds);
     Condition around = condition;
     if (!complete)
-      for (const std::size_t i : near(joints, island, rows, k))
+      for (const std::size_t i : nearest_joints(joints, island, rows, k))
         add_locks(some, around, joints[island[i]], rows[i]);
     for (std::size_t r = 0; r < rows[k].count; ++r) {
       const Row& row = rows[k].of[r];
       if (row.kind != Row::DRIVE) continue;
       Drive& drive = drives[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)];
-      drive.mass = 1 / (complete ? all : some).ease(joint, row);
-      drive.known = around.least > KNOWN;
+      drive.mass = 1 / (complete ? all : some).inverse_mass(joint, row);
+      drive.moves_mass = around.least > MIN_INDEPENDENCE;
     }
   }
-  return complete && !condition.implied && condition.least > INDEPENDENT;
+  return complete && !condition.has_redundant && condition.least > INDEPENDENT;
 }
 
 }  // namespace animtool::rigid

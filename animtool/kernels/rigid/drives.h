@@ -17,10 +17,10 @@ namespace animtool::rigid {
 // State of one drive equation between steps.
 struct Drive {
   double mass = 0;    // effective mass; 0 without an equation
-  bool known = false; // whether joints let it move that mass
+  bool moves_mass = false; // whether joints let it move that mass
   double speed = 0;   // speed at the start of a substep
   double error = 0;
-  double first = 0;   // impulse of the first half of a substep
+  double first_impulse = 0;   // impulse of the first half of a substep
 };
 
 using Drives = std::array<Drive, 3>;
@@ -28,7 +28,7 @@ using Drives = std::array<Drive, 3>;
 inline bool driven(const Joint& joint) { return joint.stiffness > 0 || joint.damping > 0; }
 
 // Angular frequency of a drive of a mass [1/s]; 0 if it creeps or comes to rest within a time.
-double swing_of(const Joint& joint, double mass, double time);
+double frequency_of(const Joint& joint, double mass, double time);
 
 // Impulse of a drive's row in the first half of a substep, from position and speed.
 void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, double h);

@@ -8,48 +8,48 @@ namespace animtool::rigid {
 namespace {
 
 // Pairs approaching within this fraction of the fastest are solved together.
-constexpr double TOGETHER = 1e-3;
+constexpr double EQUALLY_FAST = 1e-3;
 // An impact is converged if velocities change by less than this fraction of the fastest approach.
-constexpr double SOLVED = 1e-7;
-constexpr int ROUNDS_OF_ONE = 40, ROUNDS_PER_JOINT = 8;
+constexpr double CONVERGED = 1e-7;
+constexpr int MIN_ITERATIONS = 40, ITERATIONS_PER_JOINT = 8;
 // Largest number of impacts in a substep, in a chain of bodies; the rest is inelastic.
 constexpr std::size_t IMPACTS = 16, IMPACTS_PER_PATCH = 4;
 // After the first impact, approaches below this fraction of the fastest are ignored too.
-constexpr double LITTLE = 0.05;
+constexpr double NEGLIGIBLE = 0.05;
 // Rounding of a sum of energies.
-constexpr double EXACT = 1e-13;
+constexpr double ENERGY_ROUNDING = 1e-13;
 
 }  // namespace
 
 Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
                  const std::vector<Point>& points, const std::vector<std::size_t>& joints,
                  const std::vector<Rows>& rows, std::vector<Speed>& speeds, double tolerance,
-                 double soon)
+                 double arrival_time)
     : world_(world), patches_(patches), points_(points), joints_(joints), rows_(rows),
-      speeds_(speeds), tolerance_(tolerance), soon_(soon) {}
+      speeds_(speeds), tolerance_(tolerance), arrival_time_(arrival_time) {}
 
 void Impacts::run(const std::function<double(const Patch&)>& rests, std::vector<char>& pushed) {
   list_patches();
   std::vector<double> speeds(patches_.size());
-  const auto look = [&](std::size_t k) {
-    const double speed = closing(patches_[k]);
+  const auto update_speed = [&](std::size_t k) {
+    const double speed = approach_speed(patches_[k]);
     speeds[k] = speed > std::max(tolerance_, rests(patches_[k])) ? speed : 0;
   };
-  for (std::size_t k = 0; k < patches_.size(); ++k) look(k);
-  const std::size_t most = IMPACTS + IMPACTS_PER_PATCH * patches_.size();
+  for (std::size_t k = 0; k < patches_.size(); ++k) update_speed(k);
+  const std::size_t max_impacts = IMPACTS + IMPACTS_PER_PATCH * patches_.size();
   double least = 0;
-  for (std::size_t i = 0; i < most; ++i) {
+  for (std::size_t i = 0; i < max_impacts; ++i) {
     const auto fastest = std::max_element(speeds.begin(), speeds.end());
     if (fastest == speeds.end() || *fastest == 0) return;
-    if (i == 0) least = *fastest * LITTLE;
+    if (i == 0) least = *fastest * NEGLIGIBLE;
     if (*fastest < least && i >= IMPACTS) return;
     const Patch& first = patches_[static_cast<std::size_t>(fastest - speeds.begin())];
-    const double speed = *fastest, together = speed * (1 - TOGETHER);
-    bodies_.clear(), pulls_.clear();
+    const double speed = *fastest, combined_speed = speed * (1 - EQUALLY_FAST);
+    bodies_.clear(), equations_.clear();
     for (std::size_t k = 0; k < patches_.size(); ++k) {
       const Patch& patch = patches_[k];
       const bool same = patch.a == first.a && patch.b == first.b;
-      if (same || speeds[k] >= together) gather(patch, rests(patch));
+      if (same || speeds[k] >= combined_speed) gather(patch, rests(patch));
     }
     gather_joints();
     before_.clear();
@@ -57,7 +57,7 @@ void Impacts::run(const std::function<double(const Patch&)>& rests, std::vector<
     solve(speed);
     bound_energy();
     for (const std::size_t b : bodies_)
-      for (std::size_t at = starts_[b]; at < starts_[b + 1]; ++at) look(listed_[at]);
+      for (std::size_t at = starts_[b]; at < starts_[b + 1]; ++at) update_speed(listed_[at]);
   }
 }
 
@@ -78,16 +78,16 @@ void Impacts::list_patches() {
 }
 
 // Whether a point touches, or arrives at once.
-bool Impacts::meets(const Patch& patch, const Point& p) const {
-  if (p.now <= TOUCHING * world_.bodies[patch.a].reach) return true;
-  return p.now <= -speed_along(speeds_, patch, p, 0) * soon_;
+bool Impacts::touches(const Patch& patch, const Point& p) const {
+  if (p.current_gap <= TOUCHING * world_.bodies[patch.a].reach) return true;
+  return p.current_gap <= -speed_along(speeds_, patch, p, 0) * arrival_time_;
 }
 
 // Approach speed of a pair at its contact.
-double Impacts::closing(const Patch& patch) const {
+double Impacts::approach_speed(const Patch& patch) const {
   double most = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k)
-    if (meets(patch, points_[k]))
+    if (touches(patch, points_[k]))
       most = std::max(most, -speed_along(speeds_, patch, points_[k], 0));
   return most;
 }
@@ -98,50 +98,50 @@ void Impacts::gather(const Patch& patch, double rest) {
   if (patch.b < world_.bodies.size()) bodies_.push_back(patch.b);
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     const Point& p = points_[k];
-    if (!meets(patch, p)) continue;
+    if (!touches(patch, p)) continue;
     for (int d = 0; d < (patch.friction > 0 ? 3 : 1); ++d) {
-      Pull pull;
-      pull.a = patch.a, pull.b = patch.b;
-      pull.line = d ? patch.tangents[d - 1] : patch.normal;
-      pull.arm_a = p.arms_a[d], pull.arm_b = p.arms_b[d];
-      pull.response_a = p.responses_a[d], pull.response_b = p.responses_b[d];
-      pull.mass = d ? p.masses[d - 1] : p.mass;
-      pull.bias_speed = d ? dot(pull.line, p.slide) : p.bias_speed;
-      pull.across = d, pull.friction = patch.friction;
-      pull.one_sided = d == 0;
-      const double into = d ? 0.0 : -speed_of(pull);
-      pull.target = into > rest ? patch.restitution * into : 0.0;
-      pulls_.push_back(pull);
+      Equation equation;
+      equation.a = patch.a, equation.b = patch.b;
+      equation.line = d ? patch.tangents[d - 1] : patch.normal;
+      equation.arm_a = p.arms_a[d], equation.arm_b = p.arms_b[d];
+      equation.response_a = p.responses_a[d], equation.response_b = p.responses_b[d];
+      equation.mass = d ? p.masses[d - 1] : p.mass;
+      equation.bias_speed = d ? dot(equation.line, p.slide) : p.bias_speed;
+      equation.across = d, equation.friction = patch.friction;
+      equation.one_sided = d == 0;
+      const double into = d ? 0.0 : -speed_of(equation);
+      equation.target = into > rest ? patch.restitution * into : 0.0;
+      equations_.push_back(equation);
     }
   }
 }
 
 // Collects bodies connected by joints to those of an impact, transitively.
 void Impacts::gather_joints() {
-  const auto touched = [&](std::size_t i) {
+  const auto is_included = [&](std::size_t i) {
     return std::find(bodies_.begin(), bodies_.end(), i) != bodies_.end();
   };
-  std::vector<char> taken(joints_.size(), 0);
+  std::vector<char> included(joints_.size(), 0);
   for (bool more = !joints_.empty(); more;) {
     more = false;
     for (std::size_t k = 0; k < joints_.size(); ++k) {
       const Joint& joint = world_.joints[joints_[k]];
       const bool two = joint.a >= 0;
       const std::size_t a = two ? static_cast<std::size_t>(joint.a) : world_.bodies.size();
-      if (taken[k] || !(touched(joint.b) || (two && touched(a)))) continue;
-      taken[k] = 1, more = true;
-      if (!touched(joint.b)) bodies_.push_back(joint.b);
-      if (two && !touched(a)) bodies_.push_back(a);
+      if (included[k] || !(is_included(joint.b) || (two && is_included(a)))) continue;
+      included[k] = 1, more = true;
+      if (!is_included(joint.b)) bodies_.push_back(joint.b);
+      if (two && !is_included(a)) bodies_.push_back(a);
       for (std::size_t r = 0; r < rows_[k].count; ++r) {
         const Row& row = rows_[k].of[r];
         if (row.kind == Row::DRIVE || (row.kind == Row::LIMIT && row.error > 0)) continue;
-        Pull pull;
-        pull.a = a, pull.b = joint.b, pull.line = row.line;
-        pull.arm_a = row.arm_a, pull.arm_b = row.arm_b;
-        pull.response_a = speeds_[a].turned(row.arm_a), pull.response_b = speeds_[joint.b].turned(row.arm_b);
-        pull.mass = row.mass, pull.bias_speed = row.bias_speed;
-        pull.one_sided = row.kind == Row::LIMIT, pull.joint = true;
-        pulls_.push_back(pull);
+        Equation equation;
+        equation.a = a, equation.b = joint.b, equation.line = row.line;
+        equation.arm_a = row.arm_a, equation.arm_b = row.arm_b;
+        equation.response_a = speeds_[a].angular_response(row.arm_a), equation.response_b = speeds_[joint.b].angular_response(row.arm_b);
+        equation.mass = row.mass, equation.bias_speed = row.bias_speed;
+        equation.one_sided = row.kind == Row::LIMIT, equation.joint = true;
+        equations_.push_back(equation);
       }
     }
   }
@@ -149,43 +149,43 @@ void Impacts::gather_joints() {
   bodies_.erase(std::unique(bodies_.begin(), bodies_.end()), bodies_.end());
 }
 
-double Impacts::speed_of(const Pull& pull) const {
-  const Speed &a = speeds_[pull.a], &b = speeds_[pull.b];
-  return dot(pull.line, b.v - a.v) + dot(pull.arm_b, b.w) - dot(pull.arm_a, a.w) + pull.bias_speed;
+double Impacts::speed_of(const Equation& equation) const {
+  const Speed &a = speeds_[equation.a], &b = speeds_[equation.b];
+  return dot(equation.line, b.v - a.v) + dot(equation.arm_b, b.w) - dot(equation.arm_a, a.w) + equation.bias_speed;
 }
 
-void Impacts::add(Pull& pull, double impulse) {
-  pull.impulse += impulse;
-  apply(speeds_, pull.a, pull.b, pull.line, pull.response_a, pull.response_b, impulse);
+void Impacts::add(Equation& equation, double impulse) {
+  equation.impulse += impulse;
+  apply(speeds_, equation.a, equation.b, equation.line, equation.response_a, equation.response_b, impulse);
 }
 
 void Impacts::solve(double speed) {
   const int joined = static_cast<int>(
-      std::count_if(pulls_.begin(), pulls_.end(), [](const Pull& p) { return p.joint; }));
-  const int most = ROUNDS_OF_ONE + ROUNDS_PER_JOINT * joined;
-  for (int round = 0; round < most; ++round) {
+      std::count_if(equations_.begin(), equations_.end(), [](const Equation& p) { return p.joint; }));
+  const int max_iterations = MIN_ITERATIONS + ITERATIONS_PER_JOINT * joined;
+  for (int iteration = 0; iteration < max_iterations; ++iteration) {
     double change = 0;
-    for (std::size_t k = 0; k < pulls_.size(); ++k) {
-      Pull& pull = pulls_[k];
-      if (pull.across == 0) {
-        const double to = pull.impulse - pull.mass * (speed_of(pull) - pull.target);
-        const double by = (pull.one_sided ? std::max(to, 0.0) : to) - pull.impulse;
+    for (std::size_t k = 0; k < equations_.size(); ++k) {
+      Equation& equation = equations_[k];
+      if (equation.across == 0) {
+        const double to = equation.impulse - equation.mass * (speed_of(equation) - equation.target);
+        const double by = (equation.one_sided ? std::max(to, 0.0) : to) - equation.impulse;
         if (by == 0) continue;
-        add(pull, by);
-        change = std::max(change, std::fabs(by) / pull.mass);
-      } else if (pull.across == 1) {
-        Pull& other = pulls_[k + 1];
-        const double limit = pull.friction * pulls_[k - 1].impulse;
-        const double to[2] = {pull.impulse - pull.mass * speed_of(pull),
+        add(equation, by);
+        change = std::max(change, std::fabs(by) / equation.mass);
+      } else if (equation.across == 1) {
+        Equation& other = equations_[k + 1];
+        const double limit = equation.friction * equations_[k - 1].impulse;
+        const double to[2] = {equation.impulse - equation.mass * speed_of(equation),
                               other.impulse - other.mass * speed_of(other)};
         const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
         const double scale = size > limit ? limit / size : 1;
-        const double by[2] = {to[0] * scale - pull.impulse, to[1] * scale - other.impulse};
-        if (by[0] != 0) add(pull, by[0]), change = std::max(change, std::fabs(by[0]) / pull.mass);
+        const double by[2] = {to[0] * scale - equation.impulse, to[1] * scale - other.impulse};
+        if (by[0] != 0) add(equation, by[0]), change = std::max(change, std::fabs(by[0]) / equation.mass);
         if (by[1] != 0) add(other, by[1]), change = std::max(change, std::fabs(by[1]) / other.mass);
       }
     }
-    if (change <= SOLVED * speed) return;
+    if (change <= CONVERGED * speed) return;
   }
 }
 
@@ -197,26 +197,26 @@ void Impacts::bound_energy() {
     const Body& body = world_.bodies[bodies_[i]];
     const Speed &old = before_[i], &now = speeds_[bodies_[i]];
     const Vec change = now.v - old.v;
-    slope += dot(old.v, change) / body.ease, size += dot(change, change) / body.ease / 2;
-    energy += dot(old.v, old.v) / body.ease / 2;
+    slope += dot(old.v, change) / body.inverse_mass, size += dot(change, change) / body.inverse_mass / 2;
+    energy += dot(old.v, old.v) / body.inverse_mass / 2;
   }
   // Rotational work from the impulses themselves: w I dw is w times the twist.
-  for (const Pull& pull : pulls_) {
+  for (const Equation& equation : equations_) {
     const auto at = [&](std::size_t body) {
       return std::lower_bound(bodies_.begin(), bodies_.end(), body) - bodies_.begin();
     };
     double spin = 0, turned = 0;
-    if (pull.a < world_.bodies.size()) {
-      const Speed &old = before_[static_cast<std::size_t>(at(pull.a))], &now = speeds_[pull.a];
-      spin -= dot(pull.arm_a, old.w), turned -= dot(pull.arm_a, now.w - old.w);
+    if (equation.a < world_.bodies.size()) {
+      const Speed &old = before_[static_cast<std::size_t>(at(equation.a))], &now = speeds_[equation.a];
+      spin -= dot(equation.arm_a, old.w), turned -= dot(equation.arm_a, now.w - old.w);
     }
-    if (pull.b < world_.bodies.size()) {
-      const Speed &old = before_[static_cast<std::size_t>(at(pull.b))], &now = speeds_[pull.b];
-      spin += dot(pull.arm_b, old.w), turned += dot(pull.arm_b, now.w - old.w);
+    if (equation.b < world_.bodies.size()) {
+      const Speed &old = before_[static_cast<std::size_t>(at(equation.b))], &now = speeds_[equation.b];
+      spin += dot(equation.arm_b, old.w), turned += dot(equation.arm_b, now.w - old.w);
     }
-    slope += pull.impulse * (spin + pull.bias_speed), size += pull.impulse * turned / 2;
+    slope += equation.impulse * (spin + equation.bias_speed), size += equation.impulse * turned / 2;
   }
-  if (!(slope + size > EXACT * (energy + size)) || !(size > 0)) return;
+  if (!(slope + size > ENERGY_ROUNDING * (energy + size)) || !(size > 0)) return;
   const double scale = std::clamp(-slope / size, 0.0, 1.0);
   for (std::size_t i = 0; i < bodies_.size(); ++i) {
     Speed& now = speeds_[bodies_[i]];

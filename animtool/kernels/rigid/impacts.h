@@ -21,13 +21,13 @@ class Impacts {
   // than a tolerance [m/s] are ignored; arrivals within this time [s] count as contact.
   Impacts(const World& world, const std::vector<Patch>& patches, const std::vector<Point>& points,
           const std::vector<std::size_t>& joints, const std::vector<Rows>& rows,
-          std::vector<Speed>& speeds, double tolerance, double soon);
+          std::vector<Speed>& speeds, double tolerance, double arrival_time);
 
   // Changes velocities, and marks the bodies it pushed. Patches slower than `rests` do not bounce.
   void run(const std::function<double(const Patch&)>& rests, std::vector<char>& pushed);
 
  private:
-  struct Pull {  // one equation of an impact
+  struct Equation {  // one equation of an impact
     std::size_t a, b;
     Vec line, arm_a, arm_b, response_a, response_b;
     double mass, bias_speed;
@@ -39,14 +39,14 @@ class Impacts {
   };
 
   void list_patches();
-  double closing(const Patch& patch) const;
-  bool meets(const Patch& patch, const Point& p) const;
+  double approach_speed(const Patch& patch) const;
+  bool touches(const Patch& patch, const Point& p) const;
   void gather(const Patch& patch, double rest);
   void gather_joints();
   void solve(double speed);
   void bound_energy();
-  double speed_of(const Pull& pull) const;
-  void add(Pull& pull, double impulse);
+  double speed_of(const Equation& equation) const;
+  void add(Equation& equation, double impulse);
 
   const World& world_;
   const std::vector<Patch>& patches_;
@@ -54,9 +54,9 @@ class Impacts {
   const std::vector<std::size_t>& joints_;
   const std::vector<Rows>& rows_;
   std::vector<Speed>& speeds_;
-  double tolerance_, soon_;
+  double tolerance_, arrival_time_;
   std::vector<std::size_t> starts_, listed_;  // patches of each body
-  std::vector<Pull> pulls_;
+  std::vector<Equation> equations_;
   std::vector<std::size_t> bodies_;  // of an impact, ascending
   std::vector<Speed> before_;        // their velocities
 };

@@ -10,7 +10,7 @@ namespace animtool::rigid {
 
 namespace {
 
-constexpr double ANY = std::numeric_limits<double>::infinity();
+constexpr double UNLIMITED = std::numeric_limits<double>::infinity();
 
 // The rotation vector of a rotation, the short way.
 Vec vector_of(Quaternion q) {
@@ -20,9 +20,9 @@ Vec vector_of(Quaternion q) {
   return n > 1e-12 ? v * (2 * std::atan2(n, q.w) / n) : v * 2;
 }
 
-class Writing {
+class RowWriter {
  public:
-  Writing(const Speed& a, const Speed& b, double h) : a_(a), b_(b), h_(h) {}
+  RowWriter(const Speed& a, const Speed& b, double h) : a_(a), b_(b), h_(h) {}
 
   Row& along(Vec line, Vec arm_a, Vec arm_b, double error, double bias_speed, int slot) {
     Row row;
@@ -37,12 +37,12 @@ class Writing {
 
   static void limit(Row& row) {
     row.kind = Row::LIMIT;
-    row.least = 0;
+    row.low = 0;
   }
   void drive(Row& row, const Joint& joint) const {
     row.kind = Row::DRIVE;
-    row.most = joint.most < 0 ? ANY : joint.most * h_;
-    row.least = -row.most;
+    row.high = joint.max_force < 0 ? UNLIMITED : joint.max_force * h_;
+    row.low = -row.high;
   }
 
   Rows rows;
@@ -50,11 +50,11 @@ class Writing {
  private:
   // Axes without inertia, such as a rod's, have no equation.
   Row& add(Row row, double error, double bias_speed, int slot) {
-    const double k = dot(row.line, row.line) * (a_.ease + b_.ease) +
-                     dot(row.arm_a, a_.turned(row.arm_a)) + dot(row.arm_b, b_.turned(row.arm_b));
+    const double k = dot(row.line, row.line) * (a_.inverse_mass + b_.inverse_mass) +
+                     dot(row.arm_a, a_.angular_response(row.arm_a)) + dot(row.arm_b, b_.angular_response(row.arm_b));
     row.error = error, row.bias_speed = bias_speed, row.slot = slot;
     row.mass = k > 0 ? 1 / k : 0;
-    row.most = ANY, row.least = -ANY;
+    row.high = UNLIMITED, row.low = -UNLIMITED;
     return (k > 0 ? rows.of[rows.count++] : unmoved_) = row;
   }
 
@@ -67,29 +67,29 @@ class Writing {
 
 Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Vec arm_b,
              const Speed& on_a, const Speed& on_b, double h) {
-  Writing to(on_a, on_b, h);
+  RowWriter to(on_a, on_b, h);
   const Vec x = rotate(a.rotation, {1, 0, 0}), y = rotate(a.rotation, {0, 1, 0});
   const Vec z = rotate(a.rotation, {0, 0, 1}), off = b.at - a.at;
   const Quaternion between = conjugate(a.rotation) * b.rotation;
-  const bool slides = joint.kind == Joined::PRISMATIC;
+  const bool slides = joint.kind == JointKind::PRISMATIC;
   const Vec axes[3] = {x, y, z};
   // On a slide the arm of the first body reaches to the anchor of the second.
   const Vec reach_a = slides ? arm_a + off : arm_a;
-  const Vec going = a.velocity + cross(a.spin, slides ? off : Vec{});
+  const Vec anchor_velocity = a.velocity + cross(a.spin, slides ? off : Vec{});
   for (int i = slides ? 1 : 0; i < 3; ++i)
-    to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], going), SLOT_LINE + i);
-  if (joint.kind == Joined::FIXED || slides) {
+    to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], anchor_velocity), SLOT_LINE + i);
+  if (joint.kind == JointKind::FIXED || slides) {
     const Vec error = rotate(a.rotation, vector_of(between));
     for (int i = 0; i < 3; ++i)
       to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
-  } else if (joint.kind == Joined::PIN) {
+  } else if (joint.kind == JointKind::PIN) {
     const Vec error = cross(x, rotate(b.rotation, {1, 0, 0}));
     for (int i = 1; i < 3; ++i)
       to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
   }
   const bool limited = joint.low <= joint.high;
   if (slides) {
-    const double slide = dot(x, off), bias_speed = -dot(x, going);
+    const double slide = dot(x, off), bias_speed = -dot(x, anchor_velocity);
     if (limited) {
       to.limit(to.along(x, reach_a, arm_b, slide - joint.low, bias_speed, SLOT_LOW));
       to.limit(to.along(-x, reach_a, arm_b, joint.high - slide, -bias_speed, SLOT_HIGH));
@@ -98,32 +98,32 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
       to.drive(to.along(x, reach_a, arm_b, slide - joint.target, bias_speed, SLOT_DRIVE), joint);
     return to.rows;
   }
-  if (joint.kind == Joined::FIXED) return to.rows;
+  if (joint.kind == JointKind::FIXED) return to.rows;
   double twist = 2 * std::atan2(between.w < 0 ? -between.x : between.x, std::fabs(between.w));
-  const bool ball = joint.kind == Joined::BALL;
+  const bool ball = joint.kind == JointKind::BALL;
   if (!ball) {
     // Of angles that differ by full rotations, the nearest to the allowed or target ones.
     const double about = limited ? (joint.low + joint.high) / 2 : joint.target;
     twist -= FULL_CIRCLE * std::round((twist - about) / FULL_CIRCLE);
   }
-  const Vec far = rotate(b.rotation, {1, 0, 0});
-  const double lean = 1 + dot(x, far);
+  const Vec twisted_axis = rotate(b.rotation, {1, 0, 0});
+  const double one_plus_cosine = 1 + dot(x, twisted_axis);
   // Rate of the twist of a ball, if it is not bent back.
-  const Vec axis = ball && lean > 1e-6 ? (x + far) * (1 / lean) : x;
+  const Vec axis = ball && one_plus_cosine > 1e-6 ? (x + twisted_axis) * (1 / one_plus_cosine) : x;
   if (limited) {
     const double bias_speed = -dot(axis, a.spin);
     to.limit(to.about(axis, twist - joint.low, bias_speed, SLOT_LOW));
     to.limit(to.about(-axis, joint.high - twist, -bias_speed, SLOT_HIGH));
   }
   if (ball && joint.swing[0] >= 0) {
-    const Vec bend = cross(x, far);
-    const double sine = length(bend), angle = std::atan2(sine, lean - 1);
+    const Vec bend = cross(x, twisted_axis);
+    const double sine = length(bend), angle = std::atan2(sine, one_plus_cosine - 1);
     if (sine > 1e-9) {
       const Vec about = bend * (1 / sine), local = unrotate(a.rotation, about);
       const double u = local.y * joint.swing[1], v = local.z * joint.swing[0];
       const double size = std::sqrt(u * u + v * v);
-      const double most = size > 0 ? joint.swing[0] * joint.swing[1] / size : 0;
-      to.limit(to.about(-about, most - angle, dot(about, a.spin), SLOT_SWING));
+      const double limit_angle = size > 0 ? joint.swing[0] * joint.swing[1] / size : 0;
+      to.limit(to.about(-about, limit_angle - angle, dot(about, a.spin), SLOT_SWING));
     }
   }
   if (!driven(joint)) return to.rows;
@@ -139,7 +139,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
 
 double stretch_of(const Joint& joint, const Anchor& a, const Anchor& b) {
   Vec off = b.at - a.at;
-  if (joint.kind == Joined::PRISMATIC) {
+  if (joint.kind == JointKind::PRISMATIC) {
     const Vec x = rotate(a.rotation, {1, 0, 0});
     off = off - x * dot(x, off);
   }

@@ -11,7 +11,7 @@
 
 namespace animtool::rigid {
 
-enum class Joined : std::int64_t { FIXED, PIN, BALL, PRISMATIC };
+enum class JointKind : std::int64_t { FIXED, PIN, BALL, PRISMATIC };
 
 // A frame on a body: x is the axis of a pin, the direction of a slide, and the twist axis of a
 // ball.
@@ -21,7 +21,7 @@ struct Frame {
 };
 
 struct Joint {
-  Joined kind = Joined::FIXED;
+  JointKind kind = JointKind::FIXED;
   std::ptrdiff_t a = -1;  // body; -1 for an animated frame
   std::size_t b = 0;      // body
   Frame on_a, on_b;
@@ -31,19 +31,19 @@ struct Joint {
   Quaternion goal;                      // target of a ball's drive: b relative to a
   double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or per rad
   double speed = 0;               // target speed of the drive's damping
-  double most = -1;               // largest force or torque of the drive; unlimited if negative
+  double max_force = -1;               // largest force or torque of the drive; unlimited if negative
 };
 
 // Velocities of a body during a step.
 struct Speed {
   Vec v, w;
-  double ease = 0;  // 1 / mass
-  double turning[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};  // inverse inertia, of the world
+  double inverse_mass = 0;  // 1 / mass
+  double inverse_inertia[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};  // inverse inertia, of the world
 
-  Vec turned(Vec a) const {
-    return {turning[0] * a.x + turning[1] * a.y + turning[2] * a.z,
-            turning[3] * a.x + turning[4] * a.y + turning[5] * a.z,
-            turning[6] * a.x + turning[7] * a.y + turning[8] * a.z};
+  Vec angular_response(Vec a) const {
+    return {inverse_inertia[0] * a.x + inverse_inertia[1] * a.y + inverse_inertia[2] * a.z,
+            inverse_inertia[3] * a.x + inverse_inertia[4] * a.y + inverse_inertia[5] * a.z,
+            inverse_inertia[6] * a.x + inverse_inertia[7] * a.y + inverse_inertia[8] * a.z};
   }
 };
 
@@ -66,9 +66,9 @@ struct Row {
   Vec arm_a, arm_b;   // moment arms of both bodies
   double bias_speed = 0;   // speed added by the animation
   double error = 0;   // constraint error: should be 0, or not below it
-  double bend = 0;    // additional error in a substep from curvature, over its time
+  double curvature_speed = 0;    // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half = 0;
-  double least = 0, most = 0;  // of the impulse
+  double low = 0, high = 0;  // of the impulse
   double give = 0, push = 0;   // of a drive: impulse by speed, and by position
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;

@@ -19,14 +19,14 @@ using collide::Shape;
 // Distance below which points of two bodies touch, over the smaller size.
 constexpr double SKIN = 0.02;
 // Search for the time of impact, and its tolerance over the smaller size.
-constexpr int LOOKS = 48;
-constexpr double NEAR = 1e-3;
+constexpr int MAX_ADVANCES = 48;
+constexpr double ARRIVAL_TOLERANCE = 1e-3;
 
 struct Box {
   Vec low, high;
 };
 
-Box joined(const Box& a, const Box& b) {
+Box united(const Box& a, const Box& b) {
   return {{std::min(a.low.x, b.low.x), std::min(a.low.y, b.low.y), std::min(a.low.z, b.low.z)},
           {std::max(a.high.x, b.high.x), std::max(a.high.y, b.high.y),
            std::max(a.high.z, b.high.z)}};
@@ -37,16 +37,16 @@ bool overlap(const Box& a, const Box& b) {
          b.low.y <= a.high.y && a.low.z <= b.high.z && b.low.z <= a.high.z;
 }
 
-Box box_of(const Placed& p, Vec displacement, double slack) {
+Box box_of(const PosedCore& p, Vec displacement, double slack) {
   Box box{p.points[0], p.points[0]};
   for (std::size_t i = 1; i < p.core->points.size(); ++i)
-    box = joined(box, {p.points[i], p.points[i]});
+    box = united(box, {p.points[i], p.points[i]});
   const double r = p.core->radius + slack;
   box.low = box.low - Vec{r, r, r}, box.high = box.high + Vec{r, r, r};
-  return joined(box, {box.low + displacement, box.high + displacement});
+  return united(box, {box.low + displacement, box.high + displacement});
 }
 
-std::uint32_t spread(std::uint32_t v) {
+std::uint32_t spread_bits(std::uint32_t v) {
   v = (v | v << 16) & 0x030000FFu;
   v = (v | v << 8) & 0x0300F00Fu;
   v = (v | v << 4) & 0x030C30C3u;
@@ -59,7 +59,7 @@ class Tree {
   explicit Tree(const std::vector<Box>& boxes) : boxes_(boxes), order_(boxes.size()) {
     if (boxes.empty()) return;
     Box all = {mid(0), mid(0)};
-    for (std::size_t i = 1; i < boxes.size(); ++i) all = joined(all, {mid(i), mid(i)});
+    for (std::size_t i = 1; i < boxes.size(); ++i) all = united(all, {mid(i), mid(i)});
     const Vec size = all.high - all.low;
     std::vector<std::uint64_t> keys(boxes.size());
     const auto cell = [](double at, double extent) {
@@ -68,8 +68,8 @@ class Tree {
     };
     for (std::size_t i = 0; i < boxes.size(); ++i) {
       const Vec at = mid(i) - all.low;
-      const std::uint64_t code = spread(cell(at.x, size.x)) | spread(cell(at.y, size.y)) << 1 |
-                                 spread(cell(at.z, size.z)) << 2;
+      const std::uint64_t code = spread_bits(cell(at.x, size.x)) | spread_bits(cell(at.y, size.y)) << 1 |
+                                 spread_bits(cell(at.z, size.z)) << 2;
       keys[i] = code << 32 | i;
     }
     std::sort(keys.begin(), keys.end());
@@ -79,9 +79,9 @@ class Tree {
   }
 
   // Visits each pair of overlapping boxes once.
-  template <class Call>
-  void pairs(Call call) const {
-    for (std::size_t i = 0; i < order_.size(); ++i) visit(0, 0, order_.size(), i, call);
+  template <class Visitor>
+  void pairs(Visitor visitor) const {
+    for (std::size_t i = 0; i < order_.size(); ++i) visit(0, 0, order_.size(), i, visitor);
   }
 
  private:
@@ -94,20 +94,20 @@ class Tree {
       const std::size_t half = from + (to - from) / 2;
       build(from, half);
       const std::size_t right = build(half, to);
-      nodes_[self] = {joined(nodes_[self + 1].box, nodes_[right].box), right};
+      nodes_[self] = {united(nodes_[self + 1].box, nodes_[right].box), right};
     }
     return self;
   }
 
   // Leaves after this one in the order.
-  template <class Call>
+  template <class Visitor>
   void visit(std::size_t node, std::size_t from, std::size_t to, std::size_t i,
-             Call& call) const {
+             Visitor& visitor) const {
     if (to <= i + 1 || !overlap(nodes_[node].box, boxes_[order_[i]])) return;
-    if (to - from == 1) return call(order_[i], order_[from]);
+    if (to - from == 1) return visitor(order_[i], order_[from]);
     const std::size_t half = from + (to - from) / 2;
-    visit(node + 1, from, half, i, call);
-    visit(nodes_[node].right, half, to, i, call);
+    visit(node + 1, from, half, i, visitor);
+    visit(nodes_[node].right, half, to, i, visitor);
   }
 
   struct Node {
@@ -152,7 +152,7 @@ Core core_of(const Collider& c) {
 }
 
 // Free motion of bodies within a step.
-struct Going {
+struct FreeMotion {
   State begin;
   Vec velocity, spin;
 
@@ -169,9 +169,9 @@ class Finder {
   Finder(const World& world, const std::vector<State>& states,
          const std::vector<Collider>& colliders, const Settings& settings, double step)
       : world_(world), colliders_(colliders), settings_(settings), step_(step) {
-    going_.reserve(states.size());
+    motions_.reserve(states.size());
     for (std::size_t i = 0; i < states.size(); ++i)
-      going_.push_back({states[i], states[i].velocity, spin_of(world.bodies[i], states[i])});
+      motions_.push_back({states[i], states[i].velocity, spin_of(world.bodies[i], states[i])});
   }
 
   std::vector<Contact> find() {
@@ -180,18 +180,18 @@ class Finder {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     tree.pairs([&](std::size_t i, std::size_t j) {
       if (i > j) std::swap(i, j);
-      if (may_meet(i, j)) pairs.emplace_back(i, j);
+      if (may_collide(i, j)) pairs.emplace_back(i, j);
     });
     std::sort(pairs.begin(), pairs.end());
-    for (const auto& [i, j] : pairs) meet_pair(i, j);
+    for (const auto& [i, j] : pairs) collide_pair(i, j);
     for (std::size_t s = 0; s < world_.shapes.size(); ++s) {
       for (std::size_t c = 0; c < colliders_.size(); ++c) {
         if (convex(colliders_[c]) || (sleeps(s) && !colliders_[c].motion.moves())) continue;
-        if (excludes(s, c)) continue;
+        if (excludes_collider(s, c)) continue;
         if (colliders_[c].shape == Shape::MESH) {
-          meet_mesh(s, c);
+          collide_mesh(s, c);
         } else {
-          meet_field(s, c);
+          collide_field(s, c);
         }
       }
     }
@@ -203,24 +203,24 @@ class Finder {
 
  private:
   bool sleeps(std::size_t s) const {
-    return asleep(going_[world_.shapes[s].body].begin, settings_);
+    return asleep(motions_[world_.shapes[s].body].begin, settings_);
   }
 
   std::size_t shapes() const { return world_.shapes.size(); }
 
   void pose_shapes() {
     const std::size_t count = shapes();
-    poses_.resize(going_.size());
-    for (std::size_t i = 0; i < going_.size(); ++i) poses_[i] = pose_of(going_[i].begin);
+    poses_.resize(motions_.size());
+    for (std::size_t i = 0; i < motions_.size(); ++i) poses_[i] = pose_of(motions_[i].begin);
     std::size_t points = 0;
     for (const auto& shape : world_.shapes) points += shape.core.points.size() + shape.core.faces();
-    placings_.resize(count);
+    posed_.resize(count);
     for (std::size_t s = 0; s < count; ++s) {
       const auto& shape = world_.shapes[s];
-      placings_[s].set(shape.core, poses_[shape.body]);
-      const Going& g = going_[shape.body];
+      posed_[s].set(shape.core, poses_[shape.body]);
+      const FreeMotion& g = motions_[shape.body];
       const double swept = length(g.spin) * step_ * world_.bodies[shape.body].reach;
-      boxes_.push_back(box_of(placings_[s].get(), g.velocity * step_,
+      boxes_.push_back(box_of(posed_[s].get(), g.velocity * step_,
                               swept + SKIN * shape.core.reach));
       owners_.push_back(s);
     }
@@ -228,10 +228,10 @@ class Finder {
       if (!convex(colliders_[c])) continue;
       const collide::Motion& m = colliders_[c].motion;
       cores_.push_back(std::make_unique<Core>(core_of(colliders_[c])));
-      placings_.emplace_back();
-      placings_.back().set(*cores_.back(), m.at(0));
+      posed_.emplace_back();
+      posed_.back().set(*cores_.back(), m.at(0));
       const double swept = m.angle() * cores_.back()->reach;
-      boxes_.push_back(box_of(placings_.back().get(), m.travel(), swept));
+      boxes_.push_back(box_of(posed_.back().get(), m.travel(), swept));
       owners_.push_back(count + c);
     }
   }
@@ -243,51 +243,51 @@ class Finder {
     return std::binary_search(world_.excluded.begin(), world_.excluded.end(), key);
   }
 
-  bool excludes(std::size_t s, std::size_t c) const {
+  bool excludes_collider(std::size_t s, std::size_t c) const {
     return excluded(world_.shapes[s].body, world_.bodies.size() + c);
   }
 
   // Shapes come before colliders.
-  bool may_meet(std::size_t i, std::size_t j) const {
+  bool may_collide(std::size_t i, std::size_t j) const {
     if (i >= shapes()) return false;
     if (j >= shapes()) {
       const Collider& c = colliders_[owners_[j] - shapes()];
-      return (!sleeps(i) || c.motion.moves()) && !excludes(i, owners_[j] - shapes());
+      return (!sleeps(i) || c.motion.moves()) && !excludes_collider(i, owners_[j] - shapes());
     }
     const std::size_t a = world_.shapes[i].body, b = world_.shapes[j].body;
     return a != b && !(sleeps(i) && sleeps(j)) && !excluded(a, b);
   }
 
   // Upper bound of the approach speed of two along a direction.
-  static double closing(Vec displacement, double swing, Vec normal) {
-    return std::max(-dot(displacement, normal), 0.0) + swing;
+  static double approach_bound(Vec displacement, double rotation_bound, Vec normal) {
+    return std::max(-dot(displacement, normal), 0.0) + rotation_bound;
   }
 
-  void meet_pair(std::size_t i, std::size_t j) {
-    const Placed& p = placings_[i].get();
-    const Placed& q = placings_[j].get();
+  void collide_pair(std::size_t i, std::size_t j) {
+    const PosedCore& p = posed_[i].get();
+    const PosedCore& q = posed_[j].get();
     const std::size_t a = world_.shapes[i].body;
     const bool fixed = j >= shapes();
     const std::size_t b = fixed ? 0 : world_.shapes[j].body;
     const double size = std::min(p.core->reach, q.core->reach), skin = SKIN * size;
     const collide::Motion* motion = fixed ? &colliders_[owners_[j] - shapes()].motion : nullptr;
-    const Vec other = fixed ? motion->travel() * (1 / step_) : going_[b].velocity;
-    const Vec displacement = (other - going_[a].velocity) * step_;
-    const double spin = fixed ? motion->angle() : length(going_[b].spin) * step_;
-    const double swing = length(going_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
-    const double most = length(displacement) + swing;
-    const Axis axis = separating_axis(p, q, most + skin + p.core->radius + q.core->radius);
+    const Vec other = fixed ? motion->travel() * (1 / step_) : motions_[b].velocity;
+    const Vec displacement = (other - motions_[a].velocity) * step_;
+    const double spin = fixed ? motion->angle() : length(motions_[b].spin) * step_;
+    const double rotation_bound = length(motions_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
+    const double max_displacement = length(displacement) + rotation_bound;
+    const Axis axis = separating_axis(p, q, max_displacement + skin + p.core->radius + q.core->radius);
     const double gap = axis.gap - p.core->radius - q.core->radius;
-    if (gap > most + skin) return;
+    if (gap > max_displacement + skin) return;
     Contact contact;
     contact.motion = motion;
     contact.radius = p.core->radius, contact.other_radius = q.core->radius;
     // Near or slow pairs are tested at the start; far and fast ones at their arrival.
-    if (gap <= skin + std::min(most, size * NEAR)) {
-      const Manifold manifold = meet(p, q, skin + most);
+    if (gap <= skin + std::min(max_displacement, size * ARRIVAL_TOLERANCE)) {
+      const Manifold manifold = manifold_of(p, q, skin + max_displacement);
       contact.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
     } else {
-      arrive(p, q, a, b, motion, contact, gap, axis, displacement, swing, size, most);
+      advance_to_impact(p, q, a, b, motion, contact, gap, axis, displacement, rotation_bound, size, max_displacement);
     }
     if (!contact.count) return;
     contact.first = i, contact.second = static_cast<std::int64_t>(owners_[j]);
@@ -299,37 +299,37 @@ class Finder {
     } else {
       other_material = world_.shapes[j].material;
     }
-    contact.material = mixed(world_.shapes[i].material, other_material);
+    contact.material = combined(world_.shapes[i].material, other_material);
     contacts_.push_back(contact);
   }
 
-  static Material mixed(const Material& a, const Material& b) {
+  static Material combined(const Material& a, const Material& b) {
     return {std::max(a.restitution, b.restitution), std::max(a.friction, b.friction)};
   }
 
   // Conservative advancement to the time of impact (Mirtich 1996, "Impulse-based dynamic
   // simulation"), and the contact there.
-  void arrive(const Placed& p, const Placed& q, std::size_t a, std::size_t b,
+  void advance_to_impact(const PosedCore& p, const PosedCore& q, std::size_t a, std::size_t b,
               const collide::Motion* motion, Contact& contact, double gap, Axis axis, Vec displacement,
-              double swing, double size, double most) {
-    const double near = NEAR * size, skin = p.core->radius + q.core->radius;
+              double rotation_bound, double size, double max_displacement) {
+    const double near = ARRIVAL_TOLERANCE * size, skin = p.core->radius + q.core->radius;
     Pose pose_a, pose_b;
     double fraction = 0;
-    for (int look = 0; look < LOOKS; ++look) {
-      const double speed = closing(displacement, swing, axis.normal);
+    for (int i = 0; i < MAX_ADVANCES; ++i) {
+      const double speed = approach_bound(displacement, rotation_bound, axis.normal);
       if (!(speed > 0)) return;
       fraction += std::max(gap - near / 2, near / 2) / speed;
       if (fraction > 1) return;
-      pose_a = going_[a].at(fraction * step_);
-      pose_b = motion ? motion->at(fraction) : going_[b].at(fraction * step_);
+      pose_a = motions_[a].at(fraction * step_);
+      pose_b = motion ? motion->at(fraction) : motions_[b].at(fraction * step_);
       moved_a_.set(*p.core, pose_a);
       moved_b_.set(*q.core, pose_b);
       axis = separating_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
       gap = axis.gap - skin;
       if (gap <= near) break;
     }
-    const double reach = std::max(gap, 0.0) + SKIN * size + most * (1 - fraction);
-    contact.take(meet(moved_a_.get(), moved_b_.get(), reach), pose_a, pose_b);
+    const double reach = std::max(gap, 0.0) + SKIN * size + max_displacement * (1 - fraction);
+    contact.take(manifold_of(moved_a_.get(), moved_b_.get(), reach), pose_a, pose_b);
   }
 
   void add(std::size_t s, std::size_t c, const Manifold& manifold) {
@@ -341,7 +341,7 @@ class Finder {
     contact.take(manifold, poses_[contact.a], collider.motion.at(0));
     contact.motion = &collider.motion;
     contact.depenetration = collider.depenetration;
-    contact.material = mixed(world_.shapes[s].material, {collider.restitution, collider.friction});
+    contact.material = combined(world_.shapes[s].material, {collider.restitution, collider.friction});
     contacts_.push_back(contact);
   }
 
@@ -357,10 +357,10 @@ class Finder {
   }
 
   // Planes and containers: contact points with the normal at each.
-  void meet_field(std::size_t s, std::size_t c) {
-    const Placed& p = placings_[s].get();
+  void collide_field(std::size_t s, std::size_t c) {
+    const PosedCore& p = posed_[s].get();
     const Collider& collider = colliders_[c];
-    const Going& g = going_[world_.shapes[s].body];
+    const FreeMotion& g = motions_[world_.shapes[s].body];
     const double reach = SKIN * p.core->reach + length(g.spin) * step_ * p.core->reach +
                          length(g.velocity * step_ - collider.motion.travel()) +
                          collider.motion.angle() * length(p.centre);
@@ -377,7 +377,7 @@ class Finder {
                                          static_cast<int>(i) % sides);
       if (sample.distance > reach) continue;
       const Vec n = -sample.normal;
-      const Touching touching{point + n * (p.core->radius + sample.distance / 2),
+      const ContactPoint touching{point + n * (p.core->radius + sample.distance / 2),
                               sample.distance};
       auto same = std::find_if(fields_.begin(), fields_.end(), [&](const auto& one) {
         return dot(one.first, n) > 1 - 1e-9;
@@ -388,25 +388,25 @@ class Finder {
     for (auto& [n, points] : fields_) {
       Manifold manifold;
       manifold.normal = n;
-      keep_four(points, n, manifold);
+      reduce_to_four(points, n, manifold);
       add(s, c, manifold);
     }
   }
 
-  void meet_mesh(std::size_t s, std::size_t c) {
-    const Placed& p = placings_[s].get();
+  void collide_mesh(std::size_t s, std::size_t c) {
+    const PosedCore& p = posed_[s].get();
     const Collider& collider = colliders_[c];
     const Pose pose = collider.motion.at(0);
     const collide::Mesh& mesh = collider.mesh;
-    const Going& g = going_[world_.shapes[s].body];
+    const FreeMotion& g = motions_[world_.shapes[s].body];
     const Vec displacement = g.velocity * step_ - collider.motion.travel();
-    const double swing = length(g.spin) * step_ * p.core->reach +
+    const double rotation_bound = length(g.spin) * step_ * p.core->reach +
                          collider.motion.angle() * length(p.centre - pose.origin);
-    const double reach = SKIN * p.core->reach + length(displacement) + swing + collider.margin;
+    const double reach = SKIN * p.core->reach + length(displacement) + rotation_bound + collider.margin;
     Box local{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
     for (std::size_t i = 1; i < p.core->points.size(); ++i) {
       const Vec at = pose.to_local(p.points[i]);
-      local = joined(local, {at, at});
+      local = united(local, {at, at});
     }
     const double r = p.core->radius + reach;
     const std::size_t before = contacts_.size();
@@ -419,10 +419,10 @@ class Finder {
 
   // Bodies inside a mesh, whose centre is on the outward direction of the nearest point.
   void meet_inside(std::size_t s, std::size_t c, const Pose& pose, double reach) {
-    const Placed& p = placings_[s].get();
+    const PosedCore& p = posed_[s].get();
     const auto out = collide::sample(colliders_[c], pose, p.centre, 0, p.core->reach + reach);
     if (!(out.distance < 0)) return;
-    std::vector<Touching> points;
+    std::vector<ContactPoint> points;
     for (std::size_t i = 0; i < p.core->points.size(); ++i) {
       const Vec at = p.points[i];
       const double gap = out.distance + dot(out.normal, at - p.centre) - p.core->radius;
@@ -430,7 +430,7 @@ class Finder {
     }
     Manifold manifold;
     manifold.normal = -out.normal;
-    keep_four(points, manifold.normal, manifold);
+    reduce_to_four(points, manifold.normal, manifold);
     add(s, c, manifold);
   }
 
@@ -444,7 +444,7 @@ class Finder {
   // Returns whether a body is in front of a triangle.
   bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
                      double reach) {
-    const Placed& p = placings_[s].get();
+    const PosedCore& p = posed_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
     Core core;
     // Containers collide from behind, two-sided triangles from the side of the body.
@@ -457,11 +457,11 @@ class Finder {
     core.radius = colliders_[c].margin;
     core.finish();
     moved_b_.set(core, pose);
-    const Placed& q = moved_b_.get();
+    const PosedCore& q = moved_b_.get();
     const Vec face = q.normals[0];
     // Points behind a face collide with its other side, or with the full mesh.
     if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
-    Manifold manifold = meet(q, p, reach);
+    Manifold manifold = manifold_of(q, p, reach);
     if (!manifold.count) return true;
     if (!faces_out(mesh, t, turned, pose, manifold, q)) manifold = on_face(q, p, reach, two_sided);
     if (!manifold.count) return true;
@@ -473,11 +473,11 @@ class Finder {
   // Whether a normal is within the normal cone of the surface: at an edge between those of its two
   // faces, so that sliding bodies do not catch on inner edges.
   static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned,
-                        const Pose& pose, const Manifold& manifold, const Placed& q) {
+                        const Pose& pose, const Manifold& manifold, const PosedCore& q) {
     const Vec n = manifold.normal, face = q.normals[0];
-    const double lean = dot(n, face);
-    if (lean > 1 - 1e-6) return true;
-    if (lean <= 0) return false;
+    const double cosine = dot(n, face);
+    if (cosine > 1 - 1e-6) return true;
+    if (cosine <= 0) return false;
     const Vec at = manifold.points[0].at;
     int side = 0;
     double least = collide::FAR;
@@ -495,11 +495,11 @@ class Finder {
     const Vec along = q.points[(side + 1) % 3] - q.points[side];
     const Vec out = cross(along, face);
     if (dot(other, out) <= 1e-6) return false;  // flat, or concave
-    return lean >= dot(other, face) - 1e-3;
+    return cosine >= dot(other, face) - 1e-3;
   }
 
   // Whether a segment crosses a triangle.
-  static bool through(const Placed& q, Vec from, Vec to) {
+  static bool crosses(const PosedCore& q, Vec from, Vec to) {
     const Vec n = q.normals[0], displacement = to - from;
     const double begin = dot(n, from - q.points[0]), end = dot(n, to - q.points[0]);
     if ((begin > 0) == (end > 0)) return false;
@@ -510,9 +510,9 @@ class Finder {
   }
 
   // Points of a core against the front of a triangle.
-  static Manifold on_face(const Placed& q, const Placed& p, double reach, bool two_sided) {
+  static Manifold on_face(const PosedCore& q, const PosedCore& p, double reach, bool two_sided) {
     const Vec n = q.normals[0];
-    std::vector<Touching> points;
+    std::vector<ContactPoint> points;
     for (std::size_t i = 0; i < p.core->points.size(); ++i) {
       const Vec at = p.points[i];
       const double height = dot(n, at - q.points[0]);
@@ -522,12 +522,12 @@ class Finder {
       for (int k = 0; k < 3; ++k)
         within &= dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) >= 0;
       // Behind a two-sided triangle counts what crosses it, not its edges.
-      if (within && two_sided && height < 0) within = through(q, p.centre, at);
+      if (within && two_sided && height < 0) within = crosses(q, p.centre, at);
       if (within) points.push_back({at - n * (height - q.core->radius - gap / 2), gap});
     }
     Manifold manifold;
     manifold.normal = n;
-    keep_four(points, n, manifold);
+    reduce_to_four(points, n, manifold);
     return manifold;
   }
 
@@ -535,14 +535,14 @@ class Finder {
   const std::vector<Collider>& colliders_;
   const Settings& settings_;
   double step_;
-  std::vector<Going> going_;
+  std::vector<FreeMotion> motions_;
   std::vector<Pose> poses_;
-  std::vector<Placing> placings_;
+  std::vector<CorePoser> posed_;
   std::vector<Box> boxes_;
   std::vector<std::size_t> owners_;  // of each box a shape, or a collider after the shapes
   std::vector<std::unique_ptr<Core>> cores_;
-  std::vector<std::pair<Vec, std::vector<Touching>>> fields_;
-  Placing moved_a_, moved_b_;
+  std::vector<std::pair<Vec, std::vector<ContactPoint>>> fields_;
+  CorePoser moved_a_, moved_b_;
   std::vector<Contact> contacts_;
 };
 

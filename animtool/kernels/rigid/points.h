@@ -10,10 +10,10 @@ namespace animtool::rigid {
 struct Point {
   Vec on_a, on_b;          // in the frames of both bodies
   Vec arm_a, arm_b;        // in the world, at the start of the step
-  double gap = 0, now = 0; // gap of the manifold, and the current one
+  double gap = 0, current_gap = 0; // gap of the manifold, and the current one
   double bias_speed = 0;        // speed of a collider along the normal
   Vec slide;               // its full velocity
-  bool flies = false;      // approaching so fast that it will bounce
+  bool will_bounce = false;      // approaching so fast that it will bounce
   double mass = 0, force = 0, across[2] = {0, 0}, masses[2] = {0, 0};
   double half[3] = {0, 0, 0};  // impulses of half a substep
   Vec arms_a[3], arms_b[3];    // r x n, r x t1, r x t2
@@ -25,7 +25,7 @@ struct Patch {
   Vec normal, tangents[2];
   double friction, restitution, push;
   double skin = 0;    // of both [m]
-  double turned = 0;  // squared tolerance of arms [m²]
+  double squared_arm_tolerance = 0;  // squared tolerance of arms [m²]
   std::size_t begin, end;  // points
   const Contact* contact;
 };
@@ -42,8 +42,8 @@ inline double speed_along(const std::vector<Speed>& speeds, const Patch& patch, 
 inline void apply(std::vector<Speed>& speeds, std::size_t a, std::size_t b, Vec line, Vec response_a,
                   Vec response_b, double impulse) {
   Speed &sa = speeds[a], &sb = speeds[b];
-  sa.v = sa.v - line * (impulse * sa.ease), sa.w = sa.w - response_a * impulse;
-  sb.v = sb.v + line * (impulse * sb.ease), sb.w = sb.w + response_b * impulse;
+  sa.v = sa.v - line * (impulse * sa.inverse_mass), sa.w = sa.w - response_a * impulse;
+  sb.v = sb.v + line * (impulse * sb.inverse_mass), sb.w = sb.w + response_b * impulse;
 }
 
 inline void apply(std::vector<Speed>& speeds, const Patch& patch, const Point& p, int line,

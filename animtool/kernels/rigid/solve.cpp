@@ -16,7 +16,7 @@ constexpr std::size_t LEGS = 32, CROWD = 256;
 constexpr int AGAIN = 4, ARRIVES = 16;
 // Largest phase of a drive's swing in a substep [rad], the largest factor on substeps for it, and
 // the phase above which it is reported.
-constexpr double SWING = 0.2, MOST_TIMES = 64, TOO_FAR = 0.5;
+constexpr double SWING = 0.2, MAX_TIMES = 64, TOO_FAR = 0.5;
 // Likewise for drives whose motion exceeds their effective mass.
 constexpr double LOSES = 0.02;
 // Bodies penetrating by more than this fraction of their size stay awake.
@@ -32,7 +32,7 @@ bool Solver::bounces() {
     const std::size_t b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
     const Vec spin = spin_of(world_.bodies[c.a], a);
     const Pose pose = pose_of(a), other = c.b < 0 ? c.motion->at(0) : pose_of(states_[b]);
-    const double rest = rest_of(c.a, b, c.material.restitution);
+    const double rest = rest_speed(c.a, b, c.material.restitution);
     for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
       const Vec velocity_a = a.velocity + cross(spin, pose.rotated(c.on_a[k]));
       const Vec theirs =
@@ -54,8 +54,8 @@ Report Solver::run() {
   support_counts_.assign(count_, 0);
   poses_.resize(count_);
   for (auto& island : islands_) solve(island);
-  keep();
-  rest();
+  store_contacts();
+  update_sleep();
   return report_;
 }
 
@@ -67,33 +67,33 @@ void Solver::find() {
 void Solver::solve(Island& island) {
   for (const std::size_t i : island.bodies) {
     poses_[i] = pose_of(states_[i]);
-    speeds_[i].ease = world_.bodies[i].ease;
+    speeds_[i].inverse_mass = world_.bodies[i].inverse_mass;
     speeds_[i].v = states_[i].velocity;
     speeds_[i].w = spin_of(world_.bodies[i], states_[i]);
     refresh(i);
   }
   rows_.assign(island.joints.size(), {});
-  divide(island);
+  choose_substeps(island);
   patches_.clear(), points_.clear();
-  patches_.reserve(island.contacts.size()), points_.reserve(MOST_POINTS * island.contacts.size());
+  patches_.reserve(island.contacts.size()), points_.reserve(MAX_POINTS * island.contacts.size());
   for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
   bouncy_ = std::any_of(patches_.begin(), patches_.end(),
                         [](const Patch& patch) { return patch.restitution > 0; });
-  for (int s = 0; s < parts_; ++s) small_step(island, s);
+  for (int s = 0; s < parts_; ++s) substep(island, s);
   for (const Patch& patch : patches_) {
     save(patch);
     const double slack = SEPARATING * world_.bodies[patch.a].reach;
     for (std::size_t k = patch.begin; k < patch.end; ++k)
-      island.separating |= points_[k].now < -slack;
+      island.separating |= points_[k].current_gap < -slack;
     count_supports(patch);
   }
   for (std::size_t k = 0; k < island.joints.size(); ++k) {
-    auto& slots = kept_impulses_[island.joints[k]];
+    auto& slots = joint_impulses_[island.joints[k]];
     slots.fill(0);
     const double reach = world_.bodies[world_.joints[island.joints[k]].b].reach;
     for (std::size_t r = 0; r < rows_[k].count; ++r) {
       const Row& row = rows_[k].of[r];
-      slots[static_cast<std::size_t>(row.slot)] = row.impulse / small_;
+      slots[static_cast<std::size_t>(row.slot)] = row.impulse / substep_;
       const bool rotates = dot(row.line, row.line) == 0;
       const double off = row.kind == Row::LIMIT ? -row.error : std::fabs(row.error);
       island.separating |= row.kind != Row::DRIVE && off > SEPARATING * (rotates ? 1 : reach);
@@ -101,7 +101,7 @@ void Solver::solve(Island& island) {
   }
 }
 
-void Solver::divide(const Island& island) {
+void Solver::choose_substeps(const Island& island) {
   resize(settings_.substeps);
   const std::size_t count = island.joints.size();
   drives_.assign(count, {}), hard_ = false;
@@ -112,33 +112,33 @@ void Solver::divide(const Island& island) {
   double parts = 1;
   for (std::size_t k = 0; k < count; ++k)
     for (const Drive& drive : drives_[k]) {
-      const double swing = swing_of(world_.joints[island.joints[k]], drive.mass, small_);
-      parts = std::max(parts, swing * small_ / (drive.known ? SWING : LOSES));
-      const double most = (drive.known ? TOO_FAR : LOSES) * MOST_TIMES;
-      if (swing * small_ > most)
-        report_.note_drive(step_ * most / (swing * small_), island.joints[k]);
+      const double swing = frequency_of(world_.joints[island.joints[k]], drive.mass, substep_);
+      parts = std::max(parts, swing * substep_ / (drive.moves_mass ? SWING : LOSES));
+      const double most = (drive.moves_mass ? TOO_FAR : LOSES) * MAX_TIMES;
+      if (swing * substep_ > most)
+        report_.record_drive(step_ * most / (swing * substep_), island.joints[k]);
     }
   if (parts > 1)
-    resize(settings_.substeps * static_cast<int>(std::ceil(std::min(parts, MOST_TIMES))));
+    resize(settings_.substeps * static_cast<int>(std::ceil(std::min(parts, MAX_TIMES))));
 }
 
 void Solver::resize(int parts) {
   const double small = step_ / parts;
   // An impact of the previous island may have changed the time.
-  const bool same = small == small_ && h_ == small;
-  parts_ = parts, small_ = h_ = small;
+  const bool same = small == substep_ && h_ == small;
+  parts_ = parts, substep_ = h_ = small;
   if (!same) soften();
 }
 
 void Solver::soften() {
-  contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
-  joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
+  contact_ = Softness::of(STIFF / substep_, CONTACT_DAMPING, h_);
+  joint_ = Softness::of(STIFF / substep_, JOINT_DAMPING, h_);
 }
 
 void Solver::refresh(std::size_t i) {
   const double* r = poses_[i].rotation;
-  const double* e = world_.bodies[i].turning.of;
-  double* to = speeds_[i].turning;
+  const double* e = world_.bodies[i].inverse_inertia.of;
+  double* to = speeds_[i].inverse_inertia;
   for (int p = 0; p < 3; ++p)
     for (int q = p; q < 3; ++q) {
       const double sum = r[3 * p] * e[0] * r[3 * q] + r[3 * p + 1] * e[1] * r[3 * q + 1] +
@@ -147,23 +147,23 @@ void Solver::refresh(std::size_t i) {
     }
 }
 
-void Solver::small_step(const Island& island, int s) {
+void Solver::substep(const Island& island, int s) {
   const double begin = static_cast<double>(s) / parts_;
   const double end = static_cast<double>(s + 1) / parts_;
   const std::size_t joints = island.joints.size();
   // Warm start from the previous step.
   if (s == 0) {
-    look(begin);
+    update_points(begin);
     for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, true);
   }
-  double left = small_;
+  double left = substep_;
   const int legs = static_cast<int>(
       std::clamp<std::size_t>(CROWD / std::max<std::size_t>(patches_.size(), 1), 1, LEGS));
   for (int leg = 0; bouncy_ && leg < legs; ++leg) {
     const double time = until_impact(island, left, begin, end);
     if (!(time < left)) break;
     left -= time;
-    advance(island, time, begin + (end - begin) * (1 - left / small_));
+    advance(island, time, begin + (end - begin) * (1 - left / substep_));
   }
   advance(island, left, end);
 }
@@ -180,29 +180,29 @@ void Solver::advance(const Island& island, double time, double end) {
   }
   for (const std::size_t i : island.bodies) pushed_[i] = 0;
   for (std::size_t k = 0; k < joints; ++k) begin_drives(world_.joints[island.joints[k]], k);
-  for (const std::size_t i : island.bodies) push(i);
-  for (Patch& p : patches_) begin_warm(p, scale);
+  for (const std::size_t i : island.bodies) apply_forces(i);
+  for (Patch& p : patches_) warm_start(p, scale);
   for (std::size_t k = 0; k < joints; ++k)
-    begin_warm(world_.joints[island.joints[k]], rows_[k], scale);
-  for (std::size_t k = 0; k < joints; ++k) bend(island.joints[k], rows_[k], end);
+    warm_start(world_.joints[island.joints[k]], rows_[k], scale);
+  for (std::size_t k = 0; k < joints; ++k) set_curvature(island.joints[k], rows_[k], end);
   iterate(island, true);
   mark(island);
-  for (const std::size_t i : island.bodies) go(i);
-  look(end);
+  for (const std::size_t i : island.bodies) move(i);
+  update_points(end);
   for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, end, false);
   for (std::size_t k = 0; k < joints; ++k) end_drives(world_.joints[island.joints[k]], k);
-  for (const std::size_t i : island.bodies) push(i);
-  for (Patch& p : patches_) end_warm(p);
-  for (std::size_t k = 0; k < joints; ++k) end_warm(world_.joints[island.joints[k]], rows_[k]);
+  for (const std::size_t i : island.bodies) apply_forces(i);
+  for (Patch& p : patches_) warm_finish(p);
+  for (std::size_t k = 0; k < joints; ++k) warm_finish(world_.joints[island.joints[k]], rows_[k]);
   iterate(island, false);
   mark(island);
-  for (const std::size_t i : island.bodies) settle(i);
+  for (const std::size_t i : island.bodies) store_velocity(i);
 }
 
-void Solver::push(std::size_t i) {
+void Solver::apply_forces(std::size_t i) {
   State& s = states_[i];
   const double half = h_ / 2;
-  s.velocity = s.velocity + forces_[i] * (world_.bodies[i].ease * half);
+  s.velocity = s.velocity + forces_[i] * (world_.bodies[i].inverse_mass * half);
   s.momentum = s.momentum + torques_[i] * half;
   speeds_[i].v = s.velocity;
   speeds_[i].w = spin_of(world_.bodies[i], s);
@@ -211,9 +211,9 @@ void Solver::push(std::size_t i) {
 void Solver::iterate(const Island& island, bool pushing) {
   if (patches_.empty() && island.joints.empty()) return;
   const std::size_t size = points_.size() + island.joints.size() * 6;
-  const int limit = settings_.rounds * static_cast<int>(std::clamp<std::size_t>(SMALL / std::max<std::size_t>(size, 1), 1, MOST));
+  const int limit = settings_.iterations * static_cast<int>(std::clamp<std::size_t>(SMALL / std::max<std::size_t>(size, 1), 1, MOST));
   double change = 0;
-  int round = 0;
+  int iteration = 0;
   do {
     change = 0;
     for (std::size_t k = 0; k < island.joints.size(); ++k)
@@ -221,17 +221,17 @@ void Solver::iterate(const Island& island, bool pushing) {
     const std::size_t patches = patches_.size();
     // Forwards and backwards, so that weight and support both propagate.
     for (std::size_t k = 0; k < patches; ++k)
-      change = std::max(change, correct(patches_[round % 2 ? patches - 1 - k : k], pushing));
-    ++round;
-  } while (change > settings_.tolerance && round < limit);
-  report_.rounds += round;
+      change = std::max(change, correct(patches_[iteration % 2 ? patches - 1 - k : k], pushing));
+    ++iteration;
+  } while (change > settings_.tolerance && iteration < limit);
+  report_.iterations += iteration;
   if (!pushing) {
     report_.residual = std::max(report_.residual, change);
     if (change > settings_.tolerance) ++report_.unsolved;
   }
 }
 
-void Solver::go(std::size_t i) {
+void Solver::move(std::size_t i) {
   State& s = states_[i];
   const Body& body = world_.bodies[i];
   const Speed& speed = speeds_[i];
@@ -246,7 +246,7 @@ void Solver::go(std::size_t i) {
 void Solver::rotate_freely(std::size_t i, State& s) const {
   const Vec p = unrotate(s.rotation, s.momentum);
   Spin spin{s.rotation, {p.x, p.y, p.z}};
-  spin_freely(spin, world_.bodies[i].turning, h_, settings_.method);
+  spin_freely(spin, world_.bodies[i].inverse_inertia, h_, settings_.method);
   s.rotation = spin.q;
   if (settings_.method != Method::SPLITTING)
     s.momentum = rotate(s.rotation, {spin.p[0], spin.p[1], spin.p[2]});
@@ -254,7 +254,7 @@ void Solver::rotate_freely(std::size_t i, State& s) const {
 
 Vec Solver::momentum_of(std::size_t i) const {
   const Vec w = poses_[i].unrotated(speeds_[i].w);
-  const double* e = world_.bodies[i].turning.of;
+  const double* e = world_.bodies[i].inverse_inertia.of;
   const double p[3] = {w.x, w.y, w.z};
   double to[3];
   for (int k = 0; k < 3; ++k) to[k] = e[k] > 0 ? p[k] / e[k] : 0.0;
@@ -275,20 +275,20 @@ void Solver::mark(const Island& island) {
       }
 }
 
-void Solver::settle(std::size_t i) {
+void Solver::store_velocity(std::size_t i) {
   State& s = states_[i];
   if (!pushed_[i]) return;
   s.velocity = speeds_[i].v;
   s.momentum = momentum_of(i);
 }
 
-Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-                  std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
+Report step_world(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
+                  std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
                   const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,
                   double step) {
-  Solver full(world, states, kept, kept_impulses, forces, torques, colliders, anchors, settings, step);
+  Solver full(world, states, stored, joint_impulses, forces, torques, colliders, anchors, settings, step);
   if (settings.substeps == 1 || !full.bounces()) return full.run();
   // A bouncing body meets others than those in its path: contacts are found again in each substep.
   Settings small = settings;
@@ -302,7 +302,7 @@ Report step_world(const World& world, std::vector<State>& states, std::vector<Ke
     for (std::size_t i = 0; i < around.size(); ++i)
       around[i].motion = colliders[i].motion.part(begin, end);
     for (std::size_t i = 0; i < frames.size(); ++i) frames[i] = anchors[i].part(begin, end);
-    report.add(Solver(world, states, kept, kept_impulses, forces, torques, around, frames, small,
+    report.add(Solver(world, states, stored, joint_impulses, forces, torques, around, frames, small,
                       step / settings.substeps)
                    .run());
   }

@@ -6,11 +6,11 @@ namespace animtool::rigid {
 namespace {
 
 // Largest speed at which initial penetration is resolved [m/s].
-constexpr double PUSH = 2;
+constexpr double MAX_PUSH_SPEED = 2;
 // A contact point is matched to one of the previous step within this distance, over the size.
-constexpr double SAME = 0.1;
+constexpr double MATCH_DISTANCE = 0.1;
 // Contact arms are updated if bodies rotate by more than this fraction of their size.
-constexpr double TURNED = 1e-3;
+constexpr double ARM_TOLERANCE = 1e-3;
 // Friction this close to its limit slides.
 constexpr double SLIDING = 1e-6;
 
@@ -38,11 +38,11 @@ void Solver::add_patch(const Contact& c) {
   patch.tangents[0] = collide::across(n);
   patch.tangents[1] = cross(n, patch.tangents[0]);
   patch.friction = c.material.friction, patch.restitution = c.material.restitution;
-  patch.push = c.depenetration > 0 ? c.depenetration : PUSH;
+  patch.push = c.depenetration > 0 ? c.depenetration : MAX_PUSH_SPEED;
   patch.begin = points_.size();
   patch.skin = c.radius + c.other_radius;
-  const double size = TURNED * world_.bodies[c.a].reach;
-  patch.turned = size * size;
+  const double size = ARM_TOLERANCE * world_.bodies[c.a].reach;
+  patch.squared_arm_tolerance = size * size;
   const Pose& pose_a = poses_[c.a];
   const Pose fixed_pose = c.b < 0 ? c.motion->at(0) : poses_[patch.b];
   for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
@@ -52,7 +52,7 @@ void Solver::add_patch(const Contact& c) {
     set_arms(patch, p, touching_point(patch, pose_a.to_world(p.on_a), pose_b.to_world(p.on_b)));
   }
   patch.end = points_.size();
-  find_kept(patch);
+  match_stored(patch);
   patches_.push_back(patch);
 }
 
@@ -63,8 +63,8 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
   const Vec lines[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
   for (int d = 0; d < 3; ++d) {
     p.arms_a[d] = cross(at_a, lines[d]), p.arms_b[d] = cross(at_b, lines[d]);
-    p.responses_a[d] = sa.turned(p.arms_a[d]), p.responses_b[d] = sb.turned(p.arms_b[d]);
-    const double k = sa.ease + sb.ease + dot(p.arms_a[d], p.responses_a[d]) +
+    p.responses_a[d] = sa.angular_response(p.arms_a[d]), p.responses_b[d] = sb.angular_response(p.arms_b[d]);
+    const double k = sa.inverse_mass + sb.inverse_mass + dot(p.arms_a[d], p.responses_a[d]) +
                      dot(p.arms_b[d], p.responses_b[d]);
     (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
   }
@@ -72,25 +72,25 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
   p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
 }
 
-void Solver::find_kept(Patch& patch) {
+void Solver::match_stored(Patch& patch) {
   const Contact& c = *patch.contact;
   const auto first = static_cast<std::int64_t>(c.first);
-  auto begin = std::lower_bound(kept_.begin(), kept_.end(), c, [&](const Kept& k, const Contact&) {
+  auto begin = std::lower_bound(stored_contacts_.begin(), stored_contacts_.end(), c, [&](const StoredContact& k, const Contact&) {
     return k.first != first ? k.first < first : k.second < c.second;
   });
-  const double size = SAME * world_.bodies[c.a].reach;
-  std::uint32_t taken = 0;
+  const double size = MATCH_DISTANCE * world_.bodies[c.a].reach;
+  std::uint32_t matched = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     double least = size * size;
     int best = -1, i = 0;
-    for (auto it = begin; it != kept_.end() && it->first == first && it->second == c.second &&
+    for (auto it = begin; it != stored_contacts_.end() && it->first == first && it->second == c.second &&
                           i < 32; ++it, ++i) {
       const Vec off = it->at - p.on_a;
-      if (!(taken >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
+      if (!(matched >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
     }
     if (best < 0) continue;
-    taken |= 1u << best;
+    matched |= 1u << best;
     const Vec force = poses_[c.a].rotated((begin + best)->force) * h_;
     p.force = std::max(dot(force, patch.normal), 0.0);
     p.across[0] = dot(force, patch.tangents[0]), p.across[1] = dot(force, patch.tangents[1]);
@@ -103,11 +103,11 @@ void Solver::save(const Patch& patch) {
     const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
                       patch.tangents[1] * p.across[1];
     // In the body's frame at the start of the step, in which it rotates little.
-    const Vec local_force = poses_[patch.a].unrotated(force) * (1 / small_);
-    saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
+    const Vec local_force = poses_[patch.a].unrotated(force) * (1 / substep_);
+    next_contacts_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
                       p.on_a, local_force});
-    if (-p.now > report_.deepest) {
-      report_.deepest = -p.now;
+    if (-p.current_gap > report_.deepest) {
+      report_.deepest = -p.current_gap;
       report_.first = static_cast<std::int64_t>(patch.contact->first);
       report_.second = patch.contact->second;
     }
@@ -115,7 +115,7 @@ void Solver::save(const Patch& patch) {
   }
 }
 
-void Solver::look(double fraction) {
+void Solver::update_points(double fraction) {
   for (Patch& patch : patches_) {
     const Vec at = states_[patch.a].at;
     const Pose& pose = poses_[patch.a];
@@ -125,35 +125,35 @@ void Solver::look(double fraction) {
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
       const Vec at_a = at + pose.rotated(p.on_a), far = other.to_world(p.on_b);
-      p.now = p.gap + dot(patch.normal, far - at_a) - patch.skin;
+      p.current_gap = p.gap + dot(patch.normal, far - at_a) - patch.skin;
       const Vec mid = touching_point(patch, at_a, far), off = mid - at - p.arm_a;
       const Vec far_off = fixed ? Vec{} : mid - states_[patch.b].at - p.arm_b;
-      if (dot(off, off) + dot(far_off, far_off) > patch.turned) set_arms(patch, p, mid);
+      if (dot(off, off) + dot(far_off, far_off) > patch.squared_arm_tolerance) set_arms(patch, p, mid);
       if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
       p.bias_speed = dot(p.slide, patch.normal);
     }
   }
 }
 
-void Solver::begin_warm(Patch& patch, double scale) {
+void Solver::warm_start(Patch& patch, double scale) {
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     p.force *= scale / 2, p.across[0] *= scale / 2, p.across[1] *= scale / 2;
     p.half[0] = p.force, p.half[1] = p.across[0], p.half[2] = p.across[1];
-    hold(patch, p);
+    apply_half(patch, p);
   }
 }
 
-void Solver::end_warm(Patch& patch) {
+void Solver::warm_finish(Patch& patch) {
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     if (p.force == 0) continue;
     p.force += p.half[0], p.across[0] += p.half[1], p.across[1] += p.half[2];
-    hold(patch, p);
+    apply_half(patch, p);
   }
 }
 
-void Solver::hold(const Patch& patch, const Point& p) {
+void Solver::apply_half(const Patch& patch, const Point& p) {
   if (p.half[0] == 0) return;
   apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], p.half[0]);
   for (int d = 0; d < 2; ++d)
@@ -166,14 +166,14 @@ double Solver::correct(Patch& patch, bool pushing) {
   const double h = h_;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
-    if (p.flies) continue;
+    if (p.will_bounce) continue;
     double bias = 0, mass = 1, leak = 0;
-    if (p.now > 0) {
+    if (p.current_gap > 0) {
       // Approaching bodies have not arrived: only positions count.
       if (!pushing && p.force == 0) continue;
-      bias = pushing ? p.now / h : 0;
+      bias = pushing ? p.current_gap / h : 0;
     } else if (pushing) {
-      bias = std::max(contact_.bias * p.now, -patch.push);
+      bias = std::max(contact_.bias * p.current_gap, -patch.push);
       mass = contact_.mass, leak = contact_.leak;
     }
     const double speed = approach(patch, p);

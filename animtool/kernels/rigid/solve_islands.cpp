@@ -7,8 +7,8 @@ namespace {
 
 // Friction at this many points supports a body; with fewer, or without support, it falls asleep
 // below this fraction of the sleep speed.
-constexpr int SUPPORTED = 3;
-constexpr double LEANING = 0.25, CREEP = 0.01;
+constexpr int MIN_SUPPORTS = 3;
+constexpr double PARTLY_SUPPORTED = 0.25, UNSUPPORTED = 0.01;
 
 }  // namespace
 
@@ -19,33 +19,33 @@ void Solver::begin_groups() {
 }
 
 bool Solver::wake() {
-  if (!(settings_.drowsy > 0)) return false;
+  if (!(settings_.sleep_speed > 0)) return false;
   begin_groups();
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
-  for (const Kept& one : kept_)
+  for (const StoredContact& one : stored_contacts_)
     if (one.second < shapes)
       groups_.join(world_.shapes[static_cast<std::size_t>(one.first)].body,
            world_.shapes[static_cast<std::size_t>(one.second)].body);
-  std::vector<char> called(count_, 0);
-  const auto call = [&](std::size_t i) { called[groups_.first_of(i)] = 1; };
+  std::vector<char> woken_groups(count_, 0);
+  const auto wake_group = [&](std::size_t i) { woken_groups[groups_.first_of(i)] = 1; };
   for (std::size_t i = 0; i < count_; ++i)
-    if (!sleeps(i)) called[groups_.first_of(i)] = 1;
+    if (!sleeps(i)) woken_groups[groups_.first_of(i)] = 1;
   for (const Contact& c : contacts_) {
     const auto b = static_cast<std::size_t>(c.b);
     if (c.b < 0 ? sleeps(c.a) && c.motion->moves() : sleeps(c.a) != sleeps(b)) {
-      call(c.a);
-      if (c.b >= 0) call(b);
+      wake_group(c.a);
+      if (c.b >= 0) wake_group(b);
     }
   }
   for (std::size_t k = 0; k < world_.joints.size(); ++k) {
     const Joint& joint = world_.joints[k];
     if (joint.a < 0 ? sleeps(joint.b) && anchors_[k].moves()
                     : sleeps(joint.b) != sleeps(static_cast<std::size_t>(joint.a)))
-      call(joint.b);
+      wake_group(joint.b);
   }
   bool woken = false;
   for (std::size_t i = 0; i < count_; ++i)
-    if (called[groups_.first_of(i)] && sleeps(i)) states_[i].idle = 0, woken = true;
+    if (woken_groups[groups_.first_of(i)] && sleeps(i)) states_[i].slow_time = 0, woken = true;
   return woken;
 }
 
@@ -71,21 +71,21 @@ void Solver::make_islands() {
   }
 }
 
-void Solver::keep() {
+void Solver::store_contacts() {
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
-  for (const Kept& one : kept_) {
+  for (const StoredContact& one : stored_contacts_) {
     const bool both = sleeps(world_.shapes[static_cast<std::size_t>(one.first)].body) &&
                       (one.second >= shapes ||
                        sleeps(world_.shapes[static_cast<std::size_t>(one.second)].body));
-    if (both) saved_.push_back(one);
+    if (both) next_contacts_.push_back(one);
   }
-  std::stable_sort(saved_.begin(), saved_.end(), [](const Kept& a, const Kept& b) {
+  std::stable_sort(next_contacts_.begin(), next_contacts_.end(), [](const StoredContact& a, const StoredContact& b) {
     return a.first != b.first ? a.first < b.first : a.second < b.second;
   });
-  kept_ = std::move(saved_);
+  stored_contacts_ = std::move(next_contacts_);
 }
 
-void Solver::rest() {
+void Solver::update_sleep() {
   for (const auto& island : islands_) {
     double speed = 0, least = std::numeric_limits<double>::infinity();
     bool supported_all = !island.separating;
@@ -94,17 +94,17 @@ void Solver::rest() {
       const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
       const double body_speed = length(s.velocity) + turning;
       speed = std::max(speed, body_speed);
-      const double factor = support_counts_[i] >= SUPPORTED ? 1 : support_counts_[i] ? LEANING : CREEP;
-      supported_all &= body_speed < settings_.drowsy * factor && (support_counts_[i] || supported(island));
+      const double factor = support_counts_[i] >= MIN_SUPPORTS ? 1 : support_counts_[i] ? PARTLY_SUPPORTED : UNSUPPORTED;
+      supported_all &= body_speed < settings_.sleep_speed * factor && (support_counts_[i] || supported(island));
     }
     for (const std::size_t i : island.bodies) {
-      const bool slow = speed < settings_.drowsy && supported_all;
-      states_[i].idle = slow ? states_[i].idle + step_ : 0;
-      least = std::min(least, states_[i].idle);
+      const bool slow = speed < settings_.sleep_speed && supported_all;
+      states_[i].slow_time = slow ? states_[i].slow_time + step_ : 0;
+      least = std::min(least, states_[i].slow_time);
     }
     for (const std::size_t i : island.bodies) {
-      states_[i].idle = std::min(states_[i].idle, std::max(least, settings_.rest / 2));
-      if (least >= settings_.rest) states_[i].velocity = states_[i].momentum = {};
+      states_[i].slow_time = std::min(states_[i].slow_time, std::max(least, settings_.sleep_time / 2));
+      if (least >= settings_.sleep_time) states_[i].velocity = states_[i].momentum = {};
     }
   }
 }

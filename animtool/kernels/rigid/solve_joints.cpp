@@ -6,7 +6,7 @@ namespace animtool::rigid {
 namespace {
 
 // Largest speed at which initial joint gaps close [m/s, rad/s].
-constexpr double PULL = 100;
+constexpr double MAX_CLOSING_SPEED = 100;
 
 }  // namespace
 
@@ -18,7 +18,7 @@ void Solver::begin_drives(const Joint& joint, std::size_t k) {
 
 void Solver::end_drives(const Joint& joint, std::size_t k) {
   each_drive(joint, k, [&](Drive& drive, Row& row) {
-    drive.first = row.impulse;
+    drive.first_impulse = row.impulse;
     end_drive(joint, drive, row, speed_of(joint, row), h_);
   });
 }
@@ -33,26 +33,26 @@ void Solver::each_drive(const Joint& joint, std::size_t k, Act act) {
   }
 }
 
-void Solver::begin_warm(const Joint& joint, Rows& rows, double scale) {
+void Solver::warm_start(const Joint& joint, Rows& rows, double scale) {
   for (std::size_t r = 0; r < rows.count; ++r) {
     Row& row = rows.of[r];
     row.half = row.impulse = row.impulse * (scale / 2);
   }
-  hold(joint, rows);
+  apply_half(joint, rows);
 }
 
-void Solver::end_warm(const Joint& joint, Rows& rows) {
+void Solver::warm_finish(const Joint& joint, Rows& rows) {
   for (std::size_t r = 0; r < rows.count; ++r) rows.of[r].impulse += rows.of[r].half;
-  hold(joint, rows);
+  apply_half(joint, rows);
 }
 
-void Solver::hold(const Joint& joint, const Rows& rows) {
+void Solver::apply_half(const Joint& joint, const Rows& rows) {
   const std::size_t a = first_of(joint);
   for (std::size_t r = 0; r < rows.count; ++r) {
     const Row& row = rows.of[r];
     if (row.half == 0) continue;
-    apply(a, joint.b, row.line, speeds_[a].turned(row.arm_a),
-          speeds_[joint.b].turned(row.arm_b), row.half);
+    apply(a, joint.b, row.line, speeds_[a].angular_response(row.arm_a),
+          speeds_[joint.b].angular_response(row.arm_b), row.half);
   }
 }
 
@@ -79,7 +79,7 @@ void Solver::write_rows(std::size_t number, std::size_t k, double fraction, bool
   const Joint& joint = world_.joints[number];
   std::array<double, ROWS> before{}, half{};
   if (first) {
-    for (std::size_t i = 0; i < ROWS; ++i) before[i] = kept_impulses_[number][i] * h_;
+    for (std::size_t i = 0; i < ROWS; ++i) before[i] = joint_impulses_[number][i] * h_;
   } else {
     for (std::size_t r = 0; r < rows_[k].count; ++r) {
       const Row& row = rows_[k].of[r];
@@ -93,21 +93,21 @@ void Solver::write_rows(std::size_t number, std::size_t k, double fraction, bool
   for (std::size_t r = 0; r < rows_[k].count; ++r) {
     Row& row = rows_[k].of[r];
     const auto slot = static_cast<std::size_t>(row.slot);
-    row.impulse = std::clamp(before[slot], row.least, row.most), row.half = half[slot];
+    row.impulse = std::clamp(before[slot], row.low, row.high), row.half = half[slot];
   }
 }
 
-void Solver::bend(std::size_t number, Rows& rows, double end) {
+void Solver::set_curvature(std::size_t number, Rows& rows, double end) {
   const Joint& joint = world_.joints[number];
-  const auto gone = [&](std::size_t i) {
+  const auto advanced = [&](std::size_t i) {
     State s = states_[i];
     s.at = s.at + speeds_[i].v * h_;
     s.momentum = momentum_of(i);
     rotate_freely(i, s);
     return s;
   };
-  const State on_b = gone(joint.b);
-  const State on_a = joint.a < 0 ? State{} : gone(static_cast<std::size_t>(joint.a));
+  const State on_b = advanced(joint.b);
+  const State on_a = joint.a < 0 ? State{} : advanced(static_cast<std::size_t>(joint.a));
   const Frames f = frames_of(number, end, &on_a, on_b);
   const Rows after = rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)],
                              speeds_[joint.b], h_);
@@ -118,7 +118,7 @@ void Solver::bend(std::size_t number, Rows& rows, double end) {
       if (after.of[q].slot != row.slot) continue;
       const double change = after.of[q].error - row.error;
       const bool rotates = dot(row.line, row.line) == 0;
-      row.bend = (rotates ? std::remainder(change, FULL_CIRCLE) : change) / h_ - speed_of(joint, row);
+      row.curvature_speed = (rotates ? std::remainder(change, FULL_CIRCLE) : change) / h_ - speed_of(joint, row);
     }
   }
 }
@@ -143,26 +143,26 @@ double Solver::correct(const Joint& joint, Rows& rows, bool pushing) {
   Speed &a = speeds_[first], &b = speeds_[joint.b];
   for (std::size_t r = 0; r < rows.count; ++r) {
     Row& row = rows.of[r];
-    const double speed = speed_of(joint, row) + (pushing ? row.bend : 0);
+    const double speed = speed_of(joint, row) + (pushing ? row.curvature_speed : 0);
     double change = 0;
     if (row.kind == Row::DRIVE) {
       change = -(row.give * speed + row.push + row.impulse) / (1 + row.give / row.mass);
     } else if (row.kind == Row::LIMIT && row.error > 0) {
       change = -row.mass * (speed + row.error / h_);
     } else if (pushing) {
-      const double back = std::clamp(joint_.bias * row.error, -PULL, PULL);
+      const double correction_speed = std::clamp(joint_.bias * row.error, -MAX_CLOSING_SPEED, MAX_CLOSING_SPEED);
       const bool hard = hard_ && row.kind == Row::LOCK;
-      change = -row.mass * (hard ? 1 : joint_.mass) * (speed + back) -
+      change = -row.mass * (hard ? 1 : joint_.mass) * (speed + correction_speed) -
                (hard ? 0 : joint_.leak) * row.impulse;
     } else {
       change = -row.mass * speed;
     }
     const double half = row.kind == Row::DRIVE && pushing ? 0.5 : 1;
-    const double to = std::clamp(row.impulse + change, row.least * half, row.most * half);
+    const double to = std::clamp(row.impulse + change, row.low * half, row.high * half);
     const double by = to - row.impulse;
     row.impulse = to;
     if (by == 0) continue;
-    apply(first, joint.b, row.line, a.turned(row.arm_a), b.turned(row.arm_b), by);
+    apply(first, joint.b, row.line, a.angular_response(row.arm_a), b.angular_response(row.arm_b), by);
     most = std::max(most, std::fabs(by) / row.mass);
   }
   return most;

@@ -20,13 +20,13 @@ constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 
 class Solver {
  public:
-  Solver(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-         std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
+  Solver(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
+         std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
          const std::vector<Vec>& torques, const std::vector<collide::Collider>& colliders,
          const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
-      : world_(world), states_(states), kept_(kept), kept_impulses_(kept_impulses), forces_(forces),
+      : world_(world), states_(states), stored_contacts_(stored), joint_impulses_(joint_impulses), forces_(forces),
         torques_(torques), colliders_(colliders), anchors_(anchors), settings_(settings),
-        step_(step), small_(step / settings.substeps), h_(small_), count_(states.size()) {}
+        step_(step), substep_(step / settings.substeps), h_(substep_), count_(states.size()) {}
 
   // Whether two approach so fast that they will bounce within the step.
   bool bounces();
@@ -54,7 +54,7 @@ class Solver {
   void solve(Island& island);
 
   // Chooses substeps of an island, shorter if a drive swings in them.
-  void divide(const Island& island);
+  void choose_substeps(const Island& island);
   void resize(int parts);
   void soften();
 
@@ -75,13 +75,13 @@ class Solver {
   void set_arms(const Patch& patch, Point& p, Vec at);
 
   // Warm start with the impulses of the previous step.
-  void find_kept(Patch& patch);
+  void match_stored(Patch& patch);
   void save(const Patch& patch);
 
   // ---- one substep
 
   // Advances from impact to impact, and through the rest of a substep.
-  void small_step(const Island& island, int s);
+  void substep(const Island& island, int s);
 
   // As RATTLE does (Andersen 1983): half a kick, a drift that satisfies joints and contacts at its
   // end, half a kick, and a velocity correction there.
@@ -94,10 +94,10 @@ class Solver {
   // ---- impacts
 
   // Time until the first bouncing arrival, at most the rest; present ones bounce before.
-  double until_impact(const Island& island, double left, double begin, double end);
+  double until_impact(const Island& island, double remaining, double begin, double end);
 
   // Marks points approaching so fast that they bounce; returns the first arrival, or the rest.
-  double next_arrival(double left, double fraction);
+  double next_arrival(double remaining, double fraction);
 
   // Time at which a point closes its gap with both bodies in motion, within a limit: by the
   // Illinois method.
@@ -105,41 +105,41 @@ class Solver {
   double gap_at(const Patch& patch, const Point& p, double fraction, double time) const;
 
   // Speed below which two rest instead of bouncing: forces reverse slower motion within a substep.
-  double rest_of(std::size_t a, std::size_t b, double restitution) const;
-  double rest_of(const Patch& patch) const {
-    return rest_of(patch.a, patch.b, patch.restitution);
+  double rest_speed(std::size_t a, std::size_t b, double restitution) const;
+  double rest_speed(const Patch& patch) const {
+    return rest_speed(patch.a, patch.b, patch.restitution);
   }
 
   // Updates current contact points.
-  void look(double fraction);
+  void update_points(double fraction);
 
   // Relative acceleration of the second body.
-  Vec relative_pull(const Patch& patch) const;
-  static double pull_along(const Patch& patch, Vec pull) { return -dot(pull, patch.normal); }
+  Vec relative_acceleration(const Patch& patch) const;
+  static double normal_acceleration(const Patch& patch, Vec pull) { return -dot(pull, patch.normal); }
 
   double approach(const Patch& patch, const Point& p) const {
     return speed_along(speeds_, patch, p, 0);
   }
 
   // Applies forces for half a substep.
-  void push(std::size_t i);
+  void apply_forces(std::size_t i);
 
   void apply(std::size_t a, std::size_t b, Vec line, Vec response_a, Vec response_b, double impulse) {
     rigid::apply(speeds_, a, b, line, response_a, response_b, impulse);
   }
 
   // Applies the impulses of the previous substep for half the time.
-  void begin_warm(Patch& patch, double scale);
-  void end_warm(Patch& patch);
-  void hold(const Patch& patch, const Point& p);
-  void begin_warm(const Joint& joint, Rows& rows, double scale);
-  void end_warm(const Joint& joint, Rows& rows);
+  void warm_start(Patch& patch, double scale);
+  void warm_finish(Patch& patch);
+  void apply_half(const Patch& patch, const Point& p);
+  void warm_start(const Joint& joint, Rows& rows, double scale);
+  void warm_finish(const Joint& joint, Rows& rows);
 
   std::size_t first_of(const Joint& joint) const {
     return joint.a < 0 ? count_ : static_cast<std::size_t>(joint.a);
   }
 
-  void hold(const Joint& joint, const Rows& rows);
+  void apply_half(const Joint& joint, const Rows& rows);
 
   // Frames of a joint at a fraction of the step, and their arms.
   struct Frames {
@@ -156,7 +156,7 @@ class Solver {
 
   // Change of a joint's errors to the end of the substep beyond its linear equations, over the
   // time.
-  void bend(std::size_t number, Rows& rows, double end);
+  void set_curvature(std::size_t number, Rows& rows, double end);
 
   double speed_of(const Joint& joint, const Row& row) const {
     const Speed &a = speeds_[first_of(joint)], &b = speeds_[joint.b];
@@ -172,7 +172,7 @@ class Solver {
   double correct(const Joint& joint, Rows& rows, bool pushing);
 
   // Moves bodies for a substep.
-  void go(std::size_t i);
+  void move(std::size_t i);
   void rotate_freely(std::size_t i, State& s) const;
   Vec momentum_of(std::size_t i) const;
 
@@ -180,31 +180,31 @@ class Solver {
   void mark(const Island& island);
 
   // Velocities in the layout of states.
-  void settle(std::size_t i);
+  void store_velocity(std::size_t i);
 
   // ---- stored state
 
-  void keep();
+  void store_contacts();
 
   // Puts islands to sleep that are slow for long enough and supported by friction. Unsupported
   // ones, or those held by joints only, continue until they hardly move.
-  void rest();
+  void update_sleep();
 
   // Whether an island is supported; otherwise it is at rest only without forces.
   bool supported(const Island& island) const;
 
   const World& world_;
   std::vector<State>& states_;
-  std::vector<Kept>& kept_;
-  std::vector<std::array<double, ROWS>>& kept_impulses_;
+  std::vector<StoredContact>& stored_contacts_;
+  std::vector<std::array<double, ROWS>>& joint_impulses_;
   const std::vector<Vec>&forces_, &torques_;
   const std::vector<collide::Collider>& colliders_;
   const std::vector<collide::Motion>& anchors_;
   const Settings& settings_;
-  double step_, small_, h_;  // step, substep, and time between impacts [s]
+  double step_, substep_, h_;  // step, substep, and time between impacts [s]
   std::size_t count_;
-  Softness contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
-  Softness joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
+  Softness contact_ = Softness::of(STIFF / substep_, CONTACT_DAMPING, h_);
+  Softness joint_ = Softness::of(STIFF / substep_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
   bool has_contacts_ = false;  // whether contacts of this step are found
   Groups groups_;
@@ -220,7 +220,7 @@ class Solver {
   std::vector<Patch> patches_;
   std::vector<Point> points_;
   std::vector<Rows> rows_;
-  std::vector<Kept> saved_;
+  std::vector<StoredContact> next_contacts_;
   Report report_;
 };
 

@@ -19,8 +19,8 @@ struct Material {
 };
 
 struct Body {
-  double ease = 0;  // 1 / mass
-  Ease turning{};   // 1 / moments of inertia, of principal axes
+  double inverse_mass = 0;  // 1 / mass
+  InverseInertia inverse_inertia{};   // 1 / moments of inertia, of principal axes
   double reach = 0;
 };
 
@@ -41,22 +41,22 @@ struct World {
 struct Settings {
   Method method = Method::SPLITTING;
   int substeps = 8;
-  int rounds = 64;           // largest number of iterations of a substep
+  int iterations = 64;           // largest number of iterations of a substep
   double tolerance = 1e-3;   // velocity change at convergence [m/s]
-  double drowsy = 0.02;      // speed below which bodies fall asleep [m/s]; 0 is never
-  double rest = 0.5;         // time at that speed before sleep [s]
+  double sleep_speed = 0.02;      // speed below which bodies fall asleep [m/s]; 0 is never
+  double sleep_time = 0.5;         // time at that speed before sleep [s]
 };
 
 // A body in the world, with spin and momentum in the world.
 struct State {
   Vec at, velocity, momentum;
   Quaternion rotation;
-  double idle = 0;  // time it has been slow [s]; asleep from `rest` on
+  double slow_time = 0;  // time it has been slow [s]; asleep from `rest` on
 };
 
 // A contact point kept between steps: its position on the first body, and normal and tangential
 // impulses.
-struct Kept {
+struct StoredContact {
   std::int64_t first, second;  // shapes; colliders are numbered after them
   Vec at, force;
 };
@@ -65,22 +65,22 @@ struct Report {
   double deepest = 0;    // [m]
   std::int64_t first = -1, second = -1;  // its shapes; colliders are numbered after them
   double residual = 0;   // largest velocity change of the last iteration [m/s]
-  std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
-  double follows = 0;       // step that would resolve the fastest oscillating drive [s], if any
+  std::int64_t contacts = 0, iterations = 0, awake = 0, unsolved = 0;
+  double drive_step = 0;       // step that would resolve the fastest oscillating drive [s], if any
   std::int64_t drive = -1;  // its joint
 
-  void note_drive(double step, std::size_t joint) {
-    if (drive < 0 || step < follows) follows = step, drive = static_cast<std::int64_t>(joint);
+  void record_drive(double step, std::size_t joint) {
+    if (drive < 0 || step < drive_step) drive_step = step, drive = static_cast<std::int64_t>(joint);
   }
 
   // Merges the result of a later substep.
   void add(const Report& later) {
     if (later.deepest > deepest)
       deepest = later.deepest, first = later.first, second = later.second;
-    if (later.drive >= 0) note_drive(later.follows, static_cast<std::size_t>(later.drive));
+    if (later.drive >= 0) record_drive(later.drive_step, static_cast<std::size_t>(later.drive));
     residual = std::max(residual, later.residual);
     contacts = later.contacts, awake = later.awake;
-    rounds += later.rounds, unsolved += later.unsolved;
+    iterations += later.iterations, unsolved += later.unsolved;
   }
 };
 
@@ -97,8 +97,8 @@ struct Contact {
   int count = 0;
   // Contact points in the frames of both bodies, and the gaps. Rolling shapes change their contact
   // point continuously: these are points of the first's core, and its surface is a radius away.
-  std::array<Vec, MOST_POINTS> on_a, on_b;
-  std::array<double, MOST_POINTS> gaps;
+  std::array<Vec, MAX_POINTS> on_a, on_b;
+  std::array<double, MAX_POINTS> gaps;
   double radius = 0, other_radius = 0;
 
   void take(const Manifold& manifold, const Pose& pose_a, const Pose& pose_b) {
@@ -122,12 +122,12 @@ inline Pose pose_of(const State& s) {
 
 inline Vec spin_of(const Body& body, const State& s) {
   const Vec p = unrotate(s.rotation, s.momentum);
-  return rotate(s.rotation, {p.x * body.turning.of[0], p.y * body.turning.of[1],
-                         p.z * body.turning.of[2]});
+  return rotate(s.rotation, {p.x * body.inverse_inertia.of[0], p.y * body.inverse_inertia.of[1],
+                         p.z * body.inverse_inertia.of[2]});
 }
 
 inline bool asleep(const State& s, const Settings& settings) {
-  return settings.drowsy > 0 && s.idle >= settings.rest;
+  return settings.sleep_speed > 0 && s.slow_time >= settings.sleep_time;
 }
 
 // Pairs that may touch within a step, in an order independent of positions. Sleeping bodies are
@@ -137,8 +137,8 @@ std::vector<Contact> find_contacts(const World& world, const std::vector<State>&
                                    const Settings& settings, double step);
 
 // Takes a step; updates contacts and joint impulses.
-Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-                  std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
+Report step_world(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
+                  std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
                   const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 
 #include "base/wide.h"
 
@@ -20,13 +21,18 @@ struct Influences {
 // Frames that linear blending works on at once.
 constexpr std::size_t FRAMES = WIDE;
 
-// Points and results of each frame, (V, 3); the palette has the transforms of the joints,
-// (U, 12), the frames of a number together.
-using BlendFrames = void (*)(const Influences&, const double* palette,
-                             const double* const* points, double* const* out);
+// Linear blending of several frames, and of one. Both give the same numbers.
+struct Blend {
+  // Points and results of each frame, (V, 3); the palette has the transforms of the joints,
+  // (U, 12), the frames of a number together.
+  void (*frames)(const Influences&, const double* palette, const double* const* points,
+                 double* const* out);
+  // The palette has the columns of the transforms, (U, 4, 4), the last row unused.
+  void (*frame)(const Influences&, const double* palette, const double* points, double* out);
+};
 
-// For processors that have registers of four doubles; null on others.
-BlendFrames blend_in_quads();
+// For processors that have registers of four doubles; nothing on others.
+std::optional<Blend> blend_in_quads();
 
 // Some frames of a table (F, rows, width), the numbers of a place together.
 template <std::size_t N>
@@ -75,6 +81,29 @@ void blend_frames(const Influences& in, const double* palette, const double* con
     }
     for (std::size_t h = 0; h < parts; ++h) scatter(sum[h], out + h * N::LANES, 3 * v);
   }
+}
+
+template <class On>
+void blend_frame(const Influences& in, const double* palette, const double* points,
+                 double* out) {
+  using N = Four<On>;
+  for (std::size_t v = 0; v < in.vertices; ++v, points += 3, out += 3) {
+    N sum = 0.0;
+    for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
+      const double w = in.weights[k];
+      const double* a = palette + 16 * in.joints[k];
+      sum += N(w * points[0]) * N::of(a) + N(w * points[1]) * N::of(a + 4) +
+             N(w * points[2]) * N::of(a + 8) + N(w) * N::of(a + 12);
+    }
+    double row[WIDE];
+    sum.store(row);
+    for (int i = 0; i < 3; ++i) out[i] = row[i];
+  }
+}
+
+template <class N, class On>
+Blend make_blend() {
+  return {blend_frames<N>, blend_frame<On>};
 }
 
 }  // namespace animtool

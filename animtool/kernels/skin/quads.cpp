@@ -4,6 +4,9 @@
 
 namespace animtool {
 
-BlendFrames blend_in_quads() { return has_quads() ? blend_frames<Four<Quads>> : nullptr; }
+std::optional<Blend> blend_in_quads() {
+  if (!has_quads()) return std::nullopt;
+  return make_blend<Four<Quads>, Quads>();
+}
 
 }  // namespace animtool

@@ -21,7 +21,7 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
   check::shape("columns", columns, {check::ANY});
   check::shape("offsets", offsets, {count, 3});
   check::starts("first", first, count);
-  check::at_most("weights", weights.shape(1), check::MOST_ROWS);
+  check::at_most("weights", weights.shape(1), check::MAX_ROWS);
   check::indices("columns", columns, 0, static_cast<std::int64_t>(weights.shape(1)));
 }
 
@@ -33,9 +33,22 @@ void add_frames(std::size_t vertices, const std::int64_t* first, const std::int3
     Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
     for (std::int64_t k = first[v]; k < first[v + 1]; ++k)
       for (int h = 0; h < 2; ++h)
-        p[h] += Vector3<Pair>::spread(offsets + 3 * k) *
+        p[h] += Vector3<Pair>::broadcast(offsets + 3 * k) *
                 Pair::of(weights + FRAMES * columns[k] + 2 * h);
     for (int h = 0; h < 2; ++h) scatter(p[h], to + 2 * h, 3 * v);
+  }
+}
+
+// One frame, without the columns of weight 0.
+void add_frame(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
+               const double* offsets, const double* weights, const double* from, double* to) {
+  for (std::size_t v = 0; v < vertices; ++v, from += 3, to += 3) {
+    Vec p = load(from);
+    for (std::int64_t k = first[v]; k < first[v + 1]; ++k) {
+      const double weight = weights[columns[k]];
+      if (weight != 0) p += load(offsets + 3 * k) * weight;
+    }
+    store(p, to);
   }
 }
 
@@ -49,6 +62,11 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
   const std::size_t vertices = points.shape(1), row = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
   const std::size_t stride = points.shape(0) == 1 ? 0 : row;
+  if (frames == 1) {
+    add_frame(vertices, first.data(), columns.data(), offsets.data(), weights.data(),
+              points.data(), out.data());
+    return;
+  }
   std::vector<double> table(shapes * FRAMES);
   for (std::size_t f = 0; f < frames; f += FRAMES) {
     const double *rows[FRAMES], *from[FRAMES];

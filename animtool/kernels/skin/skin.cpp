@@ -76,7 +76,7 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
         const double* pivot = palette + 16 * in.joints[begin];
         Pair sum = Pair::of(a) * Pair::of(pivot);
         for (int i = 2; i < 8; i += 2) sum += Pair::of(a + i) * Pair::of(pivot + i);
-        w = chosen(below(sum, 0.0), -w, w);
+        w = select(less(sum, 0.0), -w, w);
       }
       for (int i = 0; i < 8; ++i) d[i] += w * Pair::of(a + 2 * i);
     }
@@ -85,7 +85,7 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
       p = {s[0] * p.x + s[1] * p.y + s[2] * p.z, s[1] * p.x + s[3] * p.y + s[4] * p.z,
            s[2] * p.x + s[4] * p.y + s[5] * p.z};
     const Pair squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3];
-    const Pair f = chosen(below(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
+    const Pair f = select(less(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
     const Vector3<Pair> axis = {d[0], d[1], d[2]}, across = cross(axis, p);
     const Vector3<Pair> turned = cross(
         axis, {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5],
@@ -100,6 +100,13 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
   }
 }
 
+// The columns of transforms (U, 3, 4), each with a zero below.
+void columns_of(const double* transforms, std::size_t joints, double* out) {
+  for (std::size_t j = 0; j < joints; ++j, transforms += 12, out += 16)
+    for (int c = 0; c < 4; ++c)
+      for (int r = 0; r < 4; ++r) out[4 * c + r] = r < 3 ? transforms[4 * r + c] : 0;
+}
+
 }  // namespace
 
 void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
@@ -107,15 +114,21 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
                  In<double, 4> transforms, bool normalize, Filled<double, 3> out) {
   const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
   check::shape("transforms", transforms, {check::ANY, check::ANY, 3, 4});
-  check::at_most("transforms", count, check::MOST_ROWS);
+  check::at_most("transforms", count, check::MAX_ROWS);
   const Influences in = influences_of(first, joints, weights, count);
   const Points source(points, frames, in.vertices);
   const std::size_t row = in.vertices * 3, width = count * 12;
   check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
   std::vector<double> palette(FRAMES * width);
-  const BlendFrames quads = blend_in_quads(), blend = quads ? quads : blend_frames<Pair>;
+  const Blend blend = blend_in_quads().value_or(make_blend<Pair, Plain>());
   for (std::size_t f = 0; f < frames; f += FRAMES) {
+    if (f + 1 == frames) {
+      columns_of(transforms.data() + f * width, count, palette.data());
+      blend.frame(in, palette.data(), source.frame(f), result + f * row);
+      for (std::size_t v = 0; normalize && v < in.vertices; ++v) unit(result + f * row + 3 * v);
+      break;
+    }
     const double *tables[FRAMES], *sources[FRAMES];
     double* targets[FRAMES];
     for (std::size_t l = 0; l < FRAMES; ++l) {
@@ -125,7 +138,7 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
       targets[l] = result + g * row;
     }
     interleave(tables, width, palette.data());
-    blend(in, palette.data(), sources, targets);
+    blend.frames(in, palette.data(), sources, targets);
     for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
       for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
   }
@@ -138,7 +151,7 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
                           Filled<double, 3> out) {
   const std::size_t frames = rotations.shape(0), count = rotations.shape(1);
   check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
-  check::at_most("rotations", count, check::MOST_ROWS);
+  check::at_most("rotations", count, check::MAX_ROWS);
   check::shape("translations", translations, {frames, count, 3});
   if (stretches) check::shape("stretches", *stretches, {frames, count, 3, 3});
   const Influences in = influences_of(first, joints, weights, count);

@@ -31,7 +31,7 @@ struct BandPieces {
 struct BandPlanes {
   std::size_t height;
   double *x, *v, *f;
-  double* kept;  // forces of a piece's springs, (offsets, 3, KEPT)
+  double* stored;  // forces of a piece's springs, (offsets, 3, KEPT)
 };
 
 // Forces other than springs, and the step length.
@@ -51,7 +51,7 @@ constexpr std::size_t BAND_PIECE = 16 * WIDE;
 // Offsets that differ by at most this are processed together, at most this many.
 constexpr std::size_t GROUPED = WIDE, TOGETHER = 3;
 // Zero padding before and after the stored forces, for accesses with other offsets.
-constexpr std::size_t EDGE = GROUPED + WIDE, KEPT = BAND_PIECE + 2 * EDGE;
+constexpr std::size_t EDGE = GROUPED + WIDE, STORED = BAND_PIECE + 2 * EDGE;
 
 template <class On>
 void rows_to_planes(const double* rows, std::size_t count, std::size_t height, double* planes) {
@@ -87,16 +87,16 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
   };
   for (std::size_t n = piece.begin; n < end; n += WIDE) {
     const double *x = planes.x + n, *v = planes.v + n;
-    double *f = planes.f + n, *kept = planes.kept + EDGE + (n - piece.begin);
+    double *f = planes.f + n, *stored = planes.stored + EDGE + (n - piece.begin);
     const Vector3<N> here = column(x), speed = column(v);
     Vector3<N> sum = column(f);
-    for (std::size_t b = 0; b < count; ++b, numbers += 3 * WIDE, kept += 3 * KEPT) {
+    for (std::size_t b = 0; b < count; ++b, numbers += 3 * WIDE, stored += 3 * STORED) {
       const Vector3<N> d = here - column(x + offsets[b]), e = speed - column(v + offsets[b]);
       const Vector3<N> force =
-          d * pull_of(N::of(numbers), N::of(numbers + WIDE), N::of(numbers + 2 * WIDE),
+          d * force_over_length(N::of(numbers), N::of(numbers + WIDE), N::of(numbers + 2 * WIDE),
                       dot(d, d), dot(d, e));
       sum -= force;
-      force.x.store(kept), force.y.store(kept + KEPT), force.z.store(kept + 2 * KEPT);
+      force.x.store(stored), force.y.store(stored + STORED), force.z.store(stored + 2 * STORED);
     }
     sum.x.store(f), sum.y.store(f + height), sum.z.store(f + 2 * height);
   }
@@ -104,13 +104,13 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
 
 // Adds the stored forces of some offsets at the second ends.
 template <class On, std::size_t... B>
-void pull_grouped(std::index_sequence<B...>, const std::size_t* offsets, const double* kept,
+void pull_grouped(std::index_sequence<B...>, const std::size_t* offsets, const double* stored,
                 std::size_t begin, std::size_t end, double* forces) {
   const std::size_t last = offsets[sizeof...(B) - 1];
   const std::size_t back[] = {begin + offsets[B]...};
   for (std::size_t n = (begin + offsets[0]) / WIDE * WIDE; n < end + last; n += WIDE) {
     Four<On> sum = Four<On>::of(forces + n);
-    ((sum += Four<On>::of(kept + 3 * B * KEPT + (EDGE + n - back[B]))), ...);
+    ((sum += Four<On>::of(stored + 3 * B * STORED + (EDGE + n - back[B]))), ...);
     sum.store(forces + n);
   }
 }
@@ -121,14 +121,14 @@ template <class On>
 void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlanes& planes) {
   for (std::size_t row = 0; row < 3 * piece.count; ++row)
     for (std::size_t n = 0; n < EDGE; n += WIDE)
-      Four<On>(0.0).store(planes.kept + row * KEPT + EDGE + (piece.end - piece.begin) + n);
+      Four<On>(0.0).store(planes.stored + row * STORED + EDGE + (piece.end - piece.begin) + n);
   const std::size_t* offsets = springs.offsets + piece.first;
   for (std::size_t b = 0, count; b < piece.count; b += count) {
     for (count = 1; count < TOGETHER && b + count < piece.count; ++count)
       if (offsets[b + count] > offsets[b] + GROUPED) break;
     for (std::size_t k = 0; k < 3; ++k) {
       const auto add = [&](auto grouped) {
-        pull_grouped<On>(grouped, offsets + b, planes.kept + (3 * b + k) * KEPT, piece.begin,
+        pull_grouped<On>(grouped, offsets + b, planes.stored + (3 * b + k) * STORED, piece.begin,
                       piece.end, planes.f + k * planes.height);
       };
       if (count == 1) add(std::make_index_sequence<1>());
@@ -146,14 +146,14 @@ void advance_piece(const BandPiece& piece, const PlaneSteps& steps, const BandPl
   const N zero = 0.0;
   for (std::size_t n = piece.begin; n < piece.end; n += WIDE) {
     const N inverse = N::of(steps.inverse_masses + n), drag = N::of(steps.drags + n);
-    const N free = below(zero, inverse);
+    const N free = less(zero, inverse);
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t at = k * planes.height + n;
       const N x = N::of(planes.x + at), v = N::of(planes.v + at);
       const N rate = N::of(planes.f + at) * inverse + (steps.fall[k] - drag * v);
       const N speed = v + steps.h * rate;
-      chosen(free, speed, v).store(planes.v + at);
-      chosen(free, x + steps.h * speed, x).store(planes.x + at);
+      select(free, speed, v).store(planes.v + at);
+      select(free, x + steps.h * speed, x).store(planes.x + at);
       zero.store(planes.f + at);
     }
   }

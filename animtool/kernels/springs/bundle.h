@@ -28,7 +28,7 @@ struct StrandBundle;
 // Returns whether any moved, and adds the displacements to their path lengths.
 struct SegmentContacts {
   void* all = nullptr;  // null if no feature is that fine
-  bool (*settle)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
+  bool (*resolve)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
                  std::size_t near) = nullptr;
   double reach = 0;  // segments of a particle this far from all colliders cannot touch them
 };
@@ -38,7 +38,7 @@ struct StrandSteps {
   std::size_t points, cells, substeps;
   double h;
   double fall[3];  // velocity change by gravity in a step
-  double slowed;   // factor of velocities by drag
+  double drag_factor;   // factor of velocities by drag
   // Compliances: of folds, and of the fold at the root; of the pull to the animation, by
   // position and by velocity; of springs along the strand.
   double fold, root_fold, draw, draw_change, soft;
@@ -84,38 +84,38 @@ struct StrandBundle {
 // Length corrections in a step; the first one covers all strands.
 constexpr int CORRECTIONS = 4;
 // Length corrections after collisions, each followed by more collisions.
-constexpr int YIELDS = 5;
+constexpr int MAX_CONTACT_CORRECTIONS = 5;
 // Iterations over all colliders.
-constexpr int ROUNDS_OUT = 3;
+constexpr int MAX_ITERATIONS = 3;
 // Colliders farther away than this at the start of a frame are rarely touched in it [m].
 constexpr double NEAR = 0.1;
 
 template <class On>
-class BundleCrossing {
+class BundleSolver {
   using N = Four<On>;
   using V = FourVec<On>;
 
  public:
-  BundleCrossing(const StrandSteps& plan, StrandBundle& bundle) : plan_(plan), b_(bundle) {}
+  BundleSolver(const StrandSteps& plan, StrandBundle& bundle) : plan_(plan), b_(bundle) {}
 
-  void cross() {
-    look_about();
+  void advance() {
+    find_near_colliders();
     const double rate = 1 / plan_.h;
     for (std::size_t cell = 0; cell < plan_.cells; ++cell)
       for (std::size_t j = 0; j < plan_.substeps; ++j) {
         const double parts = static_cast<double>(plan_.substeps);
         first_ = b_.goals + cell * WIDE_VECTOR * plan_.points;
-        was_ = static_cast<double>(j) / parts;
-        is_ = static_cast<double>(j + 1) / parts;
+        begin_fraction_ = static_cast<double>(j) / parts;
+        end_fraction_ = static_cast<double>(j + 1) / parts;
         predict();
-        fold();
-        draw();
-        N some = below(N(0.0), N(1.0));
-        for (int i = 0; i < CORRECTIONS && bits(some); ++i) {
+        apply_folds();
+        apply_pull();
+        N some = less(N(0.0), N(1.0));
+        for (int i = 0; i < CORRECTIONS && mask_bits(some); ++i) {
           correct<false>(some);
           some = too_long();
         }
-        keep_out(cell * plan_.substeps + j);
+        resolve_collisions(cell * plan_.substeps + j);
         for (std::size_t p = 0; p < plan_.points; ++p)
           ((at(b_.x, p) - at(b_.unmoved, p)) * rate).store(b_.v + WIDE_VECTOR * p);
       }
@@ -132,56 +132,56 @@ class BundleCrossing {
   }
 
   void predict() {
-    const V fall = V::spread(plan_.fall);
+    const V fall = V::broadcast(plan_.fall);
     at(b_.x, 0).store(b_.before);
     at(b_.x, 0).store(b_.unmoved);
-    goal(0, is_).store(b_.x);
+    goal(0, end_fraction_).store(b_.x);
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V x = at(b_.x, p);
       x.store(b_.before + WIDE_VECTOR * p);
       x.store(b_.unmoved + WIDE_VECTOR * p);
-      const V v = (at(b_.v, p) + fall) * plan_.slowed;
+      const V v = (at(b_.v, p) + fall) * plan_.drag_factor;
       (x + v * plan_.h).store(b_.x + WIDE_VECTOR * p);
     }
   }
 
-  void fold() {
+  void apply_folds() {
     if (plan_.fold == 0) return;
     for (std::size_t p = 0; p + 2 < plan_.points; ++p) {
       const V a = at(b_.x, p), b = at(b_.x, p + 2), d = b - a;
       const N square = dot(d, d), rest = N::of(b_.folds + WIDE * p);
       // Coincident ends have no direction, and no force.
-      const N one = chosen(below(N(0.0), square), N(1.0), N(0.0));
-      const N beyond = one - rest * (root(square) * inverse(square));
+      const N one = select(less(N(0.0), square), N(1.0), N(0.0));
+      const N beyond = one - rest * (sqrt(square) * inverse(square));
       const V pull = d * (beyond * (p == 0 ? plan_.root_fold : plan_.fold));
       if (p > 0) (a + pull).store(b_.x + WIDE_VECTOR * p);
       (b - pull).store(b_.x + WIDE_VECTOR * (p + 2));
     }
   }
 
-  void draw() {
+  void apply_pull() {
     if (plan_.draw == 0) return;
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V x = at(b_.x, p), off = goal(p, is_) - x;
-      const V went = off - (goal(p, was_) - at(b_.before, p));
-      (x + off * plan_.draw + went * plan_.draw_change).store(b_.x + WIDE_VECTOR * p);
+      const V x = at(b_.x, p), off = goal(p, end_fraction_) - x;
+      const V displacement = off - (goal(p, begin_fraction_) - at(b_.before, p));
+      (x + off * plan_.draw + displacement * plan_.draw_change).store(b_.x + WIDE_VECTOR * p);
     }
   }
 
   // Which strands have a spring above its largest length: those that rotate far in a step.
   N too_long() const {
-    N hit = below(N(0.0), N(0.0));
+    N hit = less(N(0.0), N(0.0));
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N most = N::of(b_.rests + WIDE * (p - 1)) * plan_.longest;
-      hit = either(hit, below(most * most, dot(d, d)));
+      hit = mask_or(hit, less(most * most, dot(d, d)));
     }
     return hit;
   }
 
   // One Newton correction of all lengths along some of the strands. Each spring moves its
   // neighbours, so that the matrix is tridiagonal. Optionally records the displacements.
-  template <bool Noted>
+  template <bool Recorded>
   void correct(const N& some) {
     V before{0.0, 0.0, 0.0};
     N fraction(0.0), sum(0.0);
@@ -208,25 +208,25 @@ class BundleCrossing {
       pull = (N::of(row + 2 * WIDE) + shared * pull) * N::of(row + WIDE);
       shared = N::of(row);
       const V back = at(b_.along, p) * pull;
-      const V x = at(b_.x, p), move = chosen(some, behind - back, V{0.0, 0.0, 0.0});
+      const V x = at(b_.x, p), move = select(some, behind - back, V{0.0, 0.0, 0.0});
       (x + move).store(b_.x + WIDE_VECTOR * p);
-      if constexpr (Noted) b_.shift[p] += largest(length(move));
+      if constexpr (Recorded) b_.shift[p] += largest(length(move));
       behind = back;
     }
   }
 
-  static N length(const V& a) { return root(dot(a, a)); }
+  static N length(const V& a) { return sqrt(dot(a, a)); }
 
   // In which of four parts of the strands, from root to tip, a point is.
   std::size_t part(std::size_t p) const { return p * WIDE / plan_.points; }
 
   // Bounding ball of each part of all strands: centre and radius. Returns which parts exist:
   // strands with few points do not have all.
-  unsigned surround(V& centre, N& radius) const {
+  unsigned bound_parts(V& centre, N& radius) const {
     unsigned parts = 0;
     double low[3][WIDE], high[3][WIDE];
     for (std::size_t k = 0; k < 3; ++k)
-      for (std::size_t g = 0; g < WIDE; ++g) low[k][g] = NEVER, high[k][g] = -NEVER;
+      for (std::size_t g = 0; g < WIDE; ++g) low[k][g] = UNREACHED, high[k][g] = -UNREACHED;
     for (std::size_t p = 0; p < plan_.points; ++p) {
       const std::size_t g = part(p);
       parts |= 1u << g;
@@ -244,21 +244,21 @@ class BundleCrossing {
   }
 
   // Distances of the parts of the strands from each collider at the start of the frame.
-  void look_about() {
+  void find_near_colliders() {
     near_ = 0;
-    far_ = NEVER;
+    far_ = UNREACHED;
     if (plan_.colliders == 0) return;
     V centre;
     N radius;
-    const unsigned parts = surround(centre, radius);
+    const unsigned parts = bound_parts(centre, radius);
     for (std::size_t c = 0; c < plan_.colliders; ++c) {
       double off[WIDE] = {0, 0, 0, 0};
       if (plan_.is_rod[c]) {
         const collide::Rod& rod = plan_.rods[c];
         const N away = sample_rod(rod.begin, rod.radius, centre).distance - radius;
-        (most(away, N(0.0)) - plan_.remaining[c]).store(off);
+        (max(away, N(0.0)) - plan_.remaining[c]).store(off);
       }
-      double nearest = NEVER;
+      double nearest = UNREACHED;
       for (std::size_t g = 0; g < WIDE; ++g)
         if ((parts >> g & 1) && off[g] < nearest) nearest = off[g];
       if (nearest >= NEAR) {
@@ -287,48 +287,48 @@ class BundleCrossing {
   }
 
   // Colliders come last in each step; strands that they stretched are corrected before.
-  void keep_out(std::size_t step) {
+  void resolve_collisions(std::size_t step) {
     if (plan_.colliders == 0) return;
-    const V drift = V::spread(plan_.drifts + 3 * step);
+    const V drift = V::broadcast(plan_.drifts + 3 * step);
     for (std::size_t p = 1; p < plan_.points; ++p)
       b_.shift[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
     unsigned touched = 0;
-    allow(ALL);
-    unsigned moved = meet(step, touched);
+    select_strands(ALL);
+    unsigned moved = collide_particles(step, touched);
     b_.touched[step] += touched;
-    for (int i = 0; i < YIELDS && moved; ++i) {
-      moved &= bits(too_long());
+    for (int i = 0; i < MAX_CONTACT_CORRECTIONS && moved; ++i) {
+      moved &= mask_bits(too_long());
       if (!moved) break;
-      allow(moved);
-      correct<true>(allowed_);
-      moved &= meet(step, touched);
+      select_strands(moved);
+      correct<true>(selected_);
+      moved &= collide_particles(step, touched);
     }
   }
 
   // Moves some of the strands out of colliders.
-  void allow(unsigned some) {
+  void select_strands(unsigned some) {
     double lanes[WIDE];
     for (std::size_t l = 0; l < WIDE; ++l) lanes[l] = some >> l & 1;
-    allowed_ = below(N(0.0), N::of(lanes));
-    allowed_bits_ = some;
+    selected_ = less(N(0.0), N::of(lanes));
+    selected_bits_ = some;
   }
 
   // Moves particles out of colliders; returns in which strands.
-  unsigned meet(std::size_t step, unsigned& touched) {
+  unsigned collide_particles(std::size_t step, unsigned& touched) {
     unsigned lanes = 0;
     for (std::size_t p = 1; p < plan_.points; ++p) {
       if (b_.shift[p] < b_.due[p]) continue;
-      if (b_.shift[p] >= far_) look_at_all();
-      const double went = largest(length(at(b_.x, p) - at(b_.before, p)));
-      const unsigned moved = settle(step, p, went);
+      if (b_.shift[p] >= far_) include_all_colliders();
+      const double displacement = largest(length(at(b_.x, p) - at(b_.before, p)));
+      const unsigned moved = resolve(step, p, displacement);
       touched += count(moved);
       lanes |= moved;
     }
-    return b_.segments.all ? lanes | meet_segments(step) : lanes;
+    return b_.segments.all ? lanes | collide_segments(step) : lanes;
   }
 
   // The same for segments between particles; the root counts as near if any particle is.
-  unsigned meet_segments(std::size_t step) {
+  unsigned collide_segments(std::size_t step) {
     std::size_t near = 0;
     b_.at_segments[near++] = 0;
     for (std::size_t p = 1; p < plan_.points; ++p)
@@ -336,13 +336,13 @@ class BundleCrossing {
         b_.at_segments[near++] = static_cast<std::int32_t>(p);
     unsigned lanes = 0;
     for (std::size_t l = 0; near > 1 && l < WIDE; ++l) {
-      if (!((allowed_bits_ & b_.counted) >> l & 1)) continue;
-      if (b_.segments.settle(b_.segments.all, b_, step, l, near)) lanes |= 1u << l;
+      if (!((selected_bits_ & b_.counted) >> l & 1)) continue;
+      if (b_.segments.resolve(b_.segments.all, b_, step, l, near)) lanes |= 1u << l;
     }
     return lanes;
   }
 
-  void look_at_all() {
+  void include_all_colliders() {
     const std::size_t count = plan_.colliders;
     for (std::size_t c = 0; c < count; ++c) {
       bool known = false;
@@ -351,7 +351,7 @@ class BundleCrossing {
     }
     for (near_ = 0; near_ < count; ++near_) b_.near[near_] = near_;
     for (std::size_t p = 0; p < plan_.points; ++p) b_.due[p] = 0;
-    far_ = NEVER;
+    far_ = UNREACHED;
   }
 
   unsigned count(unsigned bits) const {
@@ -361,25 +361,25 @@ class BundleCrossing {
   }
 
   // Moves four particles out of colliders; returns which were moved.
-  unsigned settle(std::size_t step, std::size_t p, double went) {
+  unsigned resolve(std::size_t step, std::size_t p, double displacement) {
     double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
     const V from = at(b_.before, p);
     V to = at(b_.x, p), unmoved = at(b_.unmoved, p);
-    unsigned moved = sweep(step, p, went, from, to);
-    for (int round = 0; round < ROUNDS_OUT; ++round) {
+    unsigned moved = sweep(step, p, displacement, from, to);
+    for (int round = 0; round < MAX_ITERATIONS; ++round) {
       unsigned pushed = 0;
-      std::size_t looked = 0, only = 0;
+      std::size_t tested = 0, only = 0;
       for (std::size_t k = 0; k < near_; ++k) {
         const std::size_t c = b_.near[k];
         if (dues[c] > shift) continue;
-        ++looked;
+        ++tested;
         only = c;
         pushed |= push(step, p, c, from, to, unmoved);
       }
       // A particle that is pushed may come near colliders that were far away.
-      if (shift >= far_) look_at_all();
+      if (shift >= far_) include_all_colliders();
       moved |= pushed;
-      if (!pushed || (looked == 1 && !any_due(dues, shift, only))) break;
+      if (!pushed || (tested == 1 && !any_due(dues, shift, only))) break;
     }
     b_.due[p] = next_due(p);
     to.store(b_.x + WIDE_VECTOR * p);
@@ -406,12 +406,12 @@ class BundleCrossing {
     const N depth = depths(p, c);
     if (!(smallest(hit.distance - depth) < -collide::TOUCH)) return 0;
     const N begun = sample(row, c, false, from).distance;
-    V location = to, stood = unmoved;
+    V location = to, rest_position = unmoved;
     const unsigned pushed =
-        allowed_bits_ & collide::push_out(rod, hit, begun, depth, from, location, stood);
+        selected_bits_ & collide::push_out(rod, hit, begun, depth, from, location, rest_position);
     if (!pushed) return 0;
-    location = chosen(allowed_, location, to);
-    unmoved = chosen(allowed_, stood, unmoved);
+    location = select(selected_, location, to);
+    unmoved = select(selected_, rest_position, unmoved);
     shift += largest(length(location - to));
     due = shift;
     to = location;
@@ -442,12 +442,12 @@ class BundleCrossing {
   }
 
   // Stops particles that move farther than the thickness of colliders (continuous collision).
-  unsigned sweep(std::size_t step, std::size_t p, double went, const V& from, V& to) {
+  unsigned sweep(std::size_t step, std::size_t p, double displacement, const V& from, V& to) {
     double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
     unsigned stopped = 0;
     for (std::size_t k = 0; k < near_; ++k) {
       const std::size_t c = b_.near[k];
-      if (dues[c] > shift || went <= plan_.thicknesses[c]) continue;
+      if (dues[c] > shift || displacement <= plan_.thicknesses[c]) continue;
       double begins[WIDE_VECTOR], ends[WIDE_VECTOR];
       from.store(begins);
       to.store(ends);
@@ -455,7 +455,7 @@ class BundleCrossing {
         const double begin[3] = {begins[l], begins[WIDE + l], begins[2 * WIDE + l]};
         double end[3] = {ends[l], ends[WIDE + l], ends[2 * WIDE + l]};
         const std::size_t row = step * plan_.colliders + c;
-        if (!(allowed_bits_ >> l & 1)) continue;
+        if (!(selected_bits_ >> l & 1)) continue;
         if (!plan_.others.sweep(plan_.others.all, row, begin, end)) continue;
         for (std::size_t k = 0; k < 3; ++k) ends[k * WIDE + l] = end[k];
         stopped |= 1u << l;
@@ -477,7 +477,7 @@ class BundleCrossing {
         if (b_.dues[p * plan_.colliders + c] > b_.shift[p]) continue;
         const std::size_t row = (steps - 1) * plan_.colliders + c;
         const N off = sample(row, c, true, at(b_.x, p)).distance - depths(p, c);
-        deep |= bits(below(off, N(-plan_.tolerance)));
+        deep |= mask_bits(less(off, N(-plan_.tolerance)));
       }
       inside += count(deep);
     }
@@ -485,17 +485,17 @@ class BundleCrossing {
   }
 
   double longest() const {
-    N most_of_all(0.0);
+    N largest_strain(0.0);
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N rest = N::of(b_.rests + WIDE * (p - 1));
-      const N beyond = root(dot(d, d)) * inverse(rest) - 1.0;
-      most_of_all = most(beyond, most_of_all);
+      const N beyond = sqrt(dot(d, d)) * inverse(rest) - 1.0;
+      largest_strain = max(beyond, largest_strain);
     }
-    return largest(most_of_all);
+    return largest(largest_strain);
   }
 
-  static constexpr double NEVER = 1e300;
+  static constexpr double UNREACHED = 1e300;
   static constexpr unsigned ALL = 15;
 
   const StrandSteps& plan_;
@@ -503,18 +503,18 @@ class BundleCrossing {
   // Animated positions of the strands at the start and the end of the current cell; fractions
   // of the cell at the start and the end of the step.
   const double* first_ = nullptr;
-  double was_ = 0, is_ = 0;
+  double begin_fraction_ = 0, end_fraction_ = 0;
   // Number of nearby colliders, and the path length at which any other may be touched.
   std::size_t near_ = 0;
   double far_ = 0;
   // The strands that colliders may move.
-  N allowed_{0.0};
-  unsigned allowed_bits_ = 0;
+  N selected_{0.0};
+  unsigned selected_bits_ = 0;
 };
 
 template <class On>
-void cross_bundle(const StrandSteps& plan, StrandBundle& bundle) {
-  BundleCrossing<On>(plan, bundle).cross();
+void advance_bundle(const StrandSteps& plan, StrandBundle& bundle) {
+  BundleSolver<On>(plan, bundle).advance();
 }
 
 }  // namespace animtool

@@ -14,14 +14,14 @@ constexpr std::size_t WIDEST_CHAIN = 4;
 // L D Lᵀ of a band, row by row: `width_` entries left of the diagonal, then the diagonal.
 class ChainFactor {
  public:
-  // Particles whose springs lead `reach` numbers on at most.
+  // `reach` is the largest index distance of spring ends.
   void begin(std::size_t particles, std::size_t reach) {
     rows_ = 3 * particles;
     width_ = 3 * reach + 2;
     band_.assign(rows_ * (width_ + 1), 0.0);
   }
 
-  // Add to the entry of two components of particles; only those left of the diagonal count.
+  // Adds to an entry; those above the diagonal are ignored.
   void add(std::size_t row, std::size_t column, double value) {
     if (column <= row) band_[row * (width_ + 1) + (column + width_ - row)] += value;
   }
@@ -30,7 +30,7 @@ class ChainFactor {
     for (std::size_t i = 0; i < rows_; ++i) {
       double* row = at(i);
       const std::size_t first = i > width_ ? i - width_ : 0;
-      // Entries hold L D until their own turn to be divided.
+      // Entries are L D until they are divided.
       for (std::size_t j = first; j < i; ++j) {
         const double* other = at(j);
         const std::size_t from = std::max(first, j > width_ ? j - width_ : 0);
@@ -50,7 +50,7 @@ class ChainFactor {
     }
   }
 
-  // Solve for rows of particles, `stride` entries from one to the next.
+  // Solves for rows of particles with a stride.
   void solve(const std::vector<double>& in, std::vector<double>& out, std::size_t stride) {
     right_.resize(rows_);
     for (std::size_t i = 0; i < rows_; ++i) {

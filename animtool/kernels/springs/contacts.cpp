@@ -23,14 +23,14 @@ using collide::store;
 // Impact speed, in steps of gravity, below which a contact is resting.
 constexpr double RESTING = 2;
 // Iterations over all colliders.
-constexpr int TRIES = 3;
+constexpr int MAX_ITERATIONS = 3;
 // Impulse, moment, mass.
-constexpr std::size_t PUSH = 7;
+constexpr std::size_t IMPULSE_WIDTH = 7;
 // Factor of the radius for edge midpoints, which cut corners.
-constexpr double MIDDLES_NEARER = 0.25;
-// Of the size of a mesh, how far what is near a particle serves at first.
-constexpr double FINE = 1e-3;
-// Of that, where patches begin: what is near on a fine mesh is more than one holds.
+constexpr double MIDPOINT_FACTOR = 0.25;
+// Initial slack of mesh caches, over the size of the mesh.
+constexpr double PATCH_SIZE = 1e-3;
+// Fraction of that to begin with: on a fine mesh, too many triangles are near.
 constexpr double FIRST_SLACK = 0.25;
 
 double thickness_of(const Collider& c, double radius) {
@@ -40,17 +40,17 @@ double thickness_of(const Collider& c, double radius) {
     case Shape::SPHERE: return c.size[3];
     case Shape::CAPSULE: return c.size[6];
     case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
-    // Up to there a particle comes to no more than its surface.
-    case Shape::MESH: return collide::kept(c, radius);
+    // With less, a particle at most reaches the surface.
+    case Shape::MESH: return collide::contact_distance(c, radius);
   }
   return 0;
 }
 
 // Adds the impulses of two spans of time.
-std::vector<double> both(const std::vector<double>& first, const std::vector<double>& second) {
+std::vector<double> sum_impulses(const std::vector<double>& first, const std::vector<double>& second) {
   std::vector<double> sum(first);
   for (std::size_t k = 0; k < sum.size(); ++k)
-    sum[k] = k % PUSH == PUSH - 1 ? std::max(sum[k], second[k]) : sum[k] + second[k];
+    sum[k] = k % IMPULSE_WIDTH == IMPULSE_WIDTH - 1 ? std::max(sum[k], second[k]) : sum[k] + second[k];
   return sum;
 }
 
@@ -79,7 +79,7 @@ Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, V
 Sample StepCollider::before(Vec point, double radius) const {
   if (surface >= 0) {
     Collider begun_mesh = collider;
-    begun_mesh.mesh.fraction = begun;
+    begun_mesh.mesh.fraction = elapsed;
     return sample(begun_mesh, begin, point, radius, collide::FAR);
   }
   return sampled(*this, rod.begin, begin, point, radius);
@@ -110,8 +110,8 @@ bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) 
   if (before(from, radius).distance < -collide::INSIDE) return false;
   const Vec speed = (to - start) * (1 / h);
   collide::Particle last{to, speed};
-  collide::Settling settling(&collider, 1, h, radius);
-  if (settling.settle({start, speed}, last).collider < 0) return false;
+  collide::ParticleContacts contacts(&collider, 1, h, radius);
+  if (contacts.resolve({start, speed}, last).collider < 0) return false;
   to = last.position;
   if (v) store(last.velocity, v);
   return true;
@@ -137,7 +137,7 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   tolerance_ = tolerance;
 }
 
-bool MovingColliders::goes_on(std::int64_t cell) const {
+bool MovingColliders::is_continuous(std::int64_t cell) const {
   const std::size_t row = 14 * colliders_.size();
   const double* pose = poses(cell);
   for (std::size_t c = 0; c < row; c += 14)
@@ -154,12 +154,12 @@ void MovingColliders::steps(std::int64_t cell, int substeps, double h,
   }
   for (int step = 0; step < substeps; ++step)
     for (std::size_t c = 0; c < colliders_.size(); ++c)
-      out.push_back(over(colliders_[c],
+      out.push_back(step_collider(colliders_[c],
                          full[c].part(double(step) / substeps, double(step + 1) / substeps),
                          h));
 }
 
-StepCollider MovingColliders::over(const Collider& c, const Motion& motion, double h) const {
+StepCollider MovingColliders::step_collider(const Collider& c, const Motion& motion, double h) const {
   StepCollider built{};
   built.collider = c;
   built.collider.motion = motion;
@@ -171,7 +171,7 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
   store(motion.rotation(), rod.rotation);
   store(built.end.origin, rod.origin);
   rod.friction = c.friction;
-  rod.rise = c.depenetration * h;
+  rod.max_rise = c.depenetration * h;
   if (!built.is_rod) return built;
   const bool ball = c.shape == Shape::SPHERE;
   const Vec a = load(c.size), b = ball ? a : load(c.size + 3);
@@ -185,23 +185,23 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
                                const SpringNetwork& network, std::int64_t cells,
-                               bool middles)
+                               bool midpoints)
     : network_(network),
       colliders_(colliders, network.particles(), cells),
       faces_(network, colliders_.radius()),
       count_(colliders_.size()),
       cells_(cells),
-      middles_(middles) {
+      has_midpoints_(midpoints) {
   if (!colliders) return;
-  const std::size_t particles = network.particles() + (middles ? network.edges.size() / 2 : 0);
+  const std::size_t particles = network.particles() + (midpoints ? network.edges.size() / 2 : 0);
   for (std::size_t c = 0; c < count_; ++c) faces_.add(colliders_[c]);
   for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
   count_ += surfaces_.size();
   make_patches(particles);
-  pushed_.assign(PUSH * colliders_.size(), 0.0);
-  pushing_ = pushed_;
-  clear_.assign(particles, 0.0);
-  arm_.assign(particles, 0.0);
+  past_impulses_.assign(IMPULSE_WIDTH * colliders_.size(), 0.0);
+  cell_impulses_ = past_impulses_;
+  clearances_.assign(particles, 0.0);
+  arms_.assign(particles, 0.0);
 }
 
 void SpringContacts::make_patches(std::size_t particles) {
@@ -209,8 +209,8 @@ void SpringContacts::make_patches(std::size_t particles) {
     const bool rigid = c < colliders_.size();
     const double margin =
         rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
-    const double kept = colliders_.radius() + (rigid ? margin : 0);
-    kept_.push_back(colliders_.radius() + margin);
+    const double contact_distance = colliders_.radius() + (rigid ? margin : 0);
+    contact_distances_.push_back(colliders_.radius() + margin);
     const double* box = nullptr;
     if (!rigid)
       box = surfaces_[c - colliders_.size()].box();
@@ -219,7 +219,7 @@ void SpringContacts::make_patches(std::size_t particles) {
     patched_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
       patches_.emplace_back(
-          particles, FIRST_SLACK * std::max(kept, FINE * length(load(box + 3) - load(box))));
+          particles, FIRST_SLACK * std::max(contact_distance, PATCH_SIZE * length(load(box + 3) - load(box))));
   }
 }
 
@@ -227,26 +227,26 @@ void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   if (!any()) return;
   substeps_ = substeps;
   h_ = h;
-  if (cell != last_) pushed_ = both(pushed_, pushing_);
-  std::fill(pushing_.begin(), pushing_.end(), 0.0);
+  if (cell != last_) past_impulses_ = sum_impulses(past_impulses_, cell_impulses_);
+  std::fill(cell_impulses_.begin(), cell_impulses_.end(), 0.0);
   rigid_.clear();
   colliders_.steps(cell, substeps, h, rigid_);
   // A teleported collider invalidates the cache.
   const bool again = cell == last_;
-  bool known = again || (cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell)));
-  enter_surfaces(cell, known);
+  bool known = again || (cell == last_ + 1 && (last_ < 0 || colliders_.is_continuous(cell)));
+  begin_surfaces(cell, known);
   add_surfaces();
-  if (again) clear_ = begun_clear_, arm_ = begun_arm_;
-  if (!known) std::fill(clear_.begin(), clear_.end(), 0.0);
-  begun_clear_ = clear_, begun_arm_ = arm_;
+  if (again) clearances_ = start_clearances_, arms_ = start_arms_;
+  if (!known) std::fill(clearances_.begin(), clearances_.end(), 0.0);
+  start_clearances_ = clearances_, start_arms_ = arms_;
   last_ = cell;
 }
 
-void SpringContacts::enter_surfaces(std::int64_t cell, bool& known) {
+void SpringContacts::begin_surfaces(std::int64_t cell, bool& known) {
   for (std::size_t s = 0; s < surfaces_.size(); ++s) {
-    if (surfaces_[s].enter(cell, h_ * substeps_)) continue;
+    if (surfaces_[s].begin_cell(cell, h_ * substeps_)) continue;
     known = false;
-    patches_[static_cast<std::size_t>(patched_[colliders_.size() + s])].forget();
+    patches_[static_cast<std::size_t>(patched_[colliders_.size() + s])].invalidate();
   }
 }
 
@@ -257,71 +257,71 @@ void SpringContacts::add_surfaces() {
     cell_.insert(cell_.end(), first, first + static_cast<std::ptrdiff_t>(colliders_.size()));
     for (std::size_t s = 0; s < surfaces_.size(); ++s) {
       StepCollider built{};
-      const double begun = surfaces_[s].gone(double(step) / substeps_);
-      const double ended = surfaces_[s].gone(double(step + 1) / substeps_);
+      const double begun = surfaces_[s].knot_fraction(double(step) / substeps_);
+      const double ended = surfaces_[s].knot_fraction(double(step + 1) / substeps_);
       built.collider = surfaces_[s].collider(ended);
       built.surface = static_cast<std::int32_t>(s);
-      built.begun = begun;
-      built.lasts = ended - begun;
-      built.shift = surfaces_[s].travel() * built.lasts;
+      built.elapsed = begun;
+      built.duration = ended - begun;
+      built.shift = surfaces_[s].travel() * built.duration;
       built.rod.friction = built.collider.friction;
-      built.rod.rise = built.collider.depenetration * h_;
+      built.rod.max_rise = built.collider.depenetration * h_;
       cell_.push_back(built);
     }
   }
 }
 
-Out<double, 2> SpringContacts::pushes() const {
-  const std::vector<double> sum = both(pushed_, pushing_);
-  Out<double, 2> rows(sum.size() / PUSH, PUSH);
+Out<double, 2> SpringContacts::impulses() const {
+  const std::vector<double> sum = sum_impulses(past_impulses_, cell_impulses_);
+  Out<double, 2> rows(sum.size() / IMPULSE_WIDTH, IMPULSE_WIDTH);
   std::copy(sum.begin(), sum.end(), rows.get());
   return rows;
 }
 
-bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<double>& x,
+bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<double>& x,
                             std::vector<double>* v, std::vector<std::uint8_t>* marks) {
   if (!any()) return false;
-  now_ = cell_.data() + static_cast<std::size_t>(step) * count_;
+  step_colliders_ = cell_.data() + static_cast<std::size_t>(step) * count_;
   double travel = 0, angle = 0;
   for (std::size_t c = 0; c < count_; ++c) {
-    travel = std::max(travel, now_[c].travel({}));
-    angle = std::max(angle, now_[c].rotation());
+    travel = std::max(travel, step_colliders_[c].travel({}));
+    angle = std::max(angle, step_colliders_[c].rotation());
   }
   masses_.assign(colliders_.size(), 0.0);
-  least_blow_ = RESTING * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
+  min_impact_speed_ = RESTING * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
   std::int64_t moved = 0, inside = 0;
   const double reach = faces_.reach();
-  near_.clear();
+  nearby_.clear();
   for (std::size_t n = 0; n < network_.particles(); ++n) {
     if (network_.inverse_masses[n] == 0) {
-      if (faces_.any()) near_.push_back(static_cast<std::int32_t>(n));
+      if (faces_.any()) nearby_.push_back(static_cast<std::int32_t>(n));
       continue;
     }
     if (marks && !(*marks)[n]) continue;
-    double *at = x.data() + ROW * n, shift = travel + angle * arm_[n];
+    double *at = x.data() + ROW * n, shift = travel + angle * arms_[n];
     double* from = before.data() + ROW * n;
     for (std::size_t k = 0; k < 3; ++k) shift += std::abs(at[k] - from[k]);
-    clear_[n] -= shift;
-    if (clear_[n] <= reach) near_.push_back(static_cast<std::int32_t>(n));
-    if (clear_[n] > 0) continue;
+    clearances_[n] -= shift;
+    if (clearances_[n] <= reach) nearby_.push_back(static_cast<std::int32_t>(n));
+    if (clearances_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
-    moved += settle_one(n, mass, from, at, v ? v->data() + ROW * n : nullptr);
+    moved += resolve_particle(n, mass, from, at, v ? v->data() + ROW * n : nullptr);
     inside += nearest_ < -colliders_.tolerance();
   }
   for (std::size_t c = 0; c < masses_.size(); ++c) {
-    double& most = pushing_[PUSH * c + PUSH - 1];
-    most = std::max(most, masses_[c]);
+    double& largest_mass = cell_impulses_[IMPULSE_WIDTH * c + IMPULSE_WIDTH - 1];
+    largest_mass = std::max(largest_mass, masses_[c]);
   }
-  if (middles_) settle_middles(travel, angle, {before, x, v}, marks);
+  if (has_midpoints_) resolve_midpoints(travel, angle, {before, x, v}, marks);
   touched = std::max(touched, moved);
   if (!marks && last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
-  const bool faces = !near_.empty() && settle_faces({before, x, v});
+  const bool faces = !nearby_.empty() && resolve_faces({before, x, v});
   if (faces && marks)
-    for (const std::int32_t n : near_) (*marks)[static_cast<std::size_t>(n)] = 1;
+    for (const std::int32_t n : nearby_) (*marks)[static_cast<std::size_t>(n)] = 1;
   return moved > 0 || faces;
 }
 
-void SpringContacts::settle_middles(double travel, double angle, StepRows rows,
+void SpringContacts::resolve_midpoints(double travel, double angle, StepRows rows,
                                     std::vector<std::uint8_t>* marks) {
   const std::size_t particles = network_.particles();
   for (std::size_t e = 0; e < network_.edges.size() / 2; ++e) {
@@ -332,19 +332,19 @@ void SpringContacts::settle_middles(double travel, double angle, StepRows rows,
     if (marks && !(*marks)[first] && !(*marks)[last]) continue;
     double *p = &rows.x[ROW * first], *q = &rows.x[ROW * last];
     double *was = &rows.before[ROW * first], *stood = &rows.before[ROW * last];
-    double to[3], from[3], shift = travel + angle * arm_[particles + e];
+    double to[3], from[3], shift = travel + angle * arms_[particles + e];
     for (std::size_t k = 0; k < 3; ++k) {
       to[k] = (p[k] + q[k]) / 2, from[k] = (was[k] + stood[k]) / 2;
       shift += std::abs(to[k] - from[k]);
     }
-    clear_[particles + e] -= shift;
-    if (clear_[particles + e] > 0) continue;
+    clearances_[particles + e] -= shift;
+    if (clearances_[particles + e] > 0) continue;
     const Vec ended = load(to), begun = load(from);
-    if (!settle_one(particles + e, 4 / (i + j), from, to, nullptr)) continue;
+    if (!resolve_particle(particles + e, 4 / (i + j), from, to, nullptr)) continue;
     if (marks) (*marks)[first] = (*marks)[last] = 1;
     const Vec by = (load(to) - ended) * (2 / (i + j));
     const Vec back = (load(from) - begun) * (2 / (i + j));
-    clear_[first] -= i * length(by), clear_[last] -= j * length(by);
+    clearances_[first] -= i * length(by), clearances_[last] -= j * length(by);
     store(load(p) + by * i, p), store(load(q) + by * j, q);
     store(load(was) + back * i, was), store(load(stood) + back * j, stood);
   }
@@ -356,18 +356,18 @@ double SpringContacts::depth(std::size_t c, std::size_t n) const {
   const std::int32_t* ends = &network_.edges[2 * (n - particles)];
   const double least = std::min(colliders_.depth(c, static_cast<std::size_t>(ends[0])),
                                 colliders_.depth(c, static_cast<std::size_t>(ends[1])));
-  return least - kept_[c] * MIDDLES_NEARER;
+  return least - contact_distances_[c] * MIDPOINT_FACTOR;
 }
 
-bool SpringContacts::settle_faces(StepRows rows) {
+bool SpringContacts::resolve_faces(StepRows rows) {
   bool moved = false;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
-    if (!faces_.settle(c, now_[c], h_, near_, rows)) continue;
+    if (!faces_.resolve(c, step_colliders_[c], h_, nearby_, rows)) continue;
     moved = true;
-    for (const FaceContacts::Moved& one : faces_.moved) {
+    for (const FaceContacts::MovedParticle& one : faces_.moved) {
       const auto n = static_cast<std::size_t>(one.particle);
-      clear_[n] -= one.shift;
-      note_push(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]), one.change);
+      clearances_[n] -= one.shift;
+      record_impulse(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]), one.change);
     }
   }
   return moved;
@@ -376,44 +376,44 @@ bool SpringContacts::settle_faces(StepRows rows) {
 double SpringContacts::clearance(std::size_t n, Vec x) {
   double clear = collide::FAR;
   for (std::size_t c = 0; c < count_; ++c)
-    clear = std::min(clear, look(c, n, true, x).sample.distance - depth(c, n));
+    clear = std::min(clear, query(c, n, true, x).sample.distance - depth(c, n));
   return clear;
 }
 
-void SpringContacts::note(std::size_t n, Vec x, double clear) {
+void SpringContacts::update_clearance(std::size_t n, Vec x, double clear) {
   double arm = 0;
-  for (std::size_t c = 0; c < count_; ++c) arm = std::max(arm, length(x - now_[c].end.origin));
-  clear_[n] = std::max(clear, 0.0);
-  arm_[n] = arm + 2 * clear_[n];
+  for (std::size_t c = 0; c < count_; ++c) arm = std::max(arm, length(x - step_colliders_[c].end.origin));
+  clearances_[n] = std::max(clear, 0.0);
+  arms_[n] = arm + 2 * clearances_[n];
 }
 
 Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
   Mesh mesh = c.collider.mesh;
-  if (!end) mesh.fraction = c.begun;
+  if (!end) mesh.fraction = c.elapsed;
   return mesh;
 }
 
-SpringContacts::PatchHit SpringContacts::look(std::size_t index, std::size_t n, bool end,
+SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n, bool end,
                                            Vec point) {
-  const StepCollider& c = now_[index];
+  const StepCollider& c = step_colliders_[index];
   const double radius = colliders_.radius();
   if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
-  const double kept = collide::kept(c.collider, radius), side = c.collider.container ? -1 : 1;
+  const double contact_distance = collide::contact_distance(c.collider, radius), side = c.collider.container ? -1 : 1;
   MeshShift gone;
   KnotBoxes boxes{};
   if (c.surface >= 0) {
     const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
     gone = surface.shift_until(mesh.fraction);
-    boxes = surface.boxes(c.lasts);
+    boxes = surface.boxes(c.duration);
   }
   auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
-  PatchHit hit = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone,
-                             gone.knot < 0 ? nullptr : &boxes, kept, !c.collider.container);
+  PatchHit hit = patches.query(mesh, c.collider.root, n, pose.to_local(point), gone,
+                             gone.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.container);
   if (c.collider.two_sided) hit.sample = collide::unsided(hit.sample);
   const Vec out = pose.rotated(hit.sample.normal) * side;
-  return {{side * hit.sample.distance - kept, out}, hit.triangle};
+  return {{side * hit.sample.distance - contact_distance, out}, hit.triangle};
 }
 
 Vec SpringContacts::transported(const StepCollider& c, const PatchHit& hit, bool end,
@@ -422,20 +422,20 @@ Vec SpringContacts::transported(const StepCollider& c, const PatchHit& hit, bool
     return c.collider.motion.displacement(point, end ? c.end : c.begin);
   if (hit.triangle < 0) return {};
   const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-  return surface.shift(mesh_at(c, end), hit.triangle, point) * c.lasts;
+  return surface.shift(mesh_at(c, end), hit.triangle, point) * c.duration;
 }
 
-void SpringContacts::note_push(std::size_t c, double mass, Vec point, Vec change) {
+void SpringContacts::record_impulse(std::size_t c, double mass, Vec point, Vec change) {
   if (c >= colliders_.size() || dot(change, change) == 0) return;
   const Vec impulse = change * -mass, moment = cross(point, impulse);
-  double* row = pushing_.data() + PUSH * c;
-  const double values[PUSH - 1] = {impulse.x, impulse.y, impulse.z,
+  double* row = cell_impulses_.data() + IMPULSE_WIDTH * c;
+  const double values[IMPULSE_WIDTH - 1] = {impulse.x, impulse.y, impulse.z,
                                    moment.x,  moment.y,  moment.z};
-  for (std::size_t k = 0; k < PUSH - 1; ++k) row[k] += values[k];
+  for (std::size_t k = 0; k < IMPULSE_WIDTH - 1; ++k) row[k] += values[k];
   masses_[c] += mass;
 }
 
-bool SpringContacts::settle_one(std::size_t n, double mass, double* before, double* x,
+bool SpringContacts::resolve_particle(std::size_t n, double mass, double* before, double* x,
                                 double* v) {
   const Vec from = load(before);
   Vec to = load(x), unmoved = from;
@@ -443,26 +443,26 @@ bool SpringContacts::settle_one(std::size_t n, double mass, double* before, doub
   // Solvers without velocities derive them from the displacement of the step.
   auto speed = [&] { return v ? load(v) : (to - unmoved) * (1 / h_); };
   Vec last = speed();
-  auto note_change = [&](std::size_t c) {
+  auto record_change = [&](std::size_t c) {
     const Vec now = speed();
-    note_push(c, mass, to, now - last);
+    record_impulse(c, mass, to, now - last);
     last = now;
   };
   for (std::size_t c = 0; c < count_; ++c) {
     moved |= sweep(c, n, from, to, v);
-    note_change(c);
+    record_change(c);
   }
-  for (int i = 0; i < TRIES && pushed; ++i) {
+  for (int i = 0; i < MAX_ITERATIONS && pushed; ++i) {
     pushed = false;
     nearest_ = collide::FAR;
     for (std::size_t c = 0; c < count_; ++c) {
       pushed |= push(c, n, from, to, unmoved, v);
-      note_change(c);
+      record_change(c);
     }
     moved |= pushed;
   }
   if (pushed) nearest_ = clearance(n, to);
-  note(n, to, nearest_);
+  update_clearance(n, to, nearest_);
   if (moved) {
     store(to, x);
     store(unmoved, before);
@@ -471,36 +471,36 @@ bool SpringContacts::settle_one(std::size_t n, double mass, double* before, doub
 }
 
 bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, double* v) {
-  if (now_[c].is_mesh()) return sweep_mesh(c, n, from, to, v);
-  return now_[c].sweep(h_, colliders_.radius(), from, to, v);
+  if (step_colliders_[c].is_mesh()) return sweep_mesh(c, n, from, to, v);
+  return step_colliders_[c].sweep(h_, colliders_.radius(), from, to, v);
 }
 
 bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to,
                                 double* v) {
-  const StepCollider& c = now_[index];
+  const StepCollider& c = step_colliders_[index];
   const double arm = length(from - c.begin.origin);
-  const double most = length(to - from) + c.travel({}) + c.rotation() * arm;
+  const double displacement = length(to - from) + c.travel({}) + c.rotation() * arm;
   const double radius = colliders_.radius();
-  if (!(most > c.thickness(radius))) return false;
-  const PatchHit hit = look(index, n, false, from);
+  if (!(displacement > c.thickness(radius))) return false;
+  const PatchHit hit = query(index, n, false, from);
   // Particles that start inside are moved out at the depenetration speed.
-  if (hit.sample.distance > most || hit.sample.distance < -collide::INSIDE) return false;
+  if (hit.sample.distance > displacement || hit.sample.distance < -collide::INSIDE) return false;
   const Vec gone = transported(c, hit, false, from);
   if (!(length(to - from - gone) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
-  // It is seen from what of the surface is nearest: the rest of that stands as at the end.
+  // In the frame of the nearest triangle; the rest of the mesh is as at the end of the step.
   const Vec start = from + gone, speed = (to - start) * (1 / h_);
   collide::Particle last{to, speed};
-  collide::Settling settling(&c.collider, 1, h_, radius);
-  if (settling.settle({start, speed}, last).collider < 0) return false;
+  collide::ParticleContacts contacts(&c.collider, 1, h_, radius);
+  if (contacts.resolve({start, speed}, last).collider < 0) return false;
   to = last.position;
   if (v) store(last.velocity + gone * (1 / h_), v);
   return true;
 }
 
 // A particle that crossed a two-sided surface in a step counts as inside.
-void SpringContacts::push_back_out(const StepCollider& c, Vec from, Vec to, Sample& hit) const {
-  const double off = collide::kept(c.collider, colliders_.radius());
+void SpringContacts::flip_if_crossed(const StepCollider& c, Vec from, Vec to, Sample& hit) const {
+  const double off = collide::contact_distance(c.collider, colliders_.radius());
   const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
   if (hit.distance + off > length(after - before)) return;
   if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;
@@ -509,29 +509,29 @@ void SpringContacts::push_back_out(const StepCollider& c, Vec from, Vec to, Samp
 
 bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
                           Vec& unmoved, double* v) {
-  const StepCollider& c = now_[index];
+  const StepCollider& c = step_colliders_[index];
   const double allowed = depth(index, n);
-  PatchHit view = look(index, n, true, to);
-  if (c.collider.two_sided) push_back_out(c, from, to, view.sample);
+  PatchHit view = query(index, n, true, to);
+  if (c.collider.two_sided) flip_if_crossed(c, from, to, view.sample);
   const Sample& hit = view.sample;
   nearest_ = std::min(nearest_, hit.distance - allowed);
   if (!(hit.distance < allowed - collide::TOUCH)) return false;
   const Vec shift = transported(c, view, true, to);
   if (v) {
     const Vec surface = shift * (1 / h_), speed = load(v) - surface;
-    const double into = dot(speed, hit.normal);
-    if (into < 0) {
+    const double normal_speed = dot(speed, hit.normal);
+    if (normal_speed < 0) {
       const double restitution = c.collider.restitution;
-      const double pinned = c.collider.friction * -into * (1 + restitution);
-      Vec along = speed - hit.normal * into;
-      const double most = length(along);
-      along = along * (most > pinned ? 1 - pinned / most : 0.0);
+      const double friction_speed = c.collider.friction * -normal_speed * (1 + restitution);
+      Vec along = speed - hit.normal * normal_speed;
+      const double slip_speed = length(along);
+      along = along * (slip_speed > friction_speed ? 1 - friction_speed / slip_speed : 0.0);
       // The speed that gravity adds in a step is no impact: the particle rests.
-      const double back = -into > least_blow_ ? restitution * into : 0.0;
+      const double back = -normal_speed > min_impact_speed_ ? restitution * normal_speed : 0.0;
       store(surface + along - hit.normal * back, v);
     }
   }
-  const double begun = look(index, n, false, from).sample.distance;
+  const double begun = query(index, n, false, from).sample.distance;
   Rod rod = c.rod;
   if (c.surface >= 0) store(shift, rod.travel);
   return collide::push_out(rod, {hit.distance, hit.normal}, begun, allowed, from, to, unmoved);

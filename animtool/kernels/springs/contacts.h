@@ -31,7 +31,7 @@ struct StepCollider {
   // For a mesh whose points move: its index, the elapsed fraction of its knot interval at the
   // start of the step, the fraction of the step, and the largest displacement of a point.
   std::int32_t surface = -1;
-  double begun = 0, lasts = 0, shift = 0;
+  double elapsed = 0, duration = 0, shift = 0;
 
   bool is_mesh() const { return collider.shape == collide::Shape::MESH; }
   // Largest displacement of its surface, relative to a drift; for colliders other than rods
@@ -69,12 +69,12 @@ class MovingColliders {
   }
 
   // Whether all colliders start a cell where they ended the last one.
-  bool goes_on(std::int64_t cell) const;
+  bool is_continuous(std::int64_t cell) const;
   // One of the even steps of a cell, of length h.
   void steps(std::int64_t cell, int substeps, double h, std::vector<StepCollider>& out) const;
 
  private:
-  StepCollider over(const collide::Collider& c, const collide::Motion& motion, double h) const;
+  StepCollider step_collider(const collide::Collider& c, const collide::Motion& motion, double h) const;
   const double* poses(std::int64_t cell) const {
     return poses_ + static_cast<std::size_t>(cell) * 14 * colliders_.size();
   }
@@ -88,10 +88,10 @@ class MovingColliders {
 
 class SpringContacts {
  public:
-  // With `middles`, the midpoints of triangle edges are kept out like particles, and move both
+  // With `midpoints`, the midpoints of triangle edges are kept out like particles, and move both
   // ends.
   SpringContacts(const std::optional<SpringColliders>& colliders, const SpringNetwork& network,
-                 std::int64_t cells, bool middles = false);
+                 std::int64_t cells, bool midpoints = false);
 
   bool any() const { return count_ > 0; }
   // Begins a cell of time, with steps of equal length.
@@ -100,11 +100,11 @@ class SpringContacts {
   // their displacements, and to velocities if given. Particles that started too deep gain no
   // speed: their start position moves too. Returns whether any was moved. With marks, tests only
   // marked particles, and edges with one; moved particles are marked.
-  bool settle(int step, std::vector<double>& before, std::vector<double>& x,
+  bool resolve(int step, std::vector<double>& before, std::vector<double>& x,
               std::vector<double>* v, std::vector<std::uint8_t>* marks = nullptr);
   // Impulses on rigid colliders (C, 7): impulse and moment about the origin, and the largest
   // mass in contact in one step.
-  Out<double, 2> pushes() const;
+  Out<double, 2> impulses() const;
   // Largest number of particles moved in a step, and number left inside at the end.
   std::int64_t touched = 0, unresolved = 0;
 
@@ -112,61 +112,61 @@ class SpringContacts {
   using PatchHit = MeshPatches::PatchHit;
 
   void make_patches(std::size_t particles);
-  void enter_surfaces(std::int64_t cell, bool& known);
+  void begin_surfaces(std::int64_t cell, bool& known);
   void add_surfaces();
   // Collides the edges and faces of nearby particles.
-  bool settle_faces(StepRows rows);
+  bool resolve_faces(StepRows rows);
   // Collides midpoints of edges, given the displacement of colliders, and the arm of rotations.
-  void settle_middles(double travel, double angle, StepRows rows,
+  void resolve_midpoints(double travel, double angle, StepRows rows,
                       std::vector<std::uint8_t>* marks);
   double depth(std::size_t c, std::size_t n) const;
   // Returns whether a particle is moved; also updates its distances from all colliders.
-  bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);
+  bool resolve_particle(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
             collide::Vec& unmoved, double* v);
-  void push_back_out(const StepCollider& c, collide::Vec from, collide::Vec to,
+  void flip_if_crossed(const StepCollider& c, collide::Vec from, collide::Vec to,
                  collide::Sample& hit) const;
   bool sweep(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   bool sweep_mesh(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   // Distance of a particle from a collider at the start or end of the step.
-  PatchHit look(std::size_t c, std::size_t n, bool end, collide::Vec point);
+  PatchHit query(std::size_t c, std::size_t n, bool end, collide::Vec point);
   collide::Mesh mesh_at(const StepCollider& c, bool end) const;
   // Displacement of the surface there in the step.
   collide::Vec transported(const StepCollider& c, const PatchHit& hit, bool end,
                        collide::Vec point) const;
   // Records the impulse of a collider on a particle.
-  void note_push(std::size_t c, double mass, collide::Vec point, collide::Vec change);
+  void record_impulse(std::size_t c, double mass, collide::Vec point, collide::Vec change);
   // Distance of the nearest collider, negative inside.
   double clearance(std::size_t n, collide::Vec x);
-  void note(std::size_t n, collide::Vec x, double clear);
+  void update_clearance(std::size_t n, collide::Vec x, double clear);
 
   const SpringNetwork& network_;
   MovingColliders colliders_;
   FaceContacts faces_;
-  std::vector<std::int32_t> near_;  // particles whose edges may be at colliders in this step
+  std::vector<std::int32_t> nearby_;  // particles whose edges may be at colliders in this step
   std::vector<MovingSurface> surfaces_;
   std::size_t count_;
   std::int64_t cells_;
-  bool middles_;
-  std::vector<double> kept_;  // from each collider
+  bool has_midpoints_;
+  std::vector<double> contact_distances_;  // from each collider
   // Cache of each collider that is a mesh; empty for others.
   std::vector<MeshPatches> patches_;
   std::vector<std::int32_t> patched_;
   std::vector<StepCollider> rigid_, cell_;  // (substeps, C), without and with surfaces
-  const StepCollider* now_ = nullptr;
+  const StepCollider* step_colliders_ = nullptr;
   int substeps_ = 1;
-  double h_ = 0, least_blow_ = 0;
+  double h_ = 0, min_impact_speed_ = 0;
   // Smallest distance in an iteration, beyond the allowed depth.
   double nearest_ = 0;
   std::int64_t last_ = -1;
   // Impulses of earlier cells, and of the current one, which may be repeated (C, PUSH).
-  std::vector<double> pushed_, pushing_;
+  std::vector<double> past_impulses_, cell_impulses_;
   std::vector<double> masses_;  // masses that touched colliders in this step (C,)
   // Lower bound of the distance from all colliders, of each particle and then each midpoint, and
   // the arm by which rotations reach it.
-  std::vector<double> clear_, arm_;
+  std::vector<double> clearances_, arms_;
   // The same at the start of the cell.
-  std::vector<double> begun_clear_, begun_arm_;
+  std::vector<double> start_clearances_, start_arms_;
 };
 
 }  // namespace animtool

@@ -12,7 +12,7 @@ namespace animtool {
 namespace {
 
 // Largest cell number in each direction; points beyond are in the last cell.
-constexpr double MOST_CELLS = 1e6;
+constexpr double MAX_CELLS = 1e6;
 // Relative rounding error [1].
 constexpr double ROUNDING = 1 + 1e-9;
 
@@ -20,7 +20,7 @@ using Cell = std::array<std::int32_t, 3>;
 
 }  // namespace
 
-void NearMotion::build(const std::vector<double>& x, double width) {
+void RelativeMotion::build(const std::vector<double>& x, double width) {
   width_ = width;
   double low[3] = {x[0], x[1], x[2]};
   for (std::size_t n = 0; n < x.size(); n += ROW)
@@ -31,7 +31,7 @@ void NearMotion::build(const std::vector<double>& x, double width) {
     Cell at;
     for (std::size_t k = 0; k < 3; ++k) {
       const double cell = (x[n + k] - low[k]) / width;
-      at[k] = static_cast<std::int32_t>(cell < MOST_CELLS ? cell : MOST_CELLS);
+      at[k] = static_cast<std::int32_t>(cell < MAX_CELLS ? cell : MAX_CELLS);
     }
     const auto number = static_cast<std::uint32_t>(numbers.size());
     cells_.push_back(numbers.insert({at, number}).first->second);
@@ -46,7 +46,7 @@ void NearMotion::build(const std::vector<double>& x, double width) {
     }
 }
 
-double NearMotion::spread(const Range& one, const Range& other) {
+double RelativeMotion::extent(const Range& one, const Range& other) {
   double along[3];
   for (std::size_t k = 0; k < 3; ++k)
     along[k] = std::max(one.high[k], other.high[k]) - std::min(one.low[k], other.low[k]);
@@ -54,7 +54,7 @@ double NearMotion::spread(const Range& one, const Range& other) {
 }
 
 template <class Shift>
-Drift NearMotion::relative(const std::vector<double>& from, const std::vector<double>& to,
+Drift RelativeMotion::relative(const std::vector<double>& from, const std::vector<double>& to,
                          Shift shift) {
   constexpr double FAR = std::numeric_limits<double>::infinity();
   std::fill(ranges_.begin(), ranges_.end(), Range{{FAR, FAR, FAR}, {-FAR, -FAR, -FAR}});
@@ -71,23 +71,23 @@ Drift NearMotion::relative(const std::vector<double>& from, const std::vector<do
   Drift drift;
   Range all = ranges_[0];
   for (const Range& range : ranges_) {
-    drift.near = std::max(drift.near, spread(range, range));
+    drift.near = std::max(drift.near, extent(range, range));
     for (std::size_t k = 0; k < 3; ++k) {
       all.low[k] = std::min(all.low[k], range.low[k]);
       all.high[k] = std::max(all.high[k], range.high[k]);
     }
   }
   for (const auto& [c, d] : adjacent_)
-    drift.near = std::max(drift.near, spread(ranges_[c], ranges_[d]));
-  drift.all = spread(all, all);
+    drift.near = std::max(drift.near, extent(ranges_[c], ranges_[d]));
+  drift.all = extent(all, all);
   return drift;
 }
 
-Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to) {
+Drift RelativeMotion::between(const std::vector<double>& from, const std::vector<double>& to) {
   return relative(from, to, [](collide::Vec p) { return p; });
 }
 
-Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to,
+Drift RelativeMotion::between(const std::vector<double>& from, const std::vector<double>& to,
                           const RigidMotion& shift) {
   return relative(from, to, shift);
 }

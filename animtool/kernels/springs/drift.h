@@ -5,7 +5,7 @@
 #include <utility>
 #include <vector>
 
-#include "springs/rigid_way.h"
+#include "springs/rigid_motion.h"
 #include "springs/rows.h"
 
 namespace animtool {
@@ -17,7 +17,7 @@ struct Drift {
 
 // Particles in wide cells. Parts that move rigidly together have a small relative displacement,
 // however fast they are.
-class NearMotion {
+class RelativeMotion {
  public:
   // Nearby particles are in the same or an adjacent cell: all that are within a cell width.
   void build(const std::vector<double>& x, double width);
@@ -34,7 +34,7 @@ class NearMotion {
   };
   template <class Shift>
   Drift relative(const std::vector<double>& from, const std::vector<double>& to, Shift shift);
-  static double spread(const Range& one, const Range& other);
+  static double extent(const Range& one, const Range& other);
 
   double width_ = 0;
   std::vector<std::uint32_t> cells_;                             // of particles

@@ -20,8 +20,8 @@ void check_cells(const Cells& cells, std::int64_t substeps) {
   check::finite("origin", cells.origin);
   check::between("first", cells.first, -FARTHEST_CELL, FARTHEST_CELL);
   check::positive("cell", cells.cell);
-  check::between("substeps", substeps, 1, MOST_SUBSTEPS);
-  check::between("cells", cells.count, 0, MOST_STEPS / substeps);
+  check::between("substeps", substeps, 1, MAX_SUBSTEPS);
+  check::between("cells", cells.count, 0, MAX_STEPS / substeps);
   // Speeds are displacements over the step length.
   const double h = cells.cell / static_cast<double>(substeps);
   if (!std::isfinite(1 / h) || !std::isfinite(cells.start(0)) ||
@@ -53,7 +53,7 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
   SpringRun run = begin_springs(network, state, torn);
   Out<double, 2> result(network.particles(), 3);
   std::vector<double> rate(run.size);
-  run.look(t, h);
+  run.sample_surroundings(t, h);
   run.accelerate(run.x.data(), run.v.data(), rate.data());
   for (std::size_t n = 0; n < network.particles(); ++n)
     std::copy_n(rate.data() + ROW * n, 3, result.get() + 3 * n);
@@ -61,9 +61,9 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
 }
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles) {
-  check::between("particles", particles, 0, check::MOST_ROWS);
+  check::between("particles", particles, 0, check::MAX_ROWS);
   check::shape("ends", ends, {check::ANY, 2});
-  check::at_most("ends", ends.shape(0), check::MOST_ROWS);
+  check::at_most("ends", ends.shape(0), check::MAX_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(particles));
   Out<std::int64_t, 1> result(ends.shape(0));
   const auto order = order_springs(ends.data(), ends.shape(0), particles);
@@ -104,8 +104,8 @@ class Explicit {
   }
 
   // Advances over a cell from a time, in steps of h.
-  void cross(double start, int substeps, double h) {
-    if (run_.lines().pulls.banded()) return cross_in_columns(start, substeps, h);
+  void advance_cell(double start, int substeps, double h) {
+    if (run_.lines().pulls.has_bands()) return advance_cell_in_columns(start, substeps, h);
     for (int j = 0; j < substeps; ++j) step_rows(start + j * h, h, j);
   }
 
@@ -125,16 +125,16 @@ class Explicit {
  private:
   void step_rows(double t, double h, int j) {
     const SpringNetwork& network = run_.network;
-    run_.look(t, h);
+    run_.sample_surroundings(t, h);
     run_.accelerate(run_.x.data(), run_.v.data(), rate_.data());
-    keep_rows();
+    store_before();
     spring_loops().advance(network.particles(), h, rate_.data(), run_.x.data(), run_.v.data());
     network.set_pinned(t + h, h, before_.data(), run_.x.data(), run_.v.data());
-    contacts_.settle(j, before_, run_.x, &run_.v);
+    contacts_.resolve(j, before_, run_.x, &run_.v);
   }
 
-  // Where particles are, of all or of those that are held.
-  void keep_rows() {
+  // Stores the positions of all particles, or of the pinned ones.
+  void store_before() {
     if (contacts_.any()) {
       before_ = run_.x;
       return;
@@ -145,52 +145,52 @@ class Explicit {
     }
   }
 
-  // Particles are in columns; in rows too where something else than bands asks for them.
-  void cross_in_columns(double start, int substeps, double h) {
+  // Particles are in columns, and in rows too if other forces or contacts need them.
+  void advance_cell_in_columns(double start, int substeps, double h) {
     const SpringNetwork& network = run_.network;
-    const SpringPulls& pulls = run_.lines().pulls;
-    const bool pulled = run_.pulled_otherwise(), met = contacts_.any();
-    in_rows_ = pulled || met;
+    const SpringForces& pulls = run_.lines().pulls;
+    const bool has_forces = run_.has_other_forces(), has_contacts = contacts_.any();
+    in_rows_ = has_forces || has_contacts;
     if (!in_columns_) begin();
     const PlaneSteps steps{inverse_masses_.data(), drags_.data(),
                            {network.gravity[0], network.gravity[1], network.gravity[2]}, h};
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
-      run_.look(t, h);
-      if (pulled) {
-        run_.pull_otherwise(run_.x.data(), run_.v.data(), rate_.data());
-        pulls.read(rate_.data(), room_.f);
+      run_.sample_surroundings(t, h);
+      if (has_forces) {
+        run_.set_other_forces(run_.x.data(), run_.v.data(), rate_.data());
+        pulls.read(rate_.data(), buffers_.f);
       }
-      pulls.step(steps, room_);
-      network.set_pinned(t + h, h, room_.x.data(), room_.x.data(), room_.v.data(), strides_);
-      if (met) before_ = run_.x;
+      pulls.step(steps, buffers_);
+      network.set_pinned(t + h, h, buffers_.x.data(), buffers_.x.data(), buffers_.v.data(), strides_);
+      if (has_contacts) before_ = run_.x;
       if (in_rows_) write();
-      if (!met) continue;
-      contacts_.settle(j, before_, run_.x, &run_.v);
+      if (!has_contacts) continue;
+      contacts_.resolve(j, before_, run_.x, &run_.v);
       read();
     }
   }
 
   void begin() {
-    run_.lines().pulls.make(room_);
+    run_.lines().pulls.allocate(buffers_);
     read();
     in_columns_ = true;
   }
 
   void read() {
-    run_.lines().pulls.read(run_.x.data(), room_.x);
-    run_.lines().pulls.read(run_.v.data(), room_.v);
+    run_.lines().pulls.read(run_.x.data(), buffers_.x);
+    run_.lines().pulls.read(run_.v.data(), buffers_.v);
   }
 
   void write() {
-    run_.lines().pulls.write(room_.x, run_.x.data());
-    run_.lines().pulls.write(room_.v, run_.v.data());
+    run_.lines().pulls.write(buffers_.x, run_.x.data());
+    run_.lines().pulls.write(buffers_.v, run_.v.data());
   }
 
   SpringRun& run_;
   SpringContacts& contacts_;
   std::vector<double> rate_, before_;
-  PullRoom room_;
+  ForceBuffers buffers_;
   std::vector<double> inverse_masses_, drags_;  // columns
   Strides strides_;
   bool in_columns_ = false, in_rows_ = false;
@@ -211,12 +211,12 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
   Explicit steps(run, contacts);
   for (std::int64_t i = 0; i < cells; ++i) {
     contacts.begin_cell(i, substeps, h);
-    steps.cross(grid.start(i), substeps, h);
+    steps.advance_cell(grid.start(i), substeps, h);
     steps.tear();
   }
   steps.end();
   return {ended_state(run), ended_torn(run), contacts.unresolved,
-          contacts.pushes()};
+          contacts.impulses()};
 }
 
 }  // namespace animtool

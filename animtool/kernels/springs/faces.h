@@ -18,11 +18,11 @@ namespace animtool {
 struct StepCollider;
 
 // Features of a collider in its frame: points, lines between them, and their radius [m].
-struct FineParts {
+struct FineFeatures {
   std::vector<collide::Vec> points;
   std::vector<std::array<std::int32_t, 2>> lines;
-  double kept = 0;
-  bool known = true;
+  double radius = 0;
+  bool is_built = true;
   // For a mesh: lines and points of each triangle, -1 for none.
   std::vector<std::array<std::int32_t, 6>> of_triangle;
 
@@ -42,21 +42,21 @@ class FaceContacts {
   // Adds the next collider; returns whether any has fine features.
   void add(const collide::Collider& c);
   // Adds a collider that collides only with particles.
-  void skip() { parts_.emplace_back(); }
+  void skip() { features_.emplace_back(); }
   bool any() const { return any_; }
   // Edges and faces of a particle this far from all colliders over a step cannot touch them.
   double reach() const { return any_ ? reach_ : -collide::FAR; }
 
   // Moves edges and faces out of the features of a collider; returns whether any moved.
   // Moved particles are recorded with their change of velocity.
-  bool settle(std::size_t index, const StepCollider& c, double h,
+  bool resolve(std::size_t index, const StepCollider& c, double h,
               const std::vector<std::int32_t>& near, StepRows rows);
-  struct Moved {
+  struct MovedParticle {
     std::int32_t particle;
     double shift;
     collide::Vec change;
   };
-  std::vector<Moved> moved;
+  std::vector<MovedParticle> moved;
 
  private:
   struct Element {
@@ -65,29 +65,29 @@ class FaceContacts {
     collide::Vec low, high;  // about its way
   };
 
-  bool comes_near(const StepCollider& c, const std::vector<std::int32_t>& near,
+  bool is_near(const StepCollider& c, const std::vector<std::int32_t>& near,
                   const StepRows& rows) const;
-  bool mark(const FineParts& parts, const StepCollider& c,
+  bool collect_elements(const FineFeatures& features, const StepCollider& c,
             const std::vector<std::int32_t>& near, const StepRows& rows);
   std::int32_t slot(std::int32_t particle, const StepCollider& c, const StepRows& rows);
   void add_element(const std::int32_t* corners, int count, const StepCollider& c,
                    const StepRows& rows);
   // The contacts that are possible in the step, at the current positions.
-  void find(const FineParts& parts, const StepCollider& c);
-  void meet(const FineParts& parts, const Element& one, std::int32_t part);
+  void find_contacts(const FineFeatures& features, const StepCollider& c);
+  void add_contacts(const FineFeatures& features, const Element& one, std::int32_t feature);
   template <class Shape>
-  void meet_four(const FourParticles& who, double kept);
-  bool part(Separation& separation) const;
+  void add_pair(const FourParticles& who, double distance);
+  bool separate(Separation& separation) const;
   void write(const StepCollider& c, double h, StepRows& rows);
 
   const SpringElements& network_;
   double radius_, reach_ = 0;
   bool any_ = false;
-  std::vector<FineParts> parts_;  // of each collider
+  std::vector<FineFeatures> features_;  // of each collider
   // Of this step: particles in a row, after these points of the collider.
   std::vector<std::int32_t> slots_, particles_;
   std::vector<std::uint8_t> marked_;
-  std::vector<double> from_, to_, begun_, ended_, inverse_masses_;
+  std::vector<double> from_, to_, start_, end_, inverse_masses_;
   std::vector<Element> elements_;
   std::vector<LayerHit> edges_, corners_;
 };

@@ -8,7 +8,7 @@ void PointGrid::build(const double* rows, std::size_t count, double cell) {
   std::size_t size = 16;
   while (size < 2 * count) size *= 2;
   mask_ = size - 1;
-  over_ = 1 / cell;
+  inverse_cell_ = 1 / cell;
   for (std::size_t k = 0; k < 3; ++k) low_[k] = count ? rows[k] : 0;
   for (std::size_t n = 0; n < count; ++n)
     for (std::size_t k = 0; k < 3; ++k) low_[k] = std::min(low_[k], rows[ROW * n + k]);

@@ -29,15 +29,15 @@ class PointGrid {
   }
   std::int64_t cell_of(double location, std::size_t axis) const {
     // NaN is in the first cell.
-    const double cell = (location - low_[axis]) * over_;
-    return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MOST_CELLS))) : 0;
+    const double cell = (location - low_[axis]) * inverse_cell_;
+    return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MAX_CELLS))) : 0;
   }
 
   // Largest cell number from the first in each direction.
-  static constexpr std::int64_t MOST_CELLS = (1 << 20) - 1;
+  static constexpr std::int64_t MAX_CELLS = (1 << 20) - 1;
 
   std::size_t count_ = 0, mask_ = 0;
-  double low_[3] = {0, 0, 0}, over_ = 1;
+  double low_[3] = {0, 0, 0}, inverse_cell_ = 1;
   std::vector<std::uint32_t> starts_;
   std::vector<std::uint64_t> keys_;
   std::vector<std::int32_t> points_;

@@ -11,10 +11,10 @@
 namespace animtool {
 
 // A piercing pair, and the side (1 or -1) that the first came from.
-struct Passage {
+struct Piercing {
   std::int32_t first, second, side;
 
-  bool operator<(const Passage& other) const {
+  bool operator<(const Piercing& other) const {
     return std::pair(first, second) < std::pair(other.first, other.second);
   }
 };
@@ -26,37 +26,36 @@ class LayerContacts {
  public:
   using Shape = typename Kind::Shape;
 
-  std::vector<Passage> crossed;
+  std::vector<Piercing> crossed;
   void sort_crossed() { std::sort(crossed.begin(), crossed.end()); }
 
-  // All pairs this near; and of these, those that are nearer now, where particles went no
-  // farther than some ways over each other since.
+  // Lists all pairs within a reach; and picks those that may be nearer now, given the displacements
+  // of particles since.
   void list(const SpringLayers& layers, const std::vector<double>& x, double reach) {
     listed_ = Kind::near(layers, x, reach);
   }
   void pick(const SpringLayers& layers, const std::vector<double>& x,
-            const std::vector<double>& went, double reach);
+            const std::vector<double>& displacements, double reach);
 
-  // Finds who is near in a step. Most: of ways over each other in it, what is looked at;
-  // more: how much farther those are that only come back.
-  // What is tangled is on no side that is known, and not found.
+  // Finds contacts in a step: `most` is the largest tested relative displacement, `more` the extra
+  // distance of pairs that only return. Tangled pairs have no known side, and are skipped.
   void find(const SpringLayers& layers, const std::vector<double>& before,
             const std::vector<double>& x, double most, double more, const Tangles* tangles);
   void forget() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
-  void part(const SpringLayers& layers, Separation& separation) const;
-  // Adds who of those that are picked, and have a particle that is marked, went through on
-  // the way from where the step began.
-  void note_passed(const SpringLayers& layers, const std::vector<double>& from,
+  void separate(const SpringLayers& layers, Separation& separation) const;
+  // Adds the picked pairs with a marked particle that passed through each other since the start of
+  // the step.
+  void collect_passed(const SpringLayers& layers, const std::vector<double>& from,
                    const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
                    const Tangles& tangles, std::vector<LayerHit>& passed) const;
   // Drops piercing pairs that are back on their side, or moved away.
-  void drop_those_back(const SpringLayers& layers, const std::vector<double>& x);
-  // Notes who is on another side than when the step began.
-  void look(const std::vector<double>& before, const std::vector<double>& x);
+  void drop_resolved(const SpringLayers& layers, const std::vector<double>& x);
+  // Records pairs that changed sides since the start of the step.
+  void record_crossings(const std::vector<double>& before, const std::vector<double>& x);
 
  private:
-  // How far the parts moved over each other, at most.
+  // The largest relative displacement of the elements.
   static double relative_shift(const FourParticles& who, const std::vector<double>& before,
                          const std::vector<double>& x);
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
@@ -64,7 +63,7 @@ class LayerContacts {
   static bool is_through(std::int32_t side, const Shape& now) {
     return side * now.height() < 0 && now.nearest().inside;
   }
-  bool came_round(const SpringLayers& layers, const LayerHit& hit) const;
+  bool is_next_to_crossed(const SpringLayers& layers, const LayerHit& hit) const;
 
   std::vector<LayerPair> listed_, picked_;
   std::vector<LayerHit> hits_;
@@ -73,18 +72,18 @@ class LayerContacts {
 
 template <class Kind>
 void LayerContacts<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
-                          const std::vector<double>& went, double reach) {
+                          const std::vector<double>& displacements, double reach) {
   const auto most = [&](const std::int32_t* first, const std::int32_t* last) {
     double far = 0;
-    for (; first != last; ++first) far = std::max(far, went[static_cast<std::size_t>(*first)]);
+    for (; first != last; ++first) far = std::max(far, displacements[static_cast<std::size_t>(*first)]);
     return far;
   };
   picked_.clear();
   for (const LayerPair& one : listed_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
     const double nearer = most(&who[0], &who[Kind::FIRST]) + most(&who[Kind::FIRST], who.data() + 4);
-    if (one.gap - nearer - one.least > reach) continue;
-    if (length(Shape(who.data(), x.data()).nearest().off) - one.least <= reach)
+    if (one.gap - nearer - one.distance > reach) continue;
+    if (length(Shape(who.data(), x.data()).nearest().off) - one.distance <= reach)
       picked_.push_back(one);
   }
 }
@@ -102,10 +101,10 @@ void LayerContacts<Kind>::find(const SpringLayers& layers, const std::vector<dou
     const FourParticles who = Kind::who(layers, one.first, one.second);
     const shapes::Nearest near = Shape(who.data(), x.data()).nearest();
     const double gap = length(near.off);
-    if (!(gap < one.least + most + more)) continue;
+    if (!(gap < one.distance + most + more)) continue;
     const double travel = relative_shift(who, before, x);
-    if (!(gap < one.least + travel + more)) continue;
-    LayerHit hit{one.first, one.second, 0, who, gap, travel, one.least};
+    if (!(gap < one.distance + travel + more)) continue;
+    LayerHit hit{one.first, one.second, 0, who, gap, travel, one.distance};
     hit.side = side_of(hit, before, x);
     if (!hit.side && !near.inside) continue;
     if (tangles && !hit.side && tangled(&who[0], &who[Kind::FIRST]) &&
@@ -136,7 +135,7 @@ template <class Kind>
 std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
                                      const std::vector<double>& x) const {
   const auto known = std::lower_bound(crossed.begin(), crossed.end(),
-                                      Passage{hit.first, hit.second, 0});
+                                      Piercing{hit.first, hit.second, 0});
   if (known != crossed.end() && known->first == hit.first && known->second == hit.second)
     return known->side;
   if (hit.gap > hit.travel) return 0;
@@ -144,27 +143,27 @@ std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector
                               Shape(hit.who.data(), x.data()));
 }
 
-// Whether one of them is on the wrong side of what touches the other: the side that it is on
-// of this one says nothing.
+// Whether one of them is on the wrong side of a neighbour of the other, so that its side of the other
+// means nothing.
 template <class Kind>
-bool LayerContacts<Kind>::came_round(const SpringLayers& layers, const LayerHit& hit) const {
+bool LayerContacts<Kind>::is_next_to_crossed(const SpringLayers& layers, const LayerHit& hit) const {
   const auto is_through = [&](std::int32_t who, const auto& touches) {
     auto one = std::lower_bound(through_.begin(), through_.end(), std::pair(who, -1));
     for (; one != through_.end() && one->first == who; ++one)
       if (touches(one->second)) return true;
     return false;
   };
-  return Kind::came_round(layers, hit.first, hit.second, is_through);
+  return Kind::is_next_to_crossed(layers, hit.first, hit.second, is_through);
 }
 
 template <class Kind>
-void LayerContacts<Kind>::part(const SpringLayers& layers, Separation& separation) const {
+void LayerContacts<Kind>::separate(const SpringLayers& layers, Separation& separation) const {
   for (const LayerHit& hit : hits_)
-    if (hit.side || through_.empty() || !came_round(layers, hit)) separation.part<Shape>(hit);
+    if (hit.side || through_.empty() || !is_next_to_crossed(layers, hit)) separation.separate<Shape>(hit);
 }
 
 template <class Kind>
-void LayerContacts<Kind>::note_passed(const SpringLayers& layers, const std::vector<double>& from,
+void LayerContacts<Kind>::collect_passed(const SpringLayers& layers, const std::vector<double>& from,
                                  const std::vector<double>& x,
                                  const std::vector<std::uint8_t>& moved,
                                  const Tangles& tangles, std::vector<LayerHit>& passed) const {
@@ -179,23 +178,23 @@ void LayerContacts<Kind>::note_passed(const SpringLayers& layers, const std::vec
     const std::int32_t side =
         shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));
     if (!side) continue;
-    // What is tangled is on no side that is known.
+    // Tangled pairs have no known side.
     if (tangled(&who[0], &who[Kind::FIRST]) && tangled(&who[Kind::FIRST], who.data() + 4))
       continue;
-    passed.push_back({one.first, one.second, side, who, 0, 0, one.least});
+    passed.push_back({one.first, one.second, side, who, 0, 0, one.distance});
   }
 }
 
 template <class Kind>
-void LayerContacts<Kind>::drop_those_back(const SpringLayers& layers, const std::vector<double>& x) {
-  std::erase_if(crossed, [&](const Passage& one) {
+void LayerContacts<Kind>::drop_resolved(const SpringLayers& layers, const std::vector<double>& x) {
+  std::erase_if(crossed, [&](const Piercing& one) {
     const Shape now(Kind::who(layers, one.first, one.second).data(), x.data());
     return !is_through(one.side, now);
   });
 }
 
 template <class Kind>
-void LayerContacts<Kind>::look(const std::vector<double>& before, const std::vector<double>& x) {
+void LayerContacts<Kind>::record_crossings(const std::vector<double>& before, const std::vector<double>& x) {
   crossed.clear();
   for (const LayerHit& hit : hits_) {
     if (!hit.side && hit.gap > 2 * hit.travel) continue;

@@ -1,4 +1,4 @@
-// Distances that parts of a surface keep from each other.
+// Contact distances within a surface.
 #include "springs/layers.h"
 
 #include <algorithm>
@@ -15,16 +15,16 @@ namespace {
 using collide::Vec;
 using shapes::row_of;
 
-// At rest along the surface, over the distance that is kept [1].
+// Largest rest distance along the surface of close particles, over the contact distance [1].
 constexpr double NEIGHBOURS = 1.5;
-// Ways along edges are so much longer than straight ones, at most.
+// Largest ratio of a path along edges to the straight distance.
 constexpr double DETOUR = 2;
-// Of the thickness, what edges keep: layers that lie on each other are held by their
-// particles alone, and edges meet only where ridges would cut into each other.
+// Contact distance of edges, over the thickness: resting layers are supported by their particles
+// alone, and edges touch only where ridges would cut into each other.
 constexpr double EDGES = 0.75;
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// Neighbours of particles along edges and springs, with the length of the way.
+// Neighbours of particles along edges and springs, with path lengths.
 class PathLengths {
  public:
   PathLengths(const SpringNetwork& network, const std::vector<double>& rest)
@@ -45,7 +45,7 @@ class PathLengths {
     for (const Spring& spring : network.lines.springs) join(spring.i, spring.j, false);
   }
 
-  // Particles no farther from one than this, beside its longest edge; they ascend.
+  // Particles within this path length of one, plus its longest edge; ascending.
   const std::vector<std::int32_t>& around(std::int32_t from, double farthest) {
     for (const std::int32_t n : hits_) away(n) = INFINITE;
     hits_.clear();
@@ -95,11 +95,11 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
   rest_.resize(ROW * particles_);
   for (std::size_t n = 0; n < particles_; ++n)
     std::copy_n(rest.data() + 3 * n, 3, rest_.data() + ROW * n);
-  note_edges();
+  collect_edges();
   collect_adjacent(network);
 }
 
-void SpringLayers::note_edges() {
+void SpringLayers::collect_edges() {
   std::vector<std::pair<std::int32_t, std::int32_t>> hit;
   for (std::size_t t = 0; t < corners_.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k)
@@ -125,40 +125,40 @@ bool SpringLayers::joined(std::int32_t i, std::int32_t j) const {
                             j);
 }
 
-double SpringLayers::kept(double at_rest, bool joined) const {
+double SpringLayers::reduced(double at_rest, bool joined) const {
   return std::min(thickness, joined ? at_rest / NEIGHBOURS : at_rest);
 }
 
-double SpringLayers::least(std::size_t triangle, std::int32_t particle) const {
+double SpringLayers::distance(std::size_t triangle, std::int32_t particle) const {
   const std::int32_t* of = corners(triangle);
   if (std::find(of, of + 3, particle) != of + 3) return 0;
   const double gap = shapes::Triangle(of, rest_.data()).distance(row_of(rest_.data(), particle));
   if (!(gap < NEIGHBOURS * thickness)) return thickness;
-  return kept(gap, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
+  return reduced(gap, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
 }
 
-double SpringLayers::checked_least(std::int64_t triangle, std::int64_t particle) const {
+double SpringLayers::checked_distance(std::int64_t triangle, std::int64_t particle) const {
   check::indices("triangle", &triangle, 1, 0, static_cast<std::int64_t>(triangles()));
   check::indices("particle", &particle, 1, 0, static_cast<std::int64_t>(particles_));
-  return least(static_cast<std::size_t>(triangle), static_cast<std::int32_t>(particle));
+  return distance(static_cast<std::size_t>(triangle), static_cast<std::int32_t>(particle));
 }
 
-double SpringLayers::checked_least_of_edges(std::int64_t first, std::int64_t second) const {
+double SpringLayers::checked_edge_distance(std::int64_t first, std::int64_t second) const {
   check::indices("first", &first, 1, 0, static_cast<std::int64_t>(edges()));
   check::indices("second", &second, 1, 0, static_cast<std::int64_t>(edges()));
-  return least_of_edges(static_cast<std::size_t>(first), static_cast<std::size_t>(second));
+  return edge_distance(static_cast<std::size_t>(first), static_cast<std::size_t>(second));
 }
 
-double SpringLayers::most_of_edges() const { return EDGES * thickness; }
+double SpringLayers::max_edge_distance() const { return EDGES * thickness; }
 
-double SpringLayers::least_of_edges(std::size_t first, std::size_t second) const {
+double SpringLayers::edge_distance(std::size_t first, std::size_t second) const {
   const std::int32_t *one = ends(first), *other = ends(second);
   const std::int32_t who[4] = {one[0], one[1], other[0], other[1]};
   if (who[0] == who[2] || who[0] == who[3] || who[1] == who[2] || who[1] == who[3]) return 0;
   const double gap = length(shapes::EdgePair(who, rest_.data()).nearest().off);
-  if (!(gap < NEIGHBOURS * thickness)) return most_of_edges();
+  if (!(gap < NEIGHBOURS * thickness)) return max_edge_distance();
   const auto relative = [&](std::int32_t n) { return joined(n, who[2]) || joined(n, who[3]); };
-  return EDGES * kept(gap, relative(who[0]) || relative(who[1]));
+  return EDGES * reduced(gap, relative(who[0]) || relative(who[1]));
 }
 
 }  // namespace animtool

@@ -8,13 +8,12 @@
 
 namespace animtool {
 
-// Corners are kept from triangles, and edges from edges, unless they share a particle. All
-// keep the thickness, except that pairs closer at rest keep their rest distance; along the
-// surface they keep less, so that it can bend and compress before it touches.
+// Corners keep a distance from triangles, and edges from edges, unless they share a particle: the
+// thickness, or the rest distance of pairs closer at rest; less along the surface, so that it can
+// bend and compress before it touches.
 class SpringLayers {
  public:
-  // Rest: where particles are at rest (N, 3). Speed: with which what is nearer than it may
-  // be at the start comes apart.
+  // `rest` are positions at rest (N, 3); `speed` is that of separating pairs that start too close.
   SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness,
                double friction, double speed);
 
@@ -23,28 +22,27 @@ class SpringLayers {
   std::size_t edges() const { return ends_.size() / 2; }
   const std::int32_t* corners(std::size_t triangle) const { return &corners_[3 * triangle]; }
   const std::int32_t* ends(std::size_t edge) const { return &ends_[2 * edge]; }
-  // Distance that a particle keeps from a triangle, and an edge from another; 0 of those that
-  // are not kept apart.
-  double least(std::size_t triangle, std::int32_t particle) const;
-  double least_of_edges(std::size_t first, std::size_t second) const;
-  double most_of_edges() const;
+  // Distance that a particle keeps from a triangle, and an edge from another; 0 without contact.
+  double distance(std::size_t triangle, std::int32_t particle) const;
+  double edge_distance(std::size_t first, std::size_t second) const;
+  double max_edge_distance() const;
   // The same with checked indices.
-  double checked_least(std::int64_t triangle, std::int64_t particle) const;
-  double checked_least_of_edges(std::int64_t first, std::int64_t second) const;
+  double checked_distance(std::int64_t triangle, std::int64_t particle) const;
+  double checked_edge_distance(std::int64_t first, std::int64_t second) const;
 
   const double thickness, friction, speed;
 
  private:
-  void note_edges();
+  void collect_edges();
   void collect_adjacent(const SpringNetwork& network);
-  // Whether the surface joins two particles by a short way.
+  // Whether two particles are close along the surface.
   bool joined(std::int32_t i, std::int32_t j) const;
-  double kept(double at_rest, bool joined) const;
+  double reduced(double at_rest, bool joined) const;
 
   std::size_t particles_;
   std::vector<std::int32_t> corners_, ends_;
   std::vector<double> rest_;  // rows
-  // Of each particle, those that are near along the surface; they ascend.
+  // Particles close to each one along the surface, ascending.
   std::vector<std::size_t> adjacent_starts_;
   std::vector<std::int32_t> adjacent_;
 };

@@ -12,17 +12,17 @@
 
 namespace animtool {
 
-// How a mesh has gone: all points by a drift, each by no more than a spread beside it.
+// The motion of a mesh so far: a common drift, and the largest displacement relative to it.
 struct MeshShift {
   collide::Vec drift;
   double spread = 0;
-  // In a knot in which all goes straight, its number and the share that is gone; -1 in none.
+  // The current interval of linear motion, -1 for none, and the elapsed fraction of it.
   std::int64_t knot = -1;
   double fraction = 0;
 };
 
-// A mesh in such a knot: boxes of its nodes as it begins, and of the ways of their points,
-// and how far before a moment particles are looked at [share of the knot].
+// A mesh in such an interval: boxes of its nodes at the start, and of the displacements of their
+// points, and how far back in time particles are tested [fraction of the interval].
 struct KnotBoxes {
   const double *begins, *shifts;
   double back;
@@ -37,70 +37,69 @@ class MeshPatches {
     std::int32_t triangle = -1;  // none where the distance is only a bound
   };
 
-  // Slack to begin with.
+  // `slack` is the initial one.
   MeshPatches(std::size_t particles, double slack) : patches_(particles) {
-    for (Patch& patch : patches_) patch.fine = slack;
+    for (Patch& patch : patches_) patch.next_slack = slack;
   }
 
-  // The mesh from a point of its frame: its distance, or, where that is more than is kept
-  // and asked for, one that is less but still more than is kept.
-  PatchHit look(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
-             const MeshShift& gone, const KnotBoxes* boxes, double kept, bool bound);
+  // The distance of the mesh from a point of its frame; with `bound`, a lower bound suffices if it
+  // exceeds the contact distance.
+  PatchHit query(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
+             const MeshShift& motion, const KnotBoxes* boxes, double contact_distance, bool bound);
   // Invalidates the cache.
-  void forget();
+  void invalidate();
 
  private:
-  static constexpr int MOST = 32;
+  static constexpr int MAX_CANDIDATES = 32;
   struct Candidate {
     double distance;
     std::int32_t triangle;
   };
   // Nearest first.
-  using Candidates = std::array<Candidate, MOST>;
+  using Candidates = std::array<Candidate, MAX_CANDIDATES>;
   struct Patch {
     collide::Vec at;
-    MeshShift gone;
-    // How far it serves, less than 0 not at all; how far the next is to serve.
-    double slack = -1, fine = 0;
+    MeshShift motion;
+    // Displacement for which it is valid, negative if it is not; the slack of the next one.
+    double slack = -1, next_slack = 0;
     double distance = 0;
-    // The same for what is left of the knot, beside the way of what was nearest.
-    double knot_slack = -1, least = 0, back = 0;
+    // The same for the rest of the interval, relative to the nearest triangle.
+    double knot_slack = -1, min_distance = 0, back = 0;
     collide::Vec shift;
     std::int32_t count = 0, location = -1;
-    std::int32_t last = -1;  // a triangle that was near
+    std::int32_t last = -1;  // a nearby triangle
   };
-  // Near a particle: how far, and how far at least in what is left of the knot.
-  struct Around {
-    double distance, least;
+  // A triangle near a particle: its distance, and the smallest in the rest of the interval.
+  struct NearbyTriangle {
+    double distance, min_distance;
     std::int32_t triangle;
   };
 
-  // How far a particle went since it was looked at, where what was found then serves; else
-  // less than 0. With whether that is beside the way of what was nearest.
-  static double since(const Patch& patch, collide::Vec p, const MeshShift& gone, bool& in_knot);
+  // Displacement since the cache was filled, negative if it is invalid; `in_knot` tells whether it is
+  // relative to the nearest triangle.
+  static double displacement_since(const Patch& patch, collide::Vec p, const MeshShift& motion, bool& in_knot);
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
-                           double went) const;
+                           double displacement) const;
   PatchHit gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-               const KnotBoxes* boxes, double kept, bool bound);
-  // The nearest, by what was near before, and what else is near, unless it is farther than
-  // what is kept by more than that.
-  collide::Nearest look_around(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
-                               collide::Vec p, const KnotBoxes* boxes, double kept);
-  // Keeps what is near, if it is not too much; by what is left of the knot or as it is.
-  bool keep(Patch& patch, double reach, bool in_knot);
+               const KnotBoxes* boxes, double contact_distance, bool bound);
+  // The nearest triangle, starting from the last one, and all nearby ones.
+  collide::Nearest search(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
+                               collide::Vec p, const KnotBoxes* boxes, double contact_distance);
+  // Stores nearby triangles, if they are few: by their distance in the rest of the interval, or now.
+  bool store_candidates(Patch& patch, double reach, bool in_knot);
 
   std::vector<Patch> patches_;
-  // Of those that were near.
+  // Of patches with nearby triangles.
   std::vector<Candidates> candidates_;
-  // Of the last look: what is near, and the least that anything comes to in the knot.
-  std::vector<Around> around_;
-  double least_ = 0;
-  std::int32_t last_ = -1;  // the triangle that was nearest then
+  // Of the last search: nearby triangles, and the smallest distance in the interval.
+  std::vector<NearbyTriangle> nearby_;
+  double min_distance_ = 0;
+  std::int32_t last_ = -1;  // the nearest triangle of the last search
 };
 
-// A mesh whose points move: these at knots of time (K, P, 3), straight from one to the next;
-// its restitution, friction, margin, depenetration and the speed from which on it was put
-// elsewhere; how many cells of time each knot lasts, and how many of the first are over.
+// A mesh whose points move: positions at knots of time (K, P, 3), linear between them; restitution,
+// friction, margin, depenetration speed and teleport speed; cells of time per knot interval, and
+// elapsed cells of the first one.
 using SpringSurface = std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>,
                                  std::int64_t, std::int64_t>;
 
@@ -109,18 +108,18 @@ class MovingSurface {
  public:
   MovingSurface(const SpringSurface& surface, std::int64_t cells);
 
-  // Goes on to a cell of some length. Returns whether it goes on from where it was.
-  bool enter(std::int64_t cell, double length);
-  // What share of its knot is gone when a share of the cell is.
-  double gone(double fraction) const { return begun_ + fraction / static_cast<double>(lasts_); }
-  // As what is met when a share of the knot is gone, and how it has gone until then.
+  // Moves on to a cell. Returns whether the motion is continuous.
+  bool begin_cell(std::int64_t cell, double length);
+  // The elapsed fraction of the knot interval at a fraction of the cell.
+  double knot_fraction(double fraction) const { return knot_start_ + fraction / static_cast<double>(cells_per_knot_); }
+  // The collider at a fraction of the knot interval, and its motion until then.
   collide::Collider collider(double fraction) const;
   MeshShift shift_until(double fraction) const;
-  // Boxes of the knot, none where it stands; a part of a cell is looked back.
+  // Boxes of the knot interval; tested `back` in time.
   KnotBoxes boxes(double back) const { return {begins_.data(), shift_bounds_.data(), back}; }
-  // The most that a point goes in the whole knot, and how its nearest point goes.
+  // The largest displacement of a point in the knot interval.
   double travel() const { return travel_; }
-  // The largest displacement of a point beside a drift, over a fraction of the knot.
+  // The largest displacement of a point relative to a drift, over a fraction of the interval.
   double relative_travel(collide::Vec drift, double fraction) const;
   const double* box() const { return bounds_.data(); }
   double margin() const { return numbers_[2]; }
@@ -133,10 +132,10 @@ class MovingSurface {
   In<double, 3> points_;
   std::array<double, 5> numbers_;
   std::vector<double> shifts_, bounds_, begins_, shift_bounds_;
-  std::int64_t lasts_, first_;
+  std::int64_t cells_per_knot_, first_;
   const double* begin_ = nullptr;
-  MeshShift before_, full_;  // until the knot, and in it
-  double travel_ = 0, begun_ = 0;
+  MeshShift before_, full_;  // until the knot interval, and in it
+  double travel_ = 0, knot_start_ = 0;
   std::int64_t last_ = -1;
 };
 

@@ -26,7 +26,7 @@ Track track_of(const char* name, const In<double, 3>& path, std::size_t points,
   return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
 }
 
-// One number a spring, 0 or more.
+// Checks a column of springs: not negative.
 void check_column(const char* name, const In<double, 1>& column, std::size_t springs,
                   bool finite = true) {
   check::shape(name, column, {springs});
@@ -44,35 +44,35 @@ std::vector<double> finite_column(const char* name, const In<double, 1>& column,
   return {column.data(), column.data() + column.size()};
 }
 
-std::vector<double> listed(const In<double, 1>& column) {
+std::vector<double> copied(const In<double, 1>& column) {
   return {column.data(), column.data() + column.size()};
 }
 
 }  // namespace
 
 SpringNetwork::SpringNetwork(const SpringArrays& arrays)
-    : SpringElements{listed(arrays.inverse_masses), {}, {}, 0},
-      drags(listed(arrays.drags)),
+    : SpringElements{copied(arrays.inverse_masses), {}, {}, 0},
+      drags(copied(arrays.drags)),
       air_drag(arrays.air_drag),
       air_lift(arrays.air_lift),
-      knots(listed(arrays.knots)) {
-  const auto& [masses, slowing, ends, rest, stiffness, damping, limit, faces, pull, drag, lift,
-               times, pins, pinned_path, tied, tied_stiffness, tied_damping, anchor_path, winds] =
+      knots(copied(arrays.knots)) {
+  const auto& [masses, particle_drags, ends, rest, stiffness, damping, limit, faces, pull, drag, lift,
+               times, pins, pinned_path, anchor_particles, anchor_stiffnesses, anchor_dampings, anchor_path, winds] =
       arrays;
   const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
-  check::at_most("inverse_masses", count, check::MOST_ROWS);
+  check::at_most("inverse_masses", count, check::MAX_ROWS);
   for (const double inverse : inverse_masses) check::not_negative("inverse_masses", inverse);
-  check::numbers("drags", slowing, {count});
+  check::numbers("drags", particle_drags, {count});
   check::shape("ends", ends, {check::ANY, 2});
-  check::at_most("ends", springs, check::MOST_ROWS);
+  check::at_most("ends", springs, check::MAX_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
   check_column("rest", rest, springs);
   check_column("stiffness", stiffness, springs);
   check_column("damping", damping, springs);
   check_column("limit", limit, springs, false);
   check::shape("triangles", faces, {check::ANY, 3});
-  check::at_most("triangles", faces.shape(0), check::MOST_ROWS);
+  check::at_most("triangles", faces.shape(0), check::MAX_ROWS);
   check::numbers("gravity", pull, {3});
   check::finite("air_drag", drag);
   check::finite("air_lift", lift);
@@ -80,10 +80,10 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   if (knots.empty()) check::refuse("knots", "there is none");
   check::finite("knots", times);
   check::ascending("knots", knots.data(), knots.size());
-  check::shape("held", pins, {check::ANY});
-  check::shape("anchors", tied, {check::ANY});
-  anchor_stiffness = finite_column("anchor_stiffness", tied_stiffness, tied.shape(0));
-  anchor_damping = finite_column("anchor_damping", tied_damping, tied.shape(0));
+  check::shape("pinned", pins, {check::ANY});
+  check::shape("anchors", anchor_particles, {check::ANY});
+  anchor_stiffness = finite_column("anchor_stiffness", anchor_stiffnesses, anchor_particles.shape(0));
+  anchor_damping = finite_column("anchor_damping", anchor_dampings, anchor_particles.shape(0));
   for (std::size_t s = 0; s < springs; ++s) {
     const std::int64_t* pair = ends.data() + 2 * s;
     lines.springs.push_back({static_cast<std::int32_t>(pair[0]),
@@ -91,25 +91,25 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
                              stiffness.data()[s], damping.data()[s], limit.data()[s]});
     lines.numbers.push_back(static_cast<std::int32_t>(s));
   }
-  lines.line_up(count);
+  lines.prepare(count);
   triangles = particles_of("triangles", faces.data(), faces.size(), count);
   std::copy_n(pull.data(), 3, gravity);
-  pinned = particles_of("held", pins.data(), pins.size(), count);
-  pinned_track = track_of("held_path", pinned_path, pinned.size(), knots.size());
-  anchors = particles_of("anchors", tied.data(), tied.size(), count);
+  pinned = particles_of("pinned", pins.data(), pins.size(), count);
+  pinned_track = track_of("pinned_path", pinned_path, pinned.size(), knots.size());
+  anchors = particles_of("anchors", anchor_particles.data(), anchor_particles.size(), count);
   anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
   wind_track = track_of("winds", winds, 1, knots.size());
-  note_edges();
+  collect_edges();
 }
 
-void SpringNetwork::note_edges() {
+void SpringNetwork::collect_edges() {
   std::vector<std::array<std::int32_t, 2>> hit;
   for (std::size_t t = 0; t < triangles.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k) {
       const auto [i, j] = std::minmax(triangles[t + k], triangles[t + (k + 1) % 3]);
       hit.push_back({i, j});
     }
-  // Without triangles these are ropes and strands: springs from a particle to the next.
+  // Without triangles these are ropes and strands: springs between consecutive particles.
   for (std::size_t s = 0; triangles.empty() && s < lines.springs.size(); ++s) {
     const auto [i, j] = std::minmax(lines.springs[s].i, lines.springs[s].j);
     if (j == i + 1) hit.push_back({i, j});
@@ -126,13 +126,13 @@ void SpringNetwork::note_edges() {
   }
 }
 
-void SpringNetwork::lead(In<double, 3> pinned_path, In<double, 3> anchor_path) {
-  Track holds = track_of("held_path", pinned_path, pinned.size(), knots.size());
+void SpringNetwork::set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path) {
+  Track holds = track_of("pinned_path", pinned_path, pinned.size(), knots.size());
   anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
   pinned_track = std::move(holds);
 }
 
-Spot spot_of(const std::vector<double>& knots, double t) {
+KnotPosition knot_position(const std::vector<double>& knots, double t) {
   if (knots.size() == 1 || t <= knots.front()) return {0, 0.0};
   if (t >= knots.back()) return {knots.size() - 1, 0.0};
   const auto after = std::upper_bound(knots.begin(), knots.end(), t);
@@ -140,7 +140,7 @@ Spot spot_of(const std::vector<double>& knots, double t) {
   return {row, (t - knots[row]) / (knots[row + 1] - knots[row])};
 }
 
-void SpringNetwork::follow(const Track& track, const Spot& spot, double* out) {
+void SpringNetwork::sample_track(const Track& track, const KnotPosition& spot, double* out) {
   const std::size_t width = 3 * track.points;
   const double* a = track.rows.data() + (track.constant ? 0 : spot.row * width);
   if (track.constant || spot.fraction == 0) {
@@ -182,7 +182,7 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
     const double along = air_drag * std::abs(through) - air_lift * through * through / speed;
     const double across = air_lift * through * speed / area;
     for (std::size_t k = 0; k < 3; ++k) {
-      // Half of it is the area, and each corner bears a third.
+      // n is twice the area; each corner gets a third of the force.
       const double force = (along * flow[k] + across * n[k]) * (area / 6);
       for (const std::size_t corner : corners) forces[corner + k] += force;
     }
@@ -192,7 +192,7 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
 void SpringNetwork::set_pinned(double t, double h, const double* before, double* x, double* v,
                                const Strides& strides) const {
   if (pinned.empty()) return;
-  const Spot now = spot(t);
+  const KnotPosition now = spot(t);
   const std::size_t width = 3 * pinned.size();
   const double* a = pinned_track.rows.data() + (pinned_track.constant ? 0 : now.row * width);
   const bool between = !pinned_track.constant && now.fraction != 0;
@@ -221,7 +221,7 @@ SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const doubl
     std::copy_n(x0 + 3 * n, 3, x.data() + ROW * n);
     std::copy_n(v0 + 3 * n, 3, v.data() + ROW * n);
   }
-  if (std::find(torn.begin(), torn.end(), 1) != torn.end()) leave_out_torn();
+  if (std::find(torn.begin(), torn.end(), 1) != torn.end()) exclude_torn();
 }
 
 bool SpringRun::tear() {
@@ -237,23 +237,23 @@ bool SpringRun::tear() {
     torn[static_cast<std::size_t>(now.numbers[s])] = 1;
     hit = true;
   }
-  if (hit) leave_out_torn();
+  if (hit) exclude_torn();
   return hit;
 }
 
-void SpringRun::leave_out_torn() {
-  SpringLines left;
+void SpringRun::exclude_torn() {
+  SpringLines remaining;
   for (std::size_t s = 0; s < torn.size(); ++s) {
     if (torn[s]) continue;
-    left.springs.push_back(network.lines.springs[s]);
-    left.numbers.push_back(static_cast<std::int32_t>(s));
+    remaining.springs.push_back(network.lines.springs[s]);
+    remaining.numbers.push_back(static_cast<std::int32_t>(s));
   }
-  left.line_up(network.particles());
-  untorn_ = std::move(left);
+  remaining.prepare(network.particles());
+  untorn_ = std::move(remaining);
 }
 
-void SpringLines::line_up(std::size_t particles) {
-  pulls = SpringPulls(springs, particles);
+void SpringLines::prepare(std::size_t particles) {
+  pulls = SpringForces(springs, particles);
   const std::size_t count = springs.size();
   for (const Spring& spring : springs) {
     ends.push_back(spring.i);
@@ -261,7 +261,7 @@ void SpringLines::line_up(std::size_t particles) {
     rest.push_back(spring.rest);
     tear = tear || std::isfinite(spring.limit);
   }
-  const auto gap = [&](std::size_t s) {
+  const auto is_independent = [&](std::size_t s) {
     if (s + WIDE > count) return false;
     for (std::size_t a = 2 * s; a < 2 * (s + WIDE); ++a)
       for (std::size_t b = 2 * s; b < a; ++b)
@@ -270,51 +270,50 @@ void SpringLines::line_up(std::size_t particles) {
   };
   for (std::size_t s = 0; s < count;) {
     SpringRunLength run{s, 0, 0};
-    for (; gap(s); s += WIDE) ++run.fours;
-    for (; s < count && !gap(s); ++s) ++run.ones;
+    for (; is_independent(s); s += WIDE) ++run.fours;
+    for (; s < count && !is_independent(s); ++s) ++run.ones;
     runs.push_back(run);
   }
 }
 
-void SpringRun::look(double t, double h) {
-  const Spot now = network.spot(t);
-  SpringNetwork::follow(network.wind_track, now, wind);
+void SpringRun::sample_surroundings(double t, double h) {
+  const KnotPosition now = network.spot(t);
+  SpringNetwork::sample_track(network.wind_track, now, wind);
   if (network.anchors.empty()) return;
-  SpringNetwork::follow(network.anchor_track, now, points.data());
+  SpringNetwork::sample_track(network.anchor_track, now, points.data());
   if (network.anchor_track.constant) {
     points_before = points;
     return;
   }
-  SpringNetwork::follow(network.anchor_track, network.spot(t - h), points_before.data());
+  SpringNetwork::sample_track(network.anchor_track, network.spot(t - h), points_before.data());
   for (std::size_t k = 0; k < points.size(); ++k)
     speeds[k] = (points[k] - points_before[k]) / h;
 }
 
-bool SpringRun::pulled_otherwise() const {
+bool SpringRun::has_other_forces() const {
   const bool windy = network.air_drag != 0 || network.air_lift != 0;
-  return lines().pulls.loose() || !network.anchors.empty() || windy;
+  return lines().pulls.has_unbanded() || !network.anchors.empty() || windy;
 }
 
-void SpringRun::pull_otherwise(const double* at, const double* going, double* forces) const {
+void SpringRun::set_other_forces(const double* at, const double* velocities, double* forces) const {
   std::fill_n(forces, size, 0.0);
-  lines().pulls.add_loose(at, going, forces);
-  network.add_anchor_forces(points.data(), speeds.data(), at, going, forces);
-  network.add_air_forces(wind, at, going, forces);
+  lines().pulls.add_unbanded(at, velocities, forces);
+  network.add_anchor_forces(points.data(), speeds.data(), at, velocities, forces);
+  network.add_air_forces(wind, at, velocities, forces);
 }
 
-void SpringRun::accelerate(const double* at, const double* going, double* out) {
-  lines().pulls.set(at, going, room_, out);
-  network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
-  network.add_air_forces(wind, at, going, out);
+void SpringRun::accelerate(const double* at, const double* velocities, double* out) {
+  lines().pulls.set(at, velocities, buffers_, out);
+  network.add_anchor_forces(points.data(), speeds.data(), at, velocities, out);
+  network.add_air_forces(wind, at, velocities, out);
   const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
   const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
-  spring_loops().accelerate(particles, network.particles(), fall, going, out);
+  spring_loops().accelerate(particles, network.particles(), fall, velocities, out);
 }
 
 namespace {
 
-// Springs of a block of components, at least, and of a block, at most: what is near in time
-// is to be near in memory.
+// Smallest and largest number of springs of a block: springs solved together are close in memory.
 constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
 
 }  // namespace
@@ -338,16 +337,16 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
     };
     return key(a) < key(b);
   });
-  // A spring waits for those before it that it shares a particle with.
-  std::vector<std::int64_t> waits(particles, 0);
+  // A spring is solved after the earlier ones that share a particle with it.
+  std::vector<std::int64_t> levels(particles, 0);
   std::int64_t full = 0, filled = 0, last = -1;
   for (const std::int64_t s : order) {
     const std::int64_t from = component[static_cast<std::size_t>(s)];
     if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++full, filled = 0;
     last = from;
     ++filled;
-    std::int64_t& a = waits[static_cast<std::size_t>(low(s))];
-    std::int64_t& b = waits[static_cast<std::size_t>(high(s))];
+    std::int64_t& a = levels[static_cast<std::size_t>(low(s))];
+    std::int64_t& b = levels[static_cast<std::size_t>(high(s))];
     level[static_cast<std::size_t>(s)] = std::max(a, b);
     block[static_cast<std::size_t>(s)] = full;
     a = b = std::max(a, b) + 1;

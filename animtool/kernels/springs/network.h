@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "base/arrays.h"
-#include "springs/pulls.h"
+#include "springs/forces.h"
 #include "springs/rows.h"
 
 namespace animtool {
@@ -16,14 +16,14 @@ namespace animtool {
 // Springs in solver order, as columns.
 struct SpringLines {
   std::vector<Spring> springs;
-  std::vector<std::int32_t> numbers;  // theirs in the network
+  std::vector<std::int32_t> numbers;  // their indices in the network
   std::vector<std::int32_t> ends;
   std::vector<double> rest;
-  std::vector<SpringRunLength> runs;  // those that share no end in fours
-  SpringPulls pulls;
-  bool tear = false;  // whether any can
+  std::vector<SpringRunLength> runs;  // groups of four springs without a shared end
+  SpringForces pulls;
+  bool tear = false;  // whether any spring can tear
 
-  void line_up(std::size_t particles);
+  void prepare(std::size_t particles);
 };
 
 // Points over knots of time, linear between them and constant outside.
@@ -33,15 +33,15 @@ struct Track {
   bool constant = true;
 };
 
-// Where a time lies between knots.
-struct Spot {
+// The knot interval of a time, and the fraction of it.
+struct KnotPosition {
   std::size_t row;
   double fraction;
 };
 
-Spot spot_of(const std::vector<double>& knots, double t);
+KnotPosition knot_position(const std::vector<double>& knots, double t);
 
-// From one particle to the next, and from one of its numbers to the next.
+// Strides between particles, and between the components of one.
 struct Strides {
   std::size_t particle, number;
 };
@@ -62,13 +62,13 @@ struct SpringArrays {
   In<double, 3> anchor_path, winds;
 };
 
-// What of particles collides beside themselves.
+// Edges and triangles of particles, for collisions.
 struct SpringElements {
   std::vector<double> inverse_masses;
   std::vector<std::int32_t> triangles;
-  // Of triangles, or of ropes and strands without any: ends two by two, ascending.
+  // Pairs of particles, ascending: of triangles, or, if there are none, of ropes and strands.
   std::vector<std::int32_t> edges;
-  double longest_edge = 0;  // at rest, of those that are springs [m]
+  double longest_edge = 0;  // largest rest length of a spring along an edge [m]
 
   std::size_t particles() const { return inverse_masses.size(); }
 };
@@ -77,22 +77,22 @@ class SpringNetwork : public SpringElements {
  public:
   explicit SpringNetwork(const SpringArrays& arrays);
 
-  // Other paths over the same knots.
-  void lead(In<double, 3> pinned_path, In<double, 3> anchor_path);
+  // Replaces the paths of pinned particles and anchors over the same knots.
+  void set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
-  Spot spot(double t) const { return spot_of(knots, t); }
-  // Points of a track at a spot, into (P, 3).
-  static void follow(const Track& track, const Spot& spot, double* out);
+  KnotPosition spot(double t) const { return knot_position(knots, t); }
+  // Writes the points of a track at a time (P, 3).
+  static void sample_track(const Track& track, const KnotPosition& spot, double* out);
 
-  // Forces [N] of anchors and air, added to rows of particles. Where anchors are and how
-  // they move is given, and so is the wind.
+  // Adds forces [N] of anchors, with their positions and velocities, and of air, with the wind, to
+  // rows of particles.
   void add_anchor_forces(const double* points, const double* speeds, const double* x,
                          const double* v, double* forces) const;
   void add_air_forces(const double* wind, const double* x, const double* v,
                       double* forces) const;
 
-  // Put held particles where their track is at a time, their velocity that of the way from
-  // where they were before: that may be the same place in memory.
+  // Moves pinned particles to their track at a time, with the velocity from their positions before,
+  // which may be the same array.
   void set_pinned(double t, double h, const double* before, double* x, double* v) const {
     set_pinned(t, h, before, x, v, {ROW, 1});
   }
@@ -112,7 +112,7 @@ class SpringNetwork : public SpringElements {
   Track wind_track;
 
  private:
-  void note_edges();
+  void collect_edges();
 };
 
 // State and workspace of a running network.
@@ -121,35 +121,35 @@ class SpringRun {
   SpringRun(const SpringNetwork& network, const double* x, const double* v,
             const std::uint8_t* torn);
 
-  // Tear springs beyond their limit; returns whether any tore.
+  // Tears springs beyond their limit; returns whether any tore.
   bool tear();
 
   const SpringNetwork& network;
-  std::size_t size;  // of rows
+  std::size_t size;  // of x and v
   std::vector<double> x, v;           // in rows
   std::vector<std::uint8_t> torn;
 
   // Springs that are not torn.
   const SpringLines& lines() const { return untorn_ ? *untorn_ : network.lines; }
 
-  // Anchors and wind at a time; speeds are those of the h before it.
-  void look(double t, double h);
+  // Samples anchors and wind at a time; velocities are those of the preceding h.
+  void sample_surroundings(double t, double h);
   std::vector<double> points, points_before, speeds;
   double wind[3] = {0, 0, 0};
 
-  // Whether forces come of other things than bands of springs; rows of these [N].
-  bool pulled_otherwise() const;
-  void pull_otherwise(const double* x, const double* v, double* forces) const;
+  // Whether there are forces other than those of bands, and these forces [N].
+  bool has_other_forces() const;
+  void set_other_forces(const double* x, const double* v, double* forces) const;
 
-  // Accelerations in rows at a state: held particles have none.
+  // Accelerations at a state, in rows; 0 for pinned particles.
   void accelerate(const double* x, const double* v, double* out);
 
  private:
-  void leave_out_torn();
+  void exclude_torn();
 
-  // Where some are torn, the others.
+  // Springs that are not torn, if some are.
   std::optional<SpringLines> untorn_;
-  PullRoom room_;
+  ForceBuffers buffers_;
 };
 
 // Solver order of springs: by particle, with independent springs next to each other.

@@ -15,7 +15,7 @@ using collide::Vec;
 using collide::load;
 using shapes::row_of;
 
-// A box about points and what is near them.
+// A bounding box of points, enlarged by a reach.
 struct Box {
   double low[3], high[3];
 
@@ -34,8 +34,8 @@ struct Box {
   double widest() const {
     return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]});
   }
-  // Whether a box about two points has something of it.
-  bool meets(Vec a, Vec b) const {
+  // Whether it overlaps the bounding box of two points.
+  bool overlaps(Vec a, Vec b) const {
     return std::max(a.x, b.x) >= low[0] && std::min(a.x, b.x) <= high[0] &&
            std::max(a.y, b.y) >= low[1] && std::min(a.y, b.y) <= high[1] &&
            std::max(a.z, b.z) >= low[2] && std::min(a.z, b.z) <= high[2];
@@ -46,13 +46,13 @@ struct Box {
   }
 };
 
-// Points in cells half as wide as boxes are in the mean.
+// Builds a grid of points with cells half as wide as the mean box.
 void fill(PointGrid& grid, const std::vector<double>& rows, double widths, std::size_t boxes) {
   const double mean = widths / static_cast<double>(std::max<std::size_t>(boxes, 1));
   grid.build(rows.data(), rows.size() / ROW, mean / 2);
 }
 
-// Sorts pairs whose first is below a count.
+// Sorts pairs; first indices are below a count.
 void sort(std::vector<LayerPair>& pairs, std::size_t count) {
   std::vector<std::size_t> starts(count + 1, 0);
   for (const LayerPair& one : pairs) ++starts[static_cast<std::size_t>(one.first) + 1];
@@ -71,8 +71,8 @@ void sort(std::vector<LayerPair>& pairs, std::size_t count) {
 
 std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
                                                  const std::vector<double>& x, double reach) {
-  const double farthest = layers.thickness + reach;
-  const auto box = [&](const shapes::Triangle& t) { return Box({t.a, t.b, t.c}, farthest); };
+  const double max_gap = layers.thickness + reach;
+  const auto box = [&](const shapes::Triangle& t) { return Box({t.a, t.b, t.c}, max_gap); };
   double widths = 0;
   for (std::size_t t = 0; t < layers.triangles(); ++t)
     widths += box(shapes::Triangle(layers.corners(t), x.data())).widest();
@@ -82,14 +82,14 @@ std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
   for (std::size_t t = 0; t < layers.triangles(); ++t) {
     const std::int32_t* corners = layers.corners(t);
     const shapes::Triangle triangle(corners, x.data());
-    const Box about = box(triangle);
-    grid.visit(about.low, about.high, [&](std::int32_t n, const double* location) {
-      if (!about.has(location) || std::find(corners, corners + 3, n) != corners + 3) return;
+    const Box bounds = box(triangle);
+    grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* location) {
+      if (!bounds.has(location) || std::find(corners, corners + 3, n) != corners + 3) return;
       const double gap = triangle.distance(load(location));
-      if (!(gap <= farthest)) return;
-      const double least = layers.least(t, n);
-      if (least > 0 && gap - least <= reach)
-        hit.push_back({static_cast<std::int32_t>(t), n, least, gap});
+      if (!(gap <= max_gap)) return;
+      const double distance = layers.distance(t, n);
+      if (distance > 0 && gap - distance <= reach)
+        hit.push_back({static_cast<std::int32_t>(t), n, distance, gap});
     });
   }
   sort(hit, layers.triangles());
@@ -98,11 +98,11 @@ std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
 
 std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
                                            const std::vector<double>& x, double reach) {
-  const double farthest = layers.most_of_edges() + reach;
+  const double max_gap = layers.max_edge_distance() + reach;
   std::vector<double> middles(ROW * layers.edges()), lengths(layers.edges());
-  // Of two edges the longer looks for the shorter: its middle is no farther than this.
+  // The longer of two edges finds the shorter, whose midpoint is within this distance.
   const auto box = [&](const shapes::Segment& edge, double along) {
-    return Box({edge.a, edge.b}, farthest + along / 2);
+    return Box({edge.a, edge.b}, max_gap + along / 2);
   };
   double widths = 0;
   for (std::size_t e = 0; e < layers.edges(); ++e) {
@@ -117,11 +117,11 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const std::int32_t* ends = layers.ends(e);
     const shapes::Segment edge(ends, x.data());
-    const Box about = box(edge, lengths[e]), close = box(edge, 0);
+    const Box bounds = box(edge, lengths[e]), close = box(edge, 0);
     const Vec middle = load(&middles[ROW * e]);
-    grid.visit(about.low, about.high, [&](std::int32_t n, const double* location) {
-      // Behind its middle there is its length.
-      const double other = location[3], most = farthest + (lengths[e] + other) / 2;
+    grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* location) {
+      // The length follows the midpoint.
+      const double other = location[3], most = max_gap + (lengths[e] + other) / 2;
       const Vec off = load(location) - middle;
       if (dot(off, off) > most * most) return;
       const auto f = static_cast<std::size_t>(n);
@@ -130,14 +130,14 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
       const std::int32_t *one = layers.ends(first), *two = layers.ends(second);
       if (one[0] == two[0] || one[0] == two[1] || one[1] == two[0] || one[1] == two[1]) return;
       const std::int32_t* others = layers.ends(f);
-      if (!close.meets(row_of(x.data(), others[0]), row_of(x.data(), others[1]))) return;
+      if (!close.overlaps(row_of(x.data(), others[0]), row_of(x.data(), others[1]))) return;
       const std::int32_t who[4] = {one[0], one[1], two[0], two[1]};
       const double gap = length(shapes::EdgePair(who, x.data()).nearest().off);
-      if (!(gap <= farthest)) return;
-      const double least = layers.least_of_edges(first, second);
-      if (least > 0 && gap - least <= reach)
+      if (!(gap <= max_gap)) return;
+      const double distance = layers.edge_distance(first, second);
+      if (distance > 0 && gap - distance <= reach)
         hit.push_back({static_cast<std::int32_t>(first), static_cast<std::int32_t>(second),
-                         least, gap});
+                         distance, gap});
     });
   }
   sort(hit, layers.edges());

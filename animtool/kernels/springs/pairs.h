@@ -12,33 +12,32 @@
 
 namespace animtool {
 
-// A triangle and a corner, or two edges, by number, the distance that they keep, and how far
-// apart they were.
+// Indices of a triangle and a corner, or of two edges, the distance that they keep, and their gap.
 struct LayerPair {
   std::int32_t first, second;
-  double least, gap;
+  double distance, gap;
 };
 
 using FourParticles = std::array<std::int32_t, 4>;
-// Parts, and what they are through.
+// Elements, and the elements that they pierce.
 using Through = std::vector<std::pair<std::int32_t, std::int32_t>>;
 
 // Triangles, and corners of others.
 struct TrianglesAndCorners {
   using Shape = shapes::CornerPair;
-  static constexpr std::size_t FIRST = 1;  // of the four particles, how many are of one part
+  static constexpr std::size_t FIRST = 1;  // number of the four particles that belong to the first element
 
   static FourParticles who(const SpringLayers& layers, std::int32_t triangle,
                            std::int32_t particle) {
     const std::int32_t* of = layers.corners(static_cast<std::size_t>(triangle));
     return {particle, of[0], of[1], of[2]};
   }
-  // Adds who is through what, and asks whether a pair is beside such.
+  // Records a piercing, and tests whether a pair is next to one.
   static void note(Through& through, std::int32_t triangle, std::int32_t particle) {
     through.push_back({particle, triangle});
   }
   template <class IsThrough>
-  static bool came_round(const SpringLayers& layers, std::int32_t triangle,
+  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t triangle,
                          std::int32_t particle, IsThrough is_through) {
     return is_through(particle, [&](std::int32_t other) {
       const std::int32_t *one = layers.corners(static_cast<std::size_t>(triangle)),
@@ -46,12 +45,12 @@ struct TrianglesAndCorners {
       return std::find_first_of(one, one + 3, two, two + 3) != one + 3;
     });
   }
-  // Pairs no farther than this beyond what they keep, ascending.
+  // Pairs within a reach beyond their contact distance, sorted.
   static std::vector<LayerPair> near(const SpringLayers& layers, const std::vector<double>& x,
                                      double reach);
 };
 
-// Edges, and edges of a higher number.
+// Edges, and edges with a higher index.
 struct EdgesAndEdges {
   using Shape = shapes::EdgePair;
   static constexpr std::size_t FIRST = 2;
@@ -67,7 +66,7 @@ struct EdgesAndEdges {
     through.push_back({second, first});
   }
   template <class IsThrough>
-  static bool came_round(const SpringLayers& layers, std::int32_t first, std::int32_t second,
+  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t first, std::int32_t second,
                          IsThrough is_through) {
     const auto relative = [&](std::int32_t edge) {
       return [&layers, edge](std::int32_t other) {

@@ -1,4 +1,4 @@
-// Edges that go through triangles.
+// Edges that pierce triangles.
 #include <algorithm>
 #include <optional>
 #include <utility>
@@ -27,7 +27,7 @@ std::vector<std::int32_t> edges_of(const std::vector<std::int32_t>& corners) {
 std::vector<std::int32_t> checked_corners(const char* name, In<std::int64_t, 2> triangles,
                                           std::size_t count) {
   check::shape(name, triangles, {check::ANY, 3});
-  check::at_most(name, triangles.shape(0), check::MOST_ROWS);
+  check::at_most(name, triangles.shape(0), check::MAX_ROWS);
   check::indices(name, triangles, 0, static_cast<std::int64_t>(count));
   return {triangles.data(), triangles.data() + triangles.size()};
 }
@@ -38,7 +38,7 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
                            const std::optional<In<std::int64_t, 2>>& others) {
   const std::size_t count = positions.shape(0);
   check::shape("positions", positions, {check::ANY, 3});
-  check::at_most("positions", count, check::MOST_ROWS);
+  check::at_most("positions", count, check::MAX_ROWS);
   const std::vector<std::int32_t> corners = checked_corners("triangles", triangles, count);
   std::vector<double> x(ROW * count);
   for (std::size_t n = 0; n < count; ++n)

@@ -17,28 +17,28 @@ namespace animtool {
 namespace {
 
 // Calm cells after which half as many steps are tried.
-constexpr int CALM_CELLS = 120;
+constexpr int RELAXED_CELLS = 120;
 // Strain, relative to the limit, below which a cell is calm.
-constexpr double CALM_FRACTION = 0.125;
+constexpr double RELAXED_FRACTION = 0.125;
 // Ratio of strain to its part beyond compliance above which it counts as compliance.
 constexpr double COMPLIANT = 2;
 // Springs with a compliance below this fraction of the correction count as stiff [1].
 constexpr double RIGID = 0.1;
-// Rounds of strain limiting in a step.
-constexpr int LIMIT_ROUNDS = 4;
-// Strain that contacts may add over the limit, and rounds of reducing it.
+// Passes of strain limiting in a step.
+constexpr int LIMIT_PASSES = 4;
+// Strain that contacts may add, over the limit, and passes of reducing it.
 constexpr double LAST_LIMIT = 1.4;
-constexpr int LAST_ROUNDS = 2;
-// Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
-// where these help.
-constexpr double BEYOND_LIMIT = 2, HELPED = 0.7;
+constexpr int LAST_PASSES = 2;
+// Strain over the limit above which a cell is repeated in shorter steps, and ratio of strains
+// below which these help.
+constexpr double BEYOND_LIMIT = 2, MIN_IMPROVEMENT = 0.7;
 
-// What of a spring a step of length h moves: by its length beyond rest, by the change of it.
-struct Give {
+// Correction factors of a spring in a step of h: of its elongation, and of the change of it.
+struct Compliance {
   double length, change;
 };
 
-Give give(double stiffness, double damping, double weight, double h) {
+Compliance compliance_of(double stiffness, double damping, double weight, double h) {
   const double k = stiffness * h * h, c = damping * h;
   const double full = (k + c) * weight + 1;
   return {k / full, c / full};
@@ -55,30 +55,30 @@ class Projection {
         limit_(limit),
         before_(run.size) {}
 
-  // One cell in a number of steps; returns the largest stretch of a spring that is not for
-  // the most part what its own stiffness gives under what it bears.
-  double cross(std::int64_t index, double start, int substeps) {
+  // Advances a cell in a number of steps; returns the largest strain of a spring that is not mostly
+  // due to its own compliance under load.
+  double advance_cell(std::int64_t index, double start, int substeps) {
     prepare(substeps);
     const double h = cell_ / substeps;
     contacts_.begin_cell(index, substeps, h);
     self_.begin_cell(index, run_.x);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
-      run_.look(t + h, h);
+      run_.sample_surroundings(t + h, h);
       if (limit_ > 0) start_ = run_.x;
       predict(h);
       run_.network.set_pinned(t + h, h, before_.data(), run_.x.data(), run_.v.data());
-      project(j + 1 < substeps ? nullptr : gives_.data());
+      project(j + 1 < substeps ? nullptr : excess_.data());
       pull_anchors();
       limit_strains(limit_);
       self_.separate(h, before_, run_.x);
-      settle(j, h);
-      self_.look(before_, run_.x);
+      resolve(j, h);
+      self_.record_crossings(before_, run_.x);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
-      calm_edges();
+      damp_edge_speeds();
     }
-    return stretch();
+    return largest_strain();
   }
 
   void forget() { prepared_ = 0; }
@@ -96,21 +96,21 @@ class Projection {
       weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
       weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
       const double both = *(weights_.end() - 2) + weights_.back();
-      const Give compliance = give(spring.stiffness, spring.damping, both, h);
+      const Compliance compliance = compliance_of(spring.stiffness, spring.damping, both, h);
       lengths_.push_back(compliance.length);
       changes_.push_back(compliance.change);
     }
-    anchor_gives_.clear();
+    anchor_compliances_.clear();
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
-      anchor_gives_.push_back(
-          give(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
+      anchor_compliances_.push_back(
+          compliance_of(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
                masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
-    gives_.assign(run_.lines().springs.size(), 0.0);
-    note_limited();
+    excess_.assign(run_.lines().springs.size(), 0.0);
+    collect_limited();
   }
 
-  // Springs that hardly give, with what their ends move by.
-  void note_limited() {
+  // Collects stiff springs, with the weights of their ends.
+  void collect_limited() {
     limited_.clear();
     if (!(limit_ > 0)) return;
     for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
@@ -147,27 +147,27 @@ class Projection {
     }
   }
 
-  void project(double* kept) {
+  void project(double* excess) {
     const SpringLines& lines = run_.lines();
-    const GiveColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
+    const ComplianceColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
                               changes_.data(), weights_.data()};
     spring_loops().project(columns, lines.runs.data(), lines.runs.size(), run_.x.data(),
-                           before_.data(), kept);
+                           before_.data(), excess);
   }
 
-  // Contacts with colliders and, where strain is limited, what holds the surface together
-  // after these: what they strained too much gives way once more.
-  void settle(int step, double h) {
-    contacts_.settle(step, before_, run_.x, nullptr);
+  // Resolves contacts with colliders and, if strain is limited, piercing and the strain that
+  // contacts caused.
+  void resolve(int step, double h) {
+    contacts_.resolve(step, before_, run_.x, nullptr);
     if (!(limit_ > 0)) return;
-    const auto meet = [&] { contacts_.settle(step, before_, run_.x, nullptr, &moved_); };
+    const auto resolve_contacts = [&] { contacts_.resolve(step, before_, run_.x, nullptr, &moved_); };
     moved_.assign(run_.network.particles(), 1);
-    self_.prevent_piercing(h, start_, before_, run_.x, moved_, meet);
-    for (int round = 0; round < LAST_ROUNDS; ++round) {
+    self_.prevent_piercing(h, start_, before_, run_.x, moved_, resolve_contacts);
+    for (int pass = 0; pass < LAST_PASSES; ++pass) {
       std::fill(moved_.begin(), moved_.end(), 0);
       if (!limit_strains(LAST_LIMIT * limit_, &moved_)) return;
-      meet();
-      self_.prevent_piercing(h, start_, before_, run_.x, moved_, meet);
+      resolve_contacts();
+      self_.prevent_piercing(h, start_, before_, run_.x, moved_, resolve_contacts);
     }
   }
 
@@ -178,20 +178,20 @@ class Projection {
       const double inverse = network.inverse_masses[at / ROW];
       for (std::size_t k = 0; k < 3; ++k) {
         const double off = run_.points[3 * a + k] - run_.x[at + k];
-        const double went = off - (run_.points_before[3 * a + k] - before_[at + k]);
-        run_.x[at + k] += inverse * (anchor_gives_[a].length * off +
-                                     anchor_gives_[a].change * went);
+        const double displacement = off - (run_.points_before[3 * a + k] - before_[at + k]);
+        run_.x[at + k] += inverse * (anchor_compliances_[a].length * off +
+                                     anchor_compliances_[a].change * displacement);
       }
     }
   }
 
-  // Brings back to their limits what many springs in a row left beyond these; both ends move,
-  // so that momentum stays. Whether there was any; those are marked.
+  // Clamps the strain of stiff springs; both ends move, so that momentum is conserved. Returns
+  // whether any moved; those are marked.
   bool limit_strains(double limit, std::vector<std::uint8_t>* marks = nullptr) {
     bool moved = false;
-    for (int round = 0; round < LIMIT_ROUNDS; ++round) {
+    for (int pass = 0; pass < LIMIT_PASSES; ++pass) {
       bool any = false;
-      for (const Limited& one : limited_) {
+      for (const LimitedEdge& one : limited_) {
         double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
         const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
         const double square = dot3(d, d), low = one.rest * (1 - limit),
@@ -212,10 +212,9 @@ class Projection {
     return moved;
   }
 
-  // Takes from ends how fast they come apart or together: what brought an edge back to its
-  // length throws nothing.
-  void calm_edges() {
-    for (const Limited& one : limited_) {
+  // Removes the relative speed of ends along stiff edges, so that strain limiting adds no speed.
+  void damp_edge_speeds() {
+    for (const LimitedEdge& one : limited_) {
       const double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
       double *u = run_.v.data() + one.i, *v = run_.v.data() + one.j;
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
@@ -230,7 +229,7 @@ class Projection {
     }
   }
 
-  double stretch() const {
+  double largest_strain() const {
     double most = 0;
     for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
       const Spring& spring = run_.lines().springs[s];
@@ -241,7 +240,7 @@ class Projection {
       const double square = dot3(d, d), bound = spring.rest * (1 + most);
       if (square <= bound * bound) continue;
       const double beyond = std::sqrt(square) - spring.rest;
-      const double compliance = std::max(0.0, gives_[s]);
+      const double compliance = std::max(0.0, excess_[s]);
       most = std::max(most, std::min(beyond, COMPLIANT * (beyond - compliance)) / spring.rest);
       if (square != square) return std::numeric_limits<double>::infinity();
     }
@@ -253,16 +252,16 @@ class Projection {
   SelfContacts& self_;
   double cell_, limit_;
   int prepared_ = 0;
-  struct Limited {
+  struct LimitedEdge {
     std::size_t i, j;  // rows
     double rest, first, last;
   };
-  std::vector<Limited> limited_;
-  std::vector<double> start_;        // where a step began
-  std::vector<std::uint8_t> moved_;  // particles, since they were last looked at
+  std::vector<LimitedEdge> limited_;
+  std::vector<double> start_;        // positions at the start of a step
+  std::vector<std::uint8_t> moved_;  // particles moved since the last test
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
-  std::vector<double> gives_;  // by how much springs are longer right after their own turn
-  std::vector<Give> anchor_gives_;
+  std::vector<double> excess_;  // elongation of springs right after their correction
+  std::vector<Compliance> anchor_compliances_;
 };
 
 }  // namespace
@@ -270,15 +269,15 @@ class Projection {
 SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
                                  In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                                  double cell, std::int64_t cells, int substeps, int calm,
-                                 int least, int most, double stretch,
+                                 int min_substeps, int max_substeps, double stretch,
                                  const std::optional<SpringColliders>& colliders,
                                  const SpringLayers* layers, In<std::int64_t, 2> crossed,
                                  double limit) {
   const Cells grid{origin, first, cell, cells};
-  check::between("most", most, 1, static_cast<int>(MOST_SUBSTEPS));
-  check::between("least", least, 1, static_cast<int>(MOST_SUBSTEPS));
+  check::between("max_substeps", max_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
+  check::between("min_substeps", min_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check_cells(grid, substeps);
-  check_cells(grid, std::max(substeps, most));
+  check_cells(grid, std::max(substeps, max_substeps));
   check::between("calm", calm, 0, std::numeric_limits<int>::max() / 2);
   if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
   check::not_negative("limit", limit);
@@ -286,43 +285,43 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   SpringRun run = begin_springs(network, state, torn);
   SpringContacts contacts(colliders, network, cells, limit > 0);
   SelfContacts self(layers, network, crossed, limit > 0);
-  double worst = 0;
-  std::int64_t taken = 0;
+  double largest_strain = 0;
+  std::int64_t total_steps = 0;
   Projection projection(run, cell, limit, contacts, self);
   std::vector<double> x, v;
   for (std::int64_t i = 0; i < cells; ++i) {
     x = run.x;
     v = run.v;
-    double hit = projection.cross(i, grid.start(i), substeps);
-    taken += substeps;
+    double strain = projection.advance_cell(i, grid.start(i), substeps);
+    total_steps += substeps;
     const double bound = limit > 0 ? std::max(stretch, BEYOND_LIMIT * limit) : stretch;
-    const auto more_through = [&] { return limit > 0 && self.crossings() > self.begun_crossings(); };
-    bool helped = true;
-    while ((!(hit <= bound) || more_through()) && substeps < most && helped) {
-      substeps = std::min(2 * substeps, most);
+    const auto has_new_crossings = [&] { return limit > 0 && self.crossings() > self.start_crossings(); };
+    bool improves = true;
+    while ((!(strain <= bound) || has_new_crossings()) && substeps < max_substeps && improves) {
+      substeps = std::min(2 * substeps, max_substeps);
       calm = 0;
       run.x = x;
       run.v = v;
-      const double last = hit;
-      hit = projection.cross(i, grid.start(i), substeps);
-      taken += substeps;
-      // What contacts and held particles ask for, shorter steps do not mend.
-      if (limit > 0) helped = more_through() || hit <= HELPED * last;
+      const double last = strain;
+      strain = projection.advance_cell(i, grid.start(i), substeps);
+      total_steps += substeps;
+      // Shorter steps do not reduce the strain that contacts and pinned particles impose.
+      if (limit > 0) improves = has_new_crossings() || strain <= MIN_IMPROVEMENT * last;
     }
-    if (limit > 0 && hit <= bound && !more_through() && substeps > least)
-      substeps = std::max(substeps / 2, least);
-    worst = std::max(worst, hit);
-    self.note_through();
-    calm = hit <= CALM_FRACTION * stretch ? calm + 1 : 0;
-    if (calm >= CALM_CELLS && substeps > least) {
-      substeps = std::max(substeps / 2, least);
+    if (limit > 0 && strain <= bound && !has_new_crossings() && substeps > min_substeps)
+      substeps = std::max(substeps / 2, min_substeps);
+    largest_strain = std::max(largest_strain, strain);
+    self.record_piercing();
+    calm = strain <= RELAXED_FRACTION * stretch ? calm + 1 : 0;
+    if (calm >= RELAXED_CELLS && substeps > min_substeps) {
+      substeps = std::max(substeps / 2, min_substeps);
       calm = 0;
     }
     if (run.tear()) projection.forget();
   }
-  return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
-          contacts.touched, contacts.unresolved, self.ended(), self.through(),
-          contacts.pushes()};
+  return {ended_state(run), ended_torn(run), substeps, calm, largest_strain, total_steps,
+          contacts.touched, contacts.unresolved, self.ended(), self.piercing(),
+          contacts.impulses()};
 }
 
 }  // namespace animtool

@@ -8,33 +8,33 @@
 
 namespace animtool {
 
-// Numbers to a particle.
+// Numbers of a particle.
 constexpr std::size_t ROW = 4;
 
-// What of springs the loops read, a column each; ends two by two.
+// Springs as columns; both ends are adjacent.
 struct SpringColumns {
   const std::int32_t* ends;
   const double *rest, *stiffness, *damping;
 };
 
-// What of springs a step of extended position based dynamics reads.
-struct GiveColumns {
+// Springs in a step of extended position based dynamics.
+struct ComplianceColumns {
   const std::int32_t* ends;
   const double *rest, *length, *change;
-  // Weights of both ends, two by two.
+  // Weights of both ends, adjacent.
   const double* weights;
 };
 
-// Forces of springs over their lengths, from the squares of these and from how their ends
-// move apart times these. Ends at one place have no direction, and no force.
+// Forces of springs over their lengths, from squared lengths, and from relative velocities of the
+// ends dotted with the offsets. Coincident ends have no direction, and no force.
 template <class N>
-N pull_of(const N& rest, const N& stiffness, const N& damping, const N& square,
+N force_over_length(const N& rest, const N& stiffness, const N& damping, const N& square,
           const N& closing) {
-  const N over = inverse(square), length = rest * (root(square) * over);
+  const N over = inverse(square), length = rest * (sqrt(square) * over);
   return stiffness * (1.0 - length) + damping * (closing * over);
 }
 
-// One particle or spring by itself, for what is written for several.
+// A single particle or spring, for code that works on several.
 template <class On>
 using One = Wide<double, 1, On>;
 
@@ -49,9 +49,9 @@ void add_to_row(const Vector3<One<On>>& shift, double* row) {
   (One<On>::of(row + 2) + shift.z).store(row + 2);
 }
 
-// Add the forces of springs to rows of particles.
+// Adds the forces of springs to rows of particles.
 template <class On>
-void add_pulls(const SpringColumns& springs, std::size_t count, const double* x,
+void add_forces(const SpringColumns& springs, std::size_t count, const double* x,
                const double* v, double* forces) {
   using N = Four<On>;
   std::size_t s = 0;
@@ -65,7 +65,7 @@ void add_pulls(const SpringColumns& springs, std::size_t count, const double* x,
       e[l] = N::of(v + j) - N::of(v + i);
     }
     double pulls[WIDE];
-    pull_of(N::of(springs.rest + s), N::of(springs.stiffness + s), N::of(springs.damping + s),
+    force_over_length(N::of(springs.rest + s), N::of(springs.stiffness + s), N::of(springs.damping + s),
             dots(d, d), dots(d, e))
         .store(pulls);
     for (std::size_t l = 0; l < WIDE; ++l) {
@@ -81,20 +81,19 @@ void add_pulls(const SpringColumns& springs, std::size_t count, const double* x,
     const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
     const auto d = row_at<On>(x + j) - row_at<On>(x + i);
     const auto e = row_at<On>(v + j) - row_at<On>(v + i);
-    const auto force = d * pull_of<One<On>>(springs.rest[s], springs.stiffness[s],
+    const auto force = d * force_over_length<One<On>>(springs.rest[s], springs.stiffness[s],
                                             springs.damping[s], dot(d, d), dot(d, e));
     add_to_row<On>(force, forces + i);
     add_to_row<On>(-force, forces + j);
   }
 }
 
-// Of particles, by number.
+// Particles as columns.
 struct ParticleColumns {
   const double *inverse_masses, *drags;
 };
 
-// Turn rows of forces into accelerations: those of held particles are 0. What falls freely is
-// a row.
+// Converts rows of forces to accelerations, 0 for pinned particles. `fall` is the gravity, as a row.
 template <class On>
 void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* fall,
                      const double* v, double* rows) {
@@ -107,7 +106,7 @@ void accelerate_rows(const ParticleColumns& particles, std::size_t count, const 
   }
 }
 
-// Go on for a time: velocities first, and places with the new ones.
+// Takes a step: velocities first, then positions with the new velocities.
 template <class On>
 void advance_rows(std::size_t count, double h, const double* rates, double* x, double* v) {
   using N = Four<On>;
@@ -118,11 +117,11 @@ void advance_rows(std::size_t count, double h, const double* rates, double* x, d
   }
 }
 
-// Move the ends of four springs that share none together, and keep by how much these are longer
-// than at rest right after.
+// Corrects four springs without a shared end, and stores how much longer than at rest they are
+// right after.
 template <class On>
-void project_four(const GiveColumns& springs, std::size_t s, double* x, const double* before,
-                  double* kept) {
+void project_four(const ComplianceColumns& springs, std::size_t s, double* x, const double* before,
+                  double* excess) {
   using N = Four<On>;
   const std::int32_t* ends = springs.ends + 2 * s;
   N d[WIDE], e[WIDE];
@@ -132,19 +131,19 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
     d[l] = N::of(x + j) - N::of(x + i);
     e[l] = d[l] - (N::of(before + j) - N::of(before + i));
   }
-  const N square = dots(d, d), over = inverse(square), size = root(square);
+  const N square = dots(d, d), over = inverse(square), size = sqrt(square);
   const N beyond = if_distinct(square, 1.0 - N::of(springs.rest + s) * (size * over));
-  // The pull over the length, with which the ends come together.
+  // The correction over the length, which moves the ends together.
   double pulls[WIDE];
   (N::of(springs.length + s) * beyond + N::of(springs.change + s) * (dots(d, e) * over))
       .store(pulls);
   const double* weights = springs.weights + 2 * s;
-  if (kept) {
+  if (excess) {
     double longer[WIDE], lengths[WIDE];
     (beyond * size).store(longer);
     size.store(lengths);
     for (std::size_t l = 0; l < WIDE; ++l)
-      kept[s + l] =
+      excess[s + l] =
           longer[l] - pulls[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
   }
   for (std::size_t l = 0; l < WIDE; ++l) {
@@ -156,36 +155,36 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
 }
 
 template <class On>
-void project_one(const GiveColumns& springs, std::size_t s, double* x, const double* before,
-                 double* kept) {
+void project_one(const ComplianceColumns& springs, std::size_t s, double* x, const double* before,
+                 double* excess) {
   using N = One<On>;
   const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
   const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
   const auto d = row_at<On>(x + j) - row_at<On>(x + i);
   const auto e = d - (row_at<On>(before + j) - row_at<On>(before + i));
-  const N square = dot(d, d), over = inverse(square), size = root(square);
+  const N square = dot(d, d), over = inverse(square), size = sqrt(square);
   const N beyond = if_distinct(square, 1.0 - springs.rest[s] * (size * over));
   const N pull = springs.length[s] * beyond + springs.change[s] * (dot(d, e) * over);
   const double *weights = springs.weights + 2 * s;
-  if (kept) ((beyond - pull * (weights[0] + weights[1])) * size).store(kept + s);
+  if (excess) ((beyond - pull * (weights[0] + weights[1])) * size).store(excess + s);
   add_to_row<On>(d * (pull * weights[0]), x + i);
   add_to_row<On>(-(d * (pull * weights[1])), x + j);
 }
 
-// Runs of springs, of which each four share no end or are done one by one.
+// A run of springs: groups of four without a shared end, then single ones.
 struct SpringRunLength {
   std::size_t begin, fours, ones;
 };
 
 template <class On>
-void project_all(const GiveColumns& springs, const SpringRunLength* runs, std::size_t count,
-                 double* x, const double* before, double* kept) {
+void project_all(const ComplianceColumns& springs, const SpringRunLength* runs, std::size_t count,
+                 double* x, const double* before, double* excess) {
   for (std::size_t r = 0; r < count; ++r) {
     std::size_t s = runs[r].begin;
     for (std::size_t n = 0; n < runs[r].fours; ++n, s += WIDE)
-      project_four<On>(springs, s, x, before, kept);
+      project_four<On>(springs, s, x, before, excess);
     for (std::size_t n = 0; n < runs[r].ones; ++n, ++s)
-      project_one<On>(springs, s, x, before, kept);
+      project_one<On>(springs, s, x, before, excess);
   }
 }
 

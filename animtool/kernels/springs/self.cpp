@@ -15,15 +15,15 @@ namespace {
 using collide::Vec;
 using collide::load;
 
-// Of a way in a step, over that of all, what is looked at for crossings [thickness].
-constexpr double FASTEST = 4;
-// How much farther pairs are listed than they come in a step [thickness].
-constexpr double LISTED = 4;
-// Steps that those which are near are picked from them for, and bounds of that [thickness].
-constexpr double PICK_STEPS = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
-// How fast what is tangled comes free [m/s].
-constexpr double FREED = 1;
-// Width of cells that hold what may come near [longest edge, thickness].
+// Largest relative displacement in a step that is tested for crossings [thickness].
+constexpr double MAX_TRAVEL = 4;
+// Extra reach of the list of pairs [thickness].
+constexpr double LIST_MARGIN = 4;
+// Steps for which near pairs are picked from the list, and bounds of their reach [thickness].
+constexpr double PICK_STEPS = 6, MIN_PICK = 0.03, MAX_PICK = 0.5;
+// Speed of untangling [m/s].
+constexpr double UNTANGLING_SPEED = 1;
+// Width of the cells of nearby elements [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
 
 RigidMotion common_motion(const std::vector<double>& from, const std::vector<double>& to) {
@@ -44,10 +44,10 @@ SelfContacts::SelfContacts(const SpringLayers& layers, const SpringNetwork& netw
     : layers_(&layers), network_(network) {}
 
 SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-                           const In<std::int64_t, 2>& crossed, bool frees)
+                           const In<std::int64_t, 2>& crossed, bool untangles)
     : layers_(layers), network_(network) {
   if (layers_) check_layers(*layers_, network);
-  if (layers_ && frees) {
+  if (layers_ && untangles) {
     tangles_.emplace(*layers_, network.inverse_masses);
     zones_.emplace(network.inverse_masses);
   }
@@ -80,99 +80,99 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
 }
 
 void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
-  // What began whole is kept so.
+  // A surface without piercing stays so.
   if (tangles_ && cell != cell_ && (cell_ < 0 || tangles_->any() || crossings() > 0))
     tangles_->find(x);
   if (cell == cell_) {
-    corners_.crossed = begun_corners_;
-    edges_.crossed = begun_edges_;
+    corners_.crossed = start_corners_;
+    edges_.crossed = start_edges_;
   } else {
-    begun_corners_ = corners_.crossed;
-    begun_edges_ = edges_.crossed;
+    start_corners_ = corners_.crossed;
+    start_edges_ = edges_.crossed;
   }
   cell_ = cell;
 }
 
-void SelfContacts::look_around(double h, const std::vector<double>& before,
+void SelfContacts::rebuild_cells(double h, const std::vector<double>& before,
                                const std::vector<double>& x) {
   longest_ = 0;
   for (std::size_t e = 0; e < layers_->edges(); ++e)
     longest_ = std::max(longest_, length(shapes::Segment(layers_->ends(e), x.data()).shift()));
   const double back = layers_->speed * h;
   motion_.build(x, CELL_EDGES * longest_ + CELL * layers_->thickness + 2 * back);
-  listed_.reach = picked_.reach = -1;
+  pair_list_.reach = near_list_.reach = -1;
   measure(h, before, x);
 }
 
 void SelfContacts::measure(double h, const std::vector<double>& before,
                            const std::vector<double>& x) {
   travel_ = motion_.between(before, x).near;
-  most_ = std::min(travel_, FASTEST * layers_->thickness);
-  need_ = most_ + layers_->speed * h;
-  far_ = 0;
-  if (listed_.reach < 0) return;
-  const Drift drift = motion_.between(listed_.at, x, common_motion(listed_.at, x));
-  listed_.drift = drift.near, far_ = drift.all;
-  picked_.drift = motion_.between(picked_.at, x, common_motion(picked_.at, x)).near;
+  max_travel_ = std::min(travel_, MAX_TRAVEL * layers_->thickness);
+  need_ = max_travel_ + layers_->speed * h;
+  total_drift_ = 0;
+  if (pair_list_.reach < 0) return;
+  const Drift drift = motion_.between(pair_list_.at, x, common_motion(pair_list_.at, x));
+  pair_list_.drift = drift.near, total_drift_ = drift.all;
+  near_list_.drift = motion_.between(near_list_.at, x, common_motion(near_list_.at, x)).near;
 }
 
 bool SelfContacts::cells_cover() const {
-  return far_ + need_ + layers_->thickness + 2 * longest_ <= motion_.width();
+  return total_drift_ + need_ + layers_->thickness + 2 * longest_ <= motion_.width();
 }
 
 void SelfContacts::list(double h, const std::vector<double>& before,
                         const std::vector<double>& x) {
-  if (cells_cover() && picked_.covers(need_)) return;
+  if (cells_cover() && near_list_.covers(need_)) return;
   const double d = layers_->thickness;
-  if (!cells_cover() || !listed_.covers(need_)) {
-    look_around(h, before, x);
-    listed_.begin(x, need_ + LISTED * d);
-    corners_.list(*layers_, x, listed_.reach);
-    edges_.list(*layers_, x, listed_.reach);
+  if (!cells_cover() || !pair_list_.covers(need_)) {
+    rebuild_cells(h, before, x);
+    pair_list_.begin(x, need_ + LIST_MARGIN * d);
+    corners_.list(*layers_, x, pair_list_.reach);
+    edges_.list(*layers_, x, pair_list_.reach);
   }
-  const double reach = need_ + std::clamp(PICK_STEPS * travel_, LEAST_PICK * d, MOST_PICK * d);
-  picked_.begin(x, std::min(reach, listed_.reach - listed_.drift));
-  const RigidMotion shift = common_motion(listed_.at, x);
-  went_.resize(x.size() / ROW);
-  for (std::size_t n = 0; n < went_.size(); ++n)
-    went_[n] = length(load(&x[ROW * n]) - shift(load(&listed_.at[ROW * n])));
-  corners_.pick(*layers_, x, went_, picked_.reach);
-  edges_.pick(*layers_, x, went_, picked_.reach);
+  const double reach = need_ + std::clamp(PICK_STEPS * travel_, MIN_PICK * d, MAX_PICK * d);
+  near_list_.begin(x, std::min(reach, pair_list_.reach - pair_list_.drift));
+  const RigidMotion shift = common_motion(pair_list_.at, x);
+  displacements_.resize(x.size() / ROW);
+  for (std::size_t n = 0; n < displacements_.size(); ++n)
+    displacements_[n] = length(load(&x[ROW * n]) - shift(load(&pair_list_.at[ROW * n])));
+  corners_.pick(*layers_, x, displacements_, near_list_.reach);
+  edges_.pick(*layers_, x, displacements_, near_list_.reach);
 }
 
 void SelfContacts::separate(double h, std::vector<double>& before, std::vector<double>& x) {
   if (!layers_ || x.empty()) return;
   corners_.forget();
   edges_.forget();
-  // Of what has blown up nothing is known any more.
+  // After divergence, no side is known.
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return;
-  if (listed_.reach < 0)
-    look_around(h, before, x);
+  if (pair_list_.reach < 0)
+    rebuild_cells(h, before, x);
   else
     measure(h, before, x);
   list(h, before, x);
-  const double most = FASTEST * layers_->thickness, more = layers_->speed * h;
+  const double most = MAX_TRAVEL * layers_->thickness, more = layers_->speed * h;
   if (travel_ > most) rate_needed_ = std::max(rate_needed_, travel_ / (most * h));
   const Tangles* tangles = tangles_ && tangles_->any() ? &*tangles_ : nullptr;
-  if (tangles) tangles->part(FREED * h, before, x);
-  corners_.find(*layers_, before, x, most_, more, tangles);
-  edges_.find(*layers_, before, x, most_, more, tangles);
+  if (tangles) tangles->part(UNTANGLING_SPEED * h, before, x);
+  corners_.find(*layers_, before, x, max_travel_, more, tangles);
+  edges_.find(*layers_, before, x, max_travel_, more, tangles);
   if (!corners_.any() && !edges_.any()) return;
   Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
-  corners_.part(*layers_, separation);
-  edges_.part(*layers_, separation);
+  corners_.separate(*layers_, separation);
+  edges_.separate(*layers_, separation);
   separation.end();
 }
 
-bool SelfContacts::passes(double h, const std::vector<double>& from,
+bool SelfContacts::find_passed(double h, const std::vector<double>& from,
                           const std::vector<double>& x, std::vector<std::uint8_t>& moved) {
   passed_corners_.clear();
   passed_edges_.clear();
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return false;
   measure(h, from, x);
   list(h, from, x);
-  corners_.note_passed(*layers_, from, x, moved, *tangles_, passed_corners_);
-  edges_.note_passed(*layers_, from, x, moved, *tangles_, passed_edges_);
+  corners_.collect_passed(*layers_, from, x, moved, *tangles_, passed_corners_);
+  edges_.collect_passed(*layers_, from, x, moved, *tangles_, passed_edges_);
   std::fill(moved.begin(), moved.end(), 0);
   for (const auto* passed : {&passed_corners_, &passed_edges_})
     for (const LayerHit& hit : *passed)
@@ -180,16 +180,16 @@ bool SelfContacts::passes(double h, const std::vector<double>& from,
   return !passed_corners_.empty() || !passed_edges_.empty();
 }
 
-void SelfContacts::part_passed(double h, std::vector<double>& before,
+void SelfContacts::separate_passed(double h, std::vector<double>& before,
                                std::vector<double>& x) const {
   Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x,
                   true);
-  for (const LayerHit& hit : passed_corners_) separation.part<TrianglesAndCorners::Shape>(hit);
-  for (const LayerHit& hit : passed_edges_) separation.part<EdgesAndEdges::Shape>(hit);
+  for (const LayerHit& hit : passed_corners_) separation.separate<TrianglesAndCorners::Shape>(hit);
+  for (const LayerHit& hit : passed_edges_) separation.separate<EdgesAndEdges::Shape>(hit);
   separation.end();
 }
 
-void SelfContacts::note_passed() {
+void SelfContacts::record_passed() {
   for (const LayerHit& hit : passed_corners_)
     corners_.crossed.push_back({hit.first, hit.second, hit.side});
   for (const LayerHit& hit : passed_edges_)
@@ -198,10 +198,10 @@ void SelfContacts::note_passed() {
   edges_.sort_crossed();
 }
 
-void SelfContacts::look(const std::vector<double>& before, const std::vector<double>& x) {
+void SelfContacts::record_crossings(const std::vector<double>& before, const std::vector<double>& x) {
   if (!layers_ || tangles_) return;
-  corners_.look(before, x);
-  edges_.look(before, x);
+  corners_.record_crossings(before, x);
+  edges_.record_crossings(before, x);
 }
 
 Out<std::int64_t, 2> SelfContacts::ended() const {
@@ -211,15 +211,15 @@ Out<std::int64_t, 2> SelfContacts::ended() const {
   const auto add = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
     for (const std::int64_t number : {first, second, side}) *to++ = number;
   };
-  for (const Passage& one : corners_.crossed) add(one.second, one.first, one.side);
-  for (const Passage& one : edges_.crossed)
+  for (const Piercing& one : corners_.crossed) add(one.second, one.first, one.side);
+  for (const Piercing& one : edges_.crossed)
     add(std::int64_t(layers_->particles()) + one.first, one.second, one.side);
   return result;
 }
 
-void SelfContacts::note_through() {
+void SelfContacts::record_piercing() {
   std::vector<std::int32_t> who;
-  for (const Passage& one : corners_.crossed) who.push_back(one.second);
+  for (const Piercing& one : corners_.crossed) who.push_back(one.second);
   std::sort(who.begin(), who.end());
   passed_ = std::max<std::int64_t>(passed_, std::unique(who.begin(), who.end()) - who.begin());
   cut_ = std::max(cut_, static_cast<std::int64_t>(edges_.crossed.size()));
@@ -243,7 +243,7 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
   for (std::size_t n = 0; n < count; ++n)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t row = ROW * n + k, at = 3 * n + k;
-      // What friction and pressing took from the way, they take from the speed.
+      // The velocity changes by the correction of the displacement.
       const double taken = (x[row] - locations[at]) - (from[row] - before.data()[at]);
       result.get()[at] = x[row];
       result.get()[3 * count + at] = speeds[at] + taken / h;

@@ -18,48 +18,47 @@ namespace animtool {
 
 // Piercing particles and pairs of edges, and the step rate that would detect contacts faster
 // than the search range; 0 if there are none.
-using SelfThrough = std::tuple<std::int64_t, std::int64_t, double>;
+using SelfPiercing = std::tuple<std::int64_t, std::int64_t, double>;
 
 // Self-contacts of a surface over the steps of a run: particles with triangles, then edges with
 // edges if their interiors are closest.
 class SelfContacts {
-  // Rounds of resolving piercing in a step, and of all rounds.
-  static constexpr int SEPARATION_ROUNDS = 6, MOST_ROUNDS = 40;
+  // Iterations of separating piercing pairs in a step, and of all iterations.
+  static constexpr int SEPARATION_ROUNDS = 6, MAX_ROUNDS = 40;
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
-  // Without layers nothing is done. Crossed: piercings to resume with (C, 3), as `ended` returns
-  // them. With `frees`, tangles are resolved.
+  // Without layers nothing is done. `crossed` are piercings to resume with (C, 3), as `ended`
+  // returns them. With `untangles`, tangles are resolved.
   SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-               const In<std::int64_t, 2>& crossed, bool frees = false);
+               const In<std::int64_t, 2>& crossed, bool untangles = false);
 
-  // A cell of time begins; one that began before is crossed again.
+  // Begins a cell of time, or repeats the current one.
   void begin_cell(std::int64_t cell, const std::vector<double>& x);
-  // Separates parts at the end of a step; where they only return to the kept distance, the
+  // Separates elements at the end of a step; if they only return to the contact distance, the
   // previous positions move too, so that no velocity is added.
   void separate(double h, std::vector<double>& before, std::vector<double>& x);
-  // Where a step from here leads parts through each other, they are moved until none is:
-  // apart, with `settle` told after each round, and at last as one. Only particles that are
-  // marked may have moved since that was so; those that are moved are marked. Does nothing
-  // unless what is tangled comes free.
+  // Moves pairs that pass through each other in the step: separates them, calling `resolve` after
+  // each iteration, and as a last resort moves them rigidly. Only marked particles may have moved
+  // since the last call; moved particles are marked. Does nothing unless tangles are resolved.
   template <class Settle>
   void prevent_piercing(double h, const std::vector<double>& from, std::vector<double>& before,
-                  std::vector<double>& x, std::vector<std::uint8_t>& moved, Settle settle);
-  // Notes who is on another side than at the begin of the step, where nothing keeps it whole.
-  void look(const std::vector<double>& before, const std::vector<double>& x);
+                  std::vector<double>& x, std::vector<std::uint8_t>& moved, Settle resolve);
+  // Records pairs that changed sides in the step, unless piercing is prevented.
+  void record_crossings(const std::vector<double>& before, const std::vector<double>& x);
 
-  // Particle, triangle and side of each passage that is left (C, 3); of edges, numbered after
-  // the particles, edge, edge and side.
+  // Particle, triangle and side of each remaining piercing (C, 3); for edges, numbered after the
+  // particles: edge, edge and side.
   Out<std::int64_t, 2> ended() const;
-  // How many passages there are, and were as the cell began.
+  // Number of piercings now, and at the start of the cell.
   std::size_t crossings() const { return corners_.crossed.size() + edges_.crossed.size(); }
-  std::size_t begun_crossings() const { return begun_corners_.size() + begun_edges_.size(); }
-  // What is through, at most at the end of any cell that was noted.
-  void note_through();
-  SelfThrough through() const { return {passed_, cut_, rate_needed_}; }
+  std::size_t start_crossings() const { return start_corners_.size() + start_edges_.size(); }
+  // Updates the largest counts of piercing at the end of a cell.
+  void record_piercing();
+  SelfPiercing piercing() const { return {passed_, cut_, rate_needed_}; }
 
  private:
-  // Where particles were when pairs were looked for, and how far these may have come since.
+  // Positions at the search for pairs, its reach, and the largest relative displacement since.
   struct Listing {
     std::vector<double> at;
     double reach = -1, drift = 0;
@@ -71,16 +70,16 @@ class SelfContacts {
   };
 
   void read(const In<std::int64_t, 2>& crossed);
-  // Finds what of the marked a step from here leads through each other; whether anything is.
-  // These alone are marked then.
-  bool passes(double h, const std::vector<double>& from, const std::vector<double>& x,
+  // Finds marked pairs that pass through each other in the step, and marks only these; returns
+  // whether there are any.
+  bool find_passed(double h, const std::vector<double>& from, const std::vector<double>& x,
               std::vector<std::uint8_t>& moved);
-  void note_passed();
-  void part_passed(double h, std::vector<double>& before, std::vector<double>& x) const;
-  // Looks how far near parts go over each other in a step; with cells that are new.
+  void record_passed();
+  void separate_passed(double h, std::vector<double>& before, std::vector<double>& x) const;
+  // Measures the relative displacement of nearby elements in a step; the second rebuilds the cells.
   void measure(double h, const std::vector<double>& before, const std::vector<double>& x);
-  void look_around(double h, const std::vector<double>& before, const std::vector<double>& x);
-  // Whether all that may come near in the step was in cells beside each other.
+  void rebuild_cells(double h, const std::vector<double>& before, const std::vector<double>& x);
+  // Whether all pairs that may come near in the step were in adjacent cells.
   bool cells_cover() const;
   void list(double h, const std::vector<double>& before, const std::vector<double>& x);
 
@@ -91,31 +90,30 @@ class SelfContacts {
   std::optional<Tangles> tangles_;
   std::optional<ImpactZones> zones_;
   std::vector<LayerHit> passed_corners_, passed_edges_;
-  std::vector<Passage> begun_corners_, begun_edges_;
+  std::vector<Piercing> start_corners_, start_edges_;
   std::int64_t cell_ = -1, passed_ = 0, cut_ = 0;
 
-  Listing listed_, picked_;
-  NearMotion motion_;
-  std::vector<double> went_;  // since pairs were listed, beside a rigid motion of all
-  double longest_ = 0;  // edge, when cells were made
-  // Of parts that are near, how far they go over each other in a step, and what of that is
-  // looked at.
-  double travel_ = 0, most_ = 0, need_ = 0, rate_needed_ = 0;
-  double far_ = 0;  // how far all moved over each other since
+  Listing pair_list_, near_list_;
+  RelativeMotion motion_;
+  std::vector<double> displacements_;  // since pairs were listed, relative to a rigid motion of all
+  double longest_ = 0;  // longest edge when cells were built
+  // Relative displacement of nearby elements in a step, and the tested part of it.
+  double travel_ = 0, max_travel_ = 0, need_ = 0, rate_needed_ = 0;
+  double total_drift_ = 0;  // largest relative displacement of all since
 };
 
 template <class Settle>
 void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
                               std::vector<double>& before, std::vector<double>& x,
-                              std::vector<std::uint8_t>& moved, Settle settle) {
-  if (!layers_ || !tangles_ || listed_.reach < 0) return;
-  corners_.drop_those_back(*layers_, x);
-  edges_.drop_those_back(*layers_, x);
-  for (int round = 0; passes(h, from, x, moved); ++round) {
-    if (round == MOST_ROUNDS) return note_passed();
+                              std::vector<std::uint8_t>& moved, Settle resolve) {
+  if (!layers_ || !tangles_ || pair_list_.reach < 0) return;
+  corners_.drop_resolved(*layers_, x);
+  edges_.drop_resolved(*layers_, x);
+  for (int round = 0; find_passed(h, from, x, moved); ++round) {
+    if (round == MAX_ROUNDS) return record_passed();
     if (round < SEPARATION_ROUNDS) {
-      part_passed(h, before, x);
-      settle();
+      separate_passed(h, before, x);
+      resolve();
       continue;
     }
     if (round == SEPARATION_ROUNDS) zones_->clear();

@@ -17,22 +17,21 @@ namespace animtool::shapes {
 
 using collide::Vec;
 
-// Beyond the sides of a triangle or the ends of an edge, what still counts as through it [1].
-constexpr double BRIM = 1e-6;
-// The square of the sine of an angle between edges, below which they are parallel: nearest
-// at an end of one, and on no side of each other.
+// Margin beyond the sides of a triangle or the ends of an edge that still counts as inside [1].
+constexpr double BOUNDARY_MARGIN = 1e-6;
+// Squared sine below which edges are parallel: closest at an end, and without a side.
 constexpr double PARALLEL = 1e-8;
-// The moment of a crossing is looked for so often, up to this of the way through [1].
-constexpr int MOST_LOOKS = 8;
-constexpr double MET = 1e-3;
+// Iterations of finding the time of a crossing, and its relative tolerance [1].
+constexpr int MAX_ROOT_STEPS = 8;
+constexpr double CROSSING_TOLERANCE = 1e-3;
 
 inline Vec row_of(const double* rows, std::int32_t particle) {
   return collide::load(rows + ROW * static_cast<std::size_t>(particle));
 }
 inline Vec between(Vec a, Vec b, double fraction) { return a + (b - a) * fraction; }
 
-// Where two of them are nearest: from the second to the first, and the shares of the four
-// particles in that; inside is not at an end of an edge.
+// Closest points of two elements: the offset from the second to the first, and the weights of the
+// four particles; `inside` unless an edge is closest at an end.
 struct Nearest {
   Vec off;
   double fraction[4];
@@ -47,11 +46,11 @@ struct Triangle {
       : a(row_of(rows, corners[0])), b(row_of(rows, corners[1])), c(row_of(rows, corners[2])) {}
 
   Nearest nearest(Vec p) const {
-    const collide::Shares at = collide::shares_of_triangle(p, a, b, c);
+    const collide::Barycentric at = collide::barycentric_of_nearest(p, a, b, c);
     return {p - (a + (b - a) * at.b + (c - a) * at.c), {1, -(1 - at.b - at.c), -at.b, -at.c}};
   }
   double distance(Vec p) const { return length(nearest(p).off); }
-  // Of no length where it has no area.
+  // Zero without area.
   Vec normal() const { return collide::direction(cross(b - a, c - a), Vec{}); }
 };
 
@@ -66,7 +65,7 @@ struct Segment {
   Vec at(double fraction) const { return between(a, b, fraction); }
 };
 
-// A corner and a triangle, somewhere.
+// A corner and a triangle.
 struct CornerPair {
   Vec p;
   Triangle triangle;
@@ -76,7 +75,7 @@ struct CornerPair {
   CornerPair(Vec p0, const Triangle& t) : p(p0), triangle(t) {}
 
   Nearest nearest() const { return triangle.nearest(p); }
-  // Towards the side that heights above 0 are on; of no length where there is none.
+  // Towards positive heights; zero if undefined.
   Vec normal() const { return triangle.normal(); }
   double height() const { return dot(p - triangle.a, normal()); }
   CornerPair until(const CornerPair& end, double fraction) const {
@@ -84,7 +83,7 @@ struct CornerPair {
     return {between(p, end.p, fraction), {between(from.a, to.a, fraction), between(from.b, to.b, fraction),
                                        between(from.c, to.c, fraction)}};
   }
-  // Three ways that are in one plane where it is in that of the triangle.
+  // Three vectors that are coplanar when the corner is in the plane of the triangle.
   std::array<Vec, 3> spans() const {
     return {p - triangle.a, triangle.b - triangle.a, triangle.c - triangle.a};
   }
@@ -96,11 +95,11 @@ struct CornerPair {
     if (!(area > 0)) return false;
     const double b = (cc * dot(ap, ab) - bc * dot(ap, ac)) / area;
     const double c = (bb * dot(ap, ac) - bc * dot(ap, ab)) / area;
-    return b >= -BRIM && c >= -BRIM && b + c <= 1 + BRIM;
+    return b >= -BOUNDARY_MARGIN && c >= -BOUNDARY_MARGIN && b + c <= 1 + BOUNDARY_MARGIN;
   }
 };
 
-// Two edges, somewhere.
+// Two edges.
 struct EdgePair {
   Segment first, second;
 
@@ -136,7 +135,7 @@ struct EdgePair {
     };
     return {one(first, end.first), one(second, end.second)};
   }
-  // Three ways that are in one plane where both are.
+  // Three vectors that are coplanar when the edges are.
   std::array<Vec, 3> spans() const {
     return {first.a - second.a, first.shift(), second.shift()};
   }
@@ -148,22 +147,22 @@ struct EdgePair {
     if (!(area > PARALLEL * dd * ee)) return false;
     const double s = (de * dot(e, r) - ee * dot(d, r)) / area;
     const double t = (dd * dot(e, r) - de * dot(d, r)) / area;
-    return s >= -BRIM && s <= 1 + BRIM && t >= -BRIM && t <= 1 + BRIM;
+    return s >= -BOUNDARY_MARGIN && s <= 1 + BOUNDARY_MARGIN && t >= -BOUNDARY_MARGIN && t <= 1 + BOUNDARY_MARGIN;
   }
 };
 
-// From which side (1 or -1) the first went through the second, all on straight ways; 0 where
-// it did not. Where only the normal turned over, no moment has them at one place.
+// The side (1 or -1) from which the first passes through the second on linear paths; 0 if it does
+// not. If only the normal flips, they never meet.
 template <class Pair>
 std::int32_t crossed_from(const Pair& from, const Pair& to) {
   const double first = from.height(), last = to.height();
   if ((first >= 0) == (last >= 0) || !(std::abs(first - last) > 0)) return 0;
   double low = 0, high = 1, below = first, above = last;
-  for (int i = 0; i < MOST_LOOKS; ++i) {
+  for (int i = 0; i < MAX_ROOT_STEPS; ++i) {
     const double fraction = low + (high - low) * below / (below - above);
     const Pair then = from.until(to, fraction);
     const double height = then.height();
-    if (std::abs(height) <= MET * std::abs(first - last))
+    if (std::abs(height) <= CROSSING_TOLERANCE * std::abs(first - last))
       return !then.faces() ? 0 : first >= 0 ? 1 : -1;
     if ((height >= 0) == (first >= 0))
       low = fraction, below = height, above /= 2;
@@ -173,8 +172,8 @@ std::int32_t crossed_from(const Pair& from, const Pair& to) {
   return 0;
 }
 
-// The volume that three ways span, of which each goes straight from one to another, as a
-// cubic over the share of that: 1, t (1 - t)², … in the form of Bernstein.
+// The volume spanned by three vectors that change linearly: a cubic in the fraction, in Bernstein
+// form.
 struct Volume {
   double at[4];
 
@@ -195,11 +194,11 @@ struct Volume {
     return (at[0] > 0 && at[1] > 0 && at[2] > 0 && at[3] > 0) ||
            (at[0] < 0 && at[1] < 0 && at[2] < 0 && at[3] < 0);
   }
-  // Shares between which it goes one way, with both ends; how many.
+  // Bounds of the monotonic intervals, ends included; returns their count.
   int bounds(std::array<double, 4>& hit) const {
     int count = 0;
     hit[static_cast<std::size_t>(count++)] = 0;
-    // Its slope, over 3: a + b t + c t².
+    // Its derivative over 3: a + b t + c t².
     const double a = at[1] - at[0], m = at[2] - at[1], z = at[3] - at[2];
     const double b = 2 * (m - a), c = a - 2 * m + z, square = b * b - 4 * a * c;
     if (square >= 0) {
@@ -212,7 +211,7 @@ struct Volume {
     hit[static_cast<std::size_t>(count++)] = 1;
     return count;
   }
-  // Where it is 0 between two shares, at which it has other signs.
+  // The root between two fractions of opposite sign.
   double root(double low, double high) const {
     const bool rises = (*this)(low) < 0;
     for (int i = 0; i < HALVINGS; ++i) {
@@ -226,8 +225,7 @@ struct Volume {
   static constexpr int HALVINGS = 40;
 };
 
-// Whether boxes about the ways of the first of four particles, and about those of the others,
-// have something of each other.
+// Whether the bounding boxes of the paths of the first particles and of the others overlap.
 inline bool paths_overlap(const std::int32_t* who, std::size_t first, const double* from,
                       const double* to) {
   for (std::size_t k = 0; k < 3; ++k) {
@@ -246,8 +244,8 @@ inline bool paths_overlap(const std::int32_t* who, std::size_t first, const doub
   return true;
 }
 
-// From which side (1 or -1) the first is through the second at the end of straight ways, 0
-// where it is not: it may have turned round, or come back.
+// The side (1 or -1) from which the first has pierced the second at the end of linear paths, 0 if it
+// has not: it may have gone around, or come back.
 template <class Pair>
 std::int32_t passed_from(const Pair& from, const Pair& to) {
   const Volume volume(from.spans(), to.spans());

@@ -2,8 +2,8 @@
 // are solved by conjugate gradients without a matrix; those of chains directly.
 //
 // D. Baraff, A. Witkin, Large Steps in Cloth Simulation, 1998; K.-J. Choi, H.-S. Ko,
-// Stable but Responsive Cloth, 2002 (what a pressed spring takes from the stiffness across
-// it is left out, so that the matrix stays positive).
+// Stable but Responsive Cloth, 2002 (the negative transverse stiffness of compressed springs is
+// left out, so that the matrix stays positive definite).
 #include <algorithm>
 #include <tuple>
 #include <utility>
@@ -16,12 +16,12 @@ namespace animtool {
 
 namespace {
 
-constexpr int MOST_CORRECTIONS = 40, MOST_HALVINGS = 8, MOST_SPLITS = 6;
-constexpr int MOST_PRODUCTS = 400;
-// What conjugate gradients leave of a residual: the next correction takes that.
-constexpr double LEFT = 1e-3;
+constexpr int MAX_CORRECTIONS = 40, MAX_HALVINGS = 8, MAX_SPLITS = 6;
+constexpr int MAX_PRODUCTS = 400;
+// Relative residual at which conjugate gradients end: the next correction removes it.
+constexpr double CG_TOLERANCE = 1e-3;
 
-// The stiffness of a spring in a step: `across` in every direction, `along` beside it.
+// The stiffness of a spring in a step: `across` in all directions, plus `along` in its own.
 struct Link {
   std::int32_t i, j;
   double across, along, u[3];
@@ -42,17 +42,17 @@ class Implicit {
         trial_x_(run.size),
         trial_v_(run.size) {}
 
-  // The v with m (bv - v) + s F(bx + s v, v) = 0, from a guess in run.v; whether found.
+  // Solves m (bv - v) + s F(bx + s v, v) = 0 for v, from a guess in run.v; returns success.
   bool solve(const std::vector<double>& bx, const std::vector<double>& bv, double s, double t) {
-    location(bx, s, t, run_.v);
+    set_pinned(bx, s, t, run_.v);
     move(bx, s, run_.v, run_.x);
     double size = measure(bv, s, run_.x, run_.v);
-    for (int i = 0; i < MOST_CORRECTIONS; ++i) {
+    for (int i = 0; i < MAX_CORRECTIONS; ++i) {
       ++corrections;
-      stiffen(s);
+      assemble_stiffness(s);
       const double largest = correct();
       double fraction = 1, after = 0;
-      for (int halving = 0; halving < MOST_HALVINGS; ++halving, fraction /= 2) {
+      for (int halving = 0; halving < MAX_HALVINGS; ++halving, fraction /= 2) {
         for (std::size_t k = 0; k < run_.size; ++k) trial_v_[k] = run_.v[k] + fraction * step_[k];
         move(bx, s, trial_v_, trial_x_);
         after = measure(bv, s, trial_x_, trial_v_);
@@ -70,8 +70,8 @@ class Implicit {
   std::int64_t corrections = 0;
 
  private:
-  // Held particles go where their track is.
-  void location(const std::vector<double>& bx, double s, double t, std::vector<double>& v) {
+  // Pinned particles follow their track.
+  void set_pinned(const std::vector<double>& bx, double s, double t, std::vector<double>& v) {
     run_.network.set_pinned(t, s, bx.data(), trial_x_.data(), v.data());
   }
 
@@ -80,7 +80,7 @@ class Implicit {
     for (std::size_t k = 0; k < run_.size; ++k) x[k] = bx[k] + s * v[k];
   }
 
-  // Fill in the residual, and return its square over the masses.
+  // Computes the residual, and returns its square over the masses.
   double measure(const std::vector<double>& bv, double s, const std::vector<double>& x,
                  const std::vector<double>& v) {
     run_.accelerate(x.data(), v.data(), residual_.data());
@@ -100,7 +100,7 @@ class Implicit {
     return sum;
   }
 
-  void stiffen(double s) {
+  void assemble_stiffness(double s) {
     const SpringNetwork& network = run_.network;
     links_.clear();
     for (std::size_t n = 0; n < network.particles(); ++n) {
@@ -115,10 +115,10 @@ class Implicit {
       for (int k = 0; k < 3; ++k)
         block[4 * k] += s * s * network.anchor_stiffness[a] + s * network.anchor_damping[a];
     }
-    stiffen_air(s);
+    add_air_damping(s);
     diagonal_.resize(network.particles());
     for (std::size_t n = 0; n < network.particles(); ++n) diagonal_[n] = blocks_[9 * n];
-    for (const Spring& spring : run_.lines().springs) stiffen_spring(spring, s);
+    for (const Spring& spring : run_.lines().springs) add_spring(spring, s);
     reach_ = 0;
     for (const Link& link : links_)
       reach_ = std::max(reach_, static_cast<std::size_t>(std::abs(link.i - link.j)));
@@ -138,7 +138,7 @@ class Implicit {
     for (const Link& link : links_) {
       const auto [low, high] = std::minmax(link.i, link.j);
       const std::size_t i = static_cast<std::size_t>(low), j = static_cast<std::size_t>(high);
-      // What is held does not move: nothing else hangs on it.
+      // Pinned particles do not move, so they couple nothing.
       if (network.inverse_masses[i] == 0 || network.inverse_masses[j] == 0) continue;
       for (std::size_t row = 0; row < 3; ++row)
         for (std::size_t c = 0; c < 3; ++c)
@@ -148,7 +148,7 @@ class Implicit {
     chain_.factor();
   }
 
-  void stiffen_air(double s) {
+  void add_air_damping(double s) {
     const SpringNetwork& network = run_.network;
     const double bound = std::abs(network.air_drag) + std::abs(network.air_lift);
     if (bound == 0) return;
@@ -175,7 +175,7 @@ class Implicit {
     }
   }
 
-  void stiffen_spring(const Spring& spring, double s) {
+  void add_spring(const Spring& spring, double s) {
     const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
     const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
@@ -195,7 +195,7 @@ class Implicit {
     links_.push_back(link);
   }
 
-  // Of a symmetric positive 3 by 3 matrix, in place.
+  // Inverts a symmetric positive 3 by 3 matrix in place.
   static void invert(double* m) {
     const double a = m[0], b = m[1], c = m[2], d = m[4], e = m[5], f = m[8];
     const double A = d * f - e * e, B = c * e - b * f, C = b * e - c * d;
@@ -223,10 +223,10 @@ class Implicit {
         g[k] -= force;
       }
     }
-    hold(out);
+    zero_pinned(out);
   }
 
-  void hold(std::vector<double>& values) const {
+  void zero_pinned(std::vector<double>& values) const {
     for (const std::int32_t n : run_.network.pinned)
       std::fill_n(values.data() + ROW * static_cast<std::size_t>(n), 3, 0.0);
   }
@@ -245,15 +245,15 @@ class Implicit {
     return sum;
   }
 
-  // Fill in the step that takes the residual away, and return its largest component.
+  // Computes the step that removes the residual, and returns its largest component.
   double correct() {
     std::fill(step_.begin(), step_.end(), 0.0);
     r_ = residual_;
     precondition(r_, z_);
     p_ = z_;
     double size = product(r_, z_);
-    const double enough = LEFT * LEFT * size;
-    for (int i = 0; i < MOST_PRODUCTS && size > enough; ++i) {
+    const double tolerance = CG_TOLERANCE * CG_TOLERANCE * size;
+    for (int i = 0; i < MAX_PRODUCTS && size > tolerance; ++i) {
       multiply(p_, q_);
       const double fraction = size / product(p_, q_);
       for (std::size_t k = 0; k < run_.size; ++k) {
@@ -274,41 +274,40 @@ class Implicit {
   SpringRun& run_;
   double tolerance_;
   std::vector<Link> links_;
-  std::size_t reach_ = 0;  // numbers that the ends of springs lie apart, at most
+  std::size_t reach_ = 0;  // largest index distance of spring ends
   ChainFactor chain_;
   std::vector<double> residual_, step_, r_, z_, p_, q_, blocks_, diagonal_, trial_x_, trial_v_;
 };
 
-// A state, and the one a step before it.
+// Positions and velocities.
 struct Pair {
   std::vector<double> x, v;
 };
 
-// Impulses that the network gives what holds its held particles, each with its moment about
-// the origin: of the last step, and of all. They are summed as steps sum accelerations, so
-// that what particles gain is what holders lose.
-class PinPulls {
+// Impulses on the carriers of pinned particles, with their moments about the origin: of the last
+// step, and of all. They are summed as steps sum accelerations, so that momentum is conserved.
+class PinImpulses {
  public:
-  PinPulls(const SpringRun& run, const std::optional<In<double, 2>>& last)
+  PinImpulses(const SpringRun& run, const std::optional<In<double, 2>>& last)
       : enabled(last), run_(run), pinned_(run.network.pinned) {
     if (!enabled) return;
-    of_.resize(run.network.particles(), -1);
+    pin_of_.resize(run.network.particles(), -1);
     for (std::size_t p = 0; p < pinned_.size(); ++p)
-      of_[static_cast<std::size_t>(pinned_[p])] = static_cast<std::int32_t>(p);
+      pin_of_[static_cast<std::size_t>(pinned_[p])] = static_cast<std::int32_t>(p);
     check::numbers("pulls", *last, {pinned_.size(), WIDTH});
     last_.assign(last->data(), last->data() + last->size());
     sum_.resize(last_.size());
     forces_.resize(run.size);
   }
 
-  // After a step [s] that went on from a share of what the last one gave.
+  // Adds a step of h [s], which continues from a fraction of the last impulse.
   void add(double h, double fraction) {
     if (!enabled) return;
     const double *x = run_.x.data(), *v = run_.v.data();
     std::fill(forces_.begin(), forces_.end(), 0.0);
     for (const Spring& spring : run_.lines().springs)
-      if (of_[static_cast<std::size_t>(spring.i)] >= 0 ||
-          of_[static_cast<std::size_t>(spring.j)] >= 0)
+      if (pin_of_[static_cast<std::size_t>(spring.i)] >= 0 ||
+          pin_of_[static_cast<std::size_t>(spring.j)] >= 0)
         pull(spring, x, v);
     run_.network.add_air_forces(run_.wind, x, v, forces_.data());
     for (std::size_t p = 0; p < pinned_.size(); ++p) {
@@ -321,20 +320,20 @@ class PinPulls {
                                  r[2] * f[0] - r[0] * f[2],
                                  r[0] * f[1] - r[1] * f[0]};
       for (std::size_t k = 0; k < WIDTH; ++k) {
-        double& supplied = last_[WIDTH * p + k];
-        supplied = fraction * supplied + h * now[k];
-        sum_[WIDTH * p + k] += supplied;
+        double& impulse = last_[WIDTH * p + k];
+        impulse = fraction * impulse + h * now[k];
+        sum_[WIDTH * p + k] += impulse;
       }
     }
   }
 
-  // All, and the last.
+  // The sum, and the last.
   using Sums = std::pair<std::vector<double>, std::vector<double>>;
   Sums sums() const { return {sum_, last_}; }
-  void go_back(const Sums& begun) { std::tie(sum_, last_) = begun; }
+  void restore(const Sums& begun) { std::tie(sum_, last_) = begun; }
 
-  // (2, H, 6): all, then the last.
-  Out<double, 3> ended() const {
+  // (2, H, 6): the sum, then the last.
+  Out<double, 3> arrays() const {
     Out<double, 3> result(2, sum_.size() / WIDTH, WIDTH);
     std::copy(sum_.begin(), sum_.end(), result.get());
     std::copy(last_.begin(), last_.end(), result.get() + sum_.size());
@@ -366,27 +365,27 @@ class PinPulls {
 
   const SpringRun& run_;
   const std::vector<std::int32_t>& pinned_;
-  std::vector<std::int32_t> of_;  // of each particle its number among the held, or -1
+  std::vector<std::int32_t> pin_of_;  // index of each particle among the pinned ones, or -1
   std::vector<double> last_, sum_, forces_;
 };
 
-class Crossing {
+class CellSolver {
  public:
-  Crossing(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps,
-           PinPulls& pulls)
+  CellSolver(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps,
+           PinImpulses& pulls)
       : run_(run),
         contacts_(contacts),
         implicit_(run, tolerance),
         two_steps_(two_steps),
         pulls_(pulls) {}
 
-  // One cell in a number of steps; whether all were solved.
-  bool cross(std::int64_t index, double start, double cell, int substeps) {
+  // Solves a cell in a number of steps; returns success.
+  bool solve_cell(std::int64_t index, double start, double cell, int substeps) {
     const double h = cell / substeps;
     contacts_.begin_cell(index, substeps, h);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + (j + 1) * h;
-      run_.look(t, h);
+      run_.sample_surroundings(t, h);
       now = {run_.x, run_.v};
       double s = h;
       bx_ = now.x;
@@ -403,8 +402,8 @@ class Crossing {
       pulls_.add(s, two_steps_ && known ? 1.0 / 3.0 : 0.0);
       run_.network.set_pinned(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
-      // What two steps go on from is smooth.
-      const bool met = contacts_.settle(j, now.x, run_.x, &run_.v);
+      // The two-step method needs a smooth history.
+      const bool met = contacts_.resolve(j, now.x, run_.x, &run_.v);
       known = two_steps_ && !met;
       ++steps;
     }
@@ -422,7 +421,7 @@ class Crossing {
   SpringContacts& contacts_;
   Implicit implicit_;
   bool two_steps_;
-  PinPulls& pulls_;
+  PinImpulses& pulls_;
   std::vector<double> bx_, bv_;
 };
 
@@ -436,8 +435,8 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             const std::optional<SpringColliders>& colliders,
                             std::optional<In<double, 2>> supplied) {
   const Cells grid{origin, first, cell, cells};
-  check::between("substeps", substeps, 1, static_cast<int>(MOST_SUBSTEPS >> MOST_SPLITS));
-  check_cells(grid, substeps << MOST_SPLITS);
+  check::between("substeps", substeps, 1, static_cast<int>(MAX_SUBSTEPS >> MAX_SPLITS));
+  check_cells(grid, substeps << MAX_SPLITS);
   check::positive("tolerance", tolerance);
   check::finite("state", state);
   SpringRun run = begin_springs(network, state, torn);
@@ -445,33 +444,33 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     check::numbers("before", *earlier, {2, network.particles(), 3});
   }
   SpringContacts contacts(colliders, network, cells);
-  PinPulls pulls(run, supplied);
-  Crossing crossing(run, contacts, tolerance, two_steps, pulls);
-  crossing.before = {run.x, run.v};
-  std::int64_t lost = 0;
+  PinImpulses pulls(run, supplied);
+  CellSolver solver(run, contacts, tolerance, two_steps, pulls);
+  solver.before = {run.x, run.v};
+  std::int64_t unsolved = 0;
   {
     if (earlier && two_steps) {
       const std::size_t row = 3 * network.particles();
       const SpringRun back(network, earlier->data(), earlier->data() + row, torn.data());
-      crossing.before = {back.x, back.v};
-      crossing.known = true;
+      solver.before = {back.x, back.v};
+      solver.known = true;
     }
-    for (std::int64_t i = 0; i < cells && !lost; ++i) {
+    for (std::int64_t i = 0; i < cells && !unsolved; ++i) {
       const Pair start{run.x, run.v};
-      const PinPulls::Sums begun = pulls.sums();
-      if (!crossing.cross(i, grid.start(i), cell, substeps)) {
+      const PinImpulses::Sums begun = pulls.sums();
+      if (!solver.solve_cell(i, grid.start(i), cell, substeps)) {
         // The equations of shorter steps are easier.
-        bool hit = false;
-        for (int split = 1; split <= MOST_SPLITS && !hit; ++split) {
+        bool is_solved = false;
+        for (int split = 1; split <= MAX_SPLITS && !is_solved; ++split) {
           run.x = start.x;
           run.v = start.v;
-          pulls.go_back(begun);
-          crossing.known = false;
-          hit = crossing.cross(i, grid.start(i), cell, substeps << split);
-          crossing.known = false;
+          pulls.restore(begun);
+          solver.known = false;
+          is_solved = solver.solve_cell(i, grid.start(i), cell, substeps << split);
+          solver.known = false;
         }
-        lost += !hit;
-        if (!hit) {
+        unsolved += !is_solved;
+        if (!is_solved) {
           run.x = start.x;
           run.v = start.v;
         }
@@ -480,11 +479,11 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     }
   }
   SpringRun back = run;
-  back.x = crossing.before.x;
-  back.v = crossing.before.v;
-  return {ended_state(run),          ended_state(back), crossing.known,        ended_torn(run),
-          crossing.steps, crossing.corrections(), lost,
-          contacts.unresolved, contacts.pushes(), pulls.ended()};
+  back.x = solver.before.x;
+  back.v = solver.before.v;
+  return {ended_state(run),          ended_state(back), solver.known,        ended_torn(run),
+          solver.steps, solver.corrections(), unsolved,
+          contacts.unresolved, contacts.impulses(), pulls.arrays()};
 }
 
 }  // namespace animtool

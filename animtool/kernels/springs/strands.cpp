@@ -1,5 +1,5 @@
-// Strands over a frame, four at a time from its begin to its end, so that all that they need
-// stays near.
+// Strands over a frame, four at a time from its start to its end, so that their data stays in the
+// cache.
 #include "springs/strands.h"
 
 #include <algorithm>
@@ -21,13 +21,13 @@ using collide::store;
 
 std::size_t bundles_of(std::size_t strands) { return (strands + WIDE - 1) / WIDE; }
 
-// Those beyond the last are as the last.
+// Padding strands repeat the last one.
 std::size_t strand_of(std::size_t bundle, std::size_t lane, std::size_t strands) {
   return std::min(bundle * WIDE + lane, strands - 1);
 }
 
-// Rows of strands (S, count) side by side by bundles, room for `width` in each.
-std::vector<double> side_by_side(In<double, 2> rows, std::size_t strands, std::size_t width) {
+// Rows of strands (S, count), interleaved by bundle and padded to `width`.
+std::vector<double> interleaved(In<double, 2> rows, std::size_t strands, std::size_t width) {
   std::vector<double> built(bundles_of(strands) * WIDE * width);
   for (std::size_t b = 0; b < bundles_of(strands); ++b)
     for (std::size_t l = 0; l < WIDE; ++l)
@@ -37,10 +37,10 @@ std::vector<double> side_by_side(In<double, 2> rows, std::size_t strands, std::s
   return built;
 }
 
-// Colliders of all steps of a frame, and what loops over bundles read of them.
+// Colliders of all steps of a frame, in the layout of bundle loops.
 class FrameColliders {
  public:
-  // All particles drift about as the first one does, whose path is known.
+  // The common drift is that of the first particle, whose path is known.
   FrameColliders(const MovingColliders& colliders,
                  const std::optional<SpringColliders>& arrays, std::size_t cells,
                  int substeps, double h, const double* targets, std::size_t particles)
@@ -58,7 +58,7 @@ class FrameColliders {
       colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rigid);
       for (std::size_t s = 0; s < surfaces; ++s) {
         moving_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(cells));
-        moving_.back().enter(static_cast<std::int64_t>(cell), h * substeps);
+        moving_.back().begin_cell(static_cast<std::int64_t>(cell), h * substeps);
       }
       for (int j = 0; j < substeps; ++j) {
         const auto first = rigid.begin() + j * static_cast<std::ptrdiff_t>(colliders.size());
@@ -82,7 +82,7 @@ class FrameColliders {
     return rows_[step * count_ + c];
   }
 
-  void put_into(StrandSteps& plan) const {
+  void fill(StrandSteps& plan) const {
     plan.colliders = count_;
     plan.rods = rods_.data();
     plan.is_rod = is_rod_.data();
@@ -101,13 +101,13 @@ class FrameColliders {
                        Vec drift) const {
     StepCollider built{};
     built.surface = index;
-    built.begun = mesh.gone(double(step) / substeps);
-    const double ended = mesh.gone(double(step + 1) / substeps);
-    built.lasts = ended - built.begun;
+    built.elapsed = mesh.knot_fraction(double(step) / substeps);
+    const double ended = mesh.knot_fraction(double(step + 1) / substeps);
+    built.duration = ended - built.elapsed;
     built.collider = mesh.collider(ended);
-    built.shift = mesh.relative_travel(drift, built.lasts);
+    built.shift = mesh.relative_travel(drift, built.duration);
     built.rod.friction = built.collider.friction;
-    built.rod.rise = built.collider.depenetration * h_;
+    built.rod.max_rise = built.collider.depenetration * h_;
     store(drift, built.rod.travel);
     return built;
   }
@@ -152,7 +152,7 @@ class FrameColliders {
   std::vector<unsigned char> is_rod_, is_bounded_;
 };
 
-// Room for one bundle after the other, and the frame's arrays that they are of.
+// Buffers for one bundle at a time, and the frame's arrays.
 class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
@@ -183,11 +183,11 @@ class Bundles {
     }
   }
 
-  void cross(std::size_t index) {
-    StrandBundle bundle = begun(index);
-    spring_loops().cross_bundle(plan_, bundle);
-    put_back(index, bundle.x, out_);
-    put_back(index, bundle.v, out_ + 3 * particles());
+  void advance(std::size_t index) {
+    StrandBundle bundle = bundle_at(index);
+    spring_loops().advance_bundle(plan_, bundle);
+    store(index, bundle.x, out_);
+    store(index, bundle.v, out_ + 3 * particles());
     inside += bundle.inside;
     stretch = std::max(stretch, bundle.stretch);
   }
@@ -200,7 +200,7 @@ class Bundles {
   std::size_t width() const { return WIDE_VECTOR * plan_.points; }
   std::size_t particles() const { return strands_.strands() * plan_.points; }
 
-  StrandBundle begun(std::size_t index) {
+  StrandBundle bundle_at(std::size_t index) {
     StrandBundle built{};
     built.x = rows_.data();
     built.v = built.x + width();
@@ -221,7 +221,7 @@ class Bundles {
       const FaceContacts& segments = segments_of(l);
       if (!segments.any()) continue;
       const double reach = std::max(built.segments.reach, segments.reach());
-      built.segments = {this, &Bundles::settle_segments, reach};
+      built.segments = {this, &Bundles::resolve_segments, reach};
     }
     built.next_depths = particles();
     for (std::size_t l = 0; l < WIDE; ++l) {
@@ -230,16 +230,16 @@ class Bundles {
       const std::size_t strand = strand_of(index, l, strands_.strands());
       built.depths[l] = colliders_.depths() + strand * plan_.points;
     }
-    take(index, state_, built.x);
-    take(index, state_ + 3 * particles(), built.v);
+    load_strands(index, state_, built.x);
+    load_strands(index, state_ + 3 * particles(), built.v);
     for (std::size_t k = 0; k <= plan_.cells; ++k)
-      take(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
+      load_strands(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
     built.goals = goals_.data();
     return built;
   }
 
   // One strand among rigid colliders.
-  static bool settle_segments(void* all, StrandBundle& bundle, std::size_t step,
+  static bool resolve_segments(void* all, StrandBundle& bundle, std::size_t step,
                               std::size_t lane, std::size_t near) {
     auto& self = *static_cast<Bundles*>(all);
     FaceContacts& segments = self.segments_of(lane);
@@ -256,11 +256,11 @@ class Bundles {
     });
     bool moved = false;
     for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
-      if (!segments.settle(c, self.frame_.row(step, c), self.plan_.h, self.near_segments_,
+      if (!segments.resolve(c, self.frame_.row(step, c), self.plan_.h, self.near_segments_,
                            {self.row_before_, self.row_, nullptr}))
         continue;
       moved = true;
-      for (const FaceContacts::Moved& one : segments.moved)
+      for (const FaceContacts::MovedParticle& one : segments.moved)
         bundle.shift[static_cast<std::size_t>(one.particle)] += one.shift;
     }
     if (moved) each([&](std::size_t from, std::size_t to) {
@@ -273,15 +273,15 @@ class Bundles {
     return segments_[strands_.segments_of(strand_of(first_ / WIDE, lane, strands_.strands()))];
   }
 
-  // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
-  void take(std::size_t index, const double* rows, double* out) const {
+  // Converts rows of particles (N, 3) to interleaved rows of a bundle, and back.
+  void load_strands(std::size_t index, const double* rows, double* out) const {
     for (std::size_t l = 0; l < WIDE; ++l) {
       const std::size_t strand = strand_of(index, l, strands_.strands());
       const double* row = rows + 3 * plan_.points * strand;
       for (std::size_t k = 0; k < 3 * plan_.points; ++k) out[WIDE * k + l] = row[k];
     }
   }
-  void put_back(std::size_t index, const double* rows, double* out) const {
+  void store(std::size_t index, const double* rows, double* out) const {
     for (std::size_t l = 0; l < WIDE && index * WIDE + l < strands_.strands(); ++l) {
       double* row = out + 3 * plan_.points * (index * WIDE + l);
       for (std::size_t k = 0; k < 3 * plan_.points; ++k) row[k] = rows[WIDE * k + l];
@@ -303,14 +303,14 @@ class Bundles {
   std::vector<double> row_before_, row_;  // of one strand, in rows
 };
 
-// Bundles that are worth a thread of their own.
-constexpr std::size_t FEWEST_BUNDLES = 16;
+// Smallest number of bundles per thread.
+constexpr std::size_t MIN_BUNDLES = 16;
 
-// All bundles, each by one of some threads: which, makes no difference to any.
-void cross_all(std::vector<Bundles>& workers, std::size_t bundles) {
+// Advances all bundles in several threads; results do not depend on their number.
+void advance_all(std::vector<Bundles>& workers, std::size_t bundles) {
   const auto work = [&](std::size_t w) {
     const std::size_t end = (w + 1) * bundles / workers.size();
-    for (std::size_t b = w * bundles / workers.size(); b < end; ++b) workers[w].cross(b);
+    for (std::size_t b = w * bundles / workers.size(); b < end; ++b) workers[w].advance(b);
   };
   std::vector<std::thread> others;
   others.reserve(workers.size());
@@ -325,8 +325,8 @@ void cross_all(std::vector<Bundles>& workers, std::size_t bundles) {
   for (std::thread& one : others) one.join();
 }
 
-// How far springs of a stiffness over the mass give way in a step, of what they are longer.
-double give(double stiffness, double damping, double weight, double h) {
+// Fraction of an elongation that a spring corrects in a step; stiffness and damping are per mass.
+double compliance_of(double stiffness, double damping, double weight, double h) {
   return stiffness * h * h / ((stiffness * h * h + damping * h) * weight + 1);
 }
 
@@ -345,7 +345,7 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
       stretch_(stretch) {
   check::shape("rests", rests, {check::ANY, check::ANY});
   if (strands_ == 0) check::refuse("rests", "there is no strand");
-  check::at_most("rests", points_, check::MOST_ROWS / strands_);
+  check::at_most("rests", points_, check::MAX_ROWS / strands_);
   for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
   check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
   for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
@@ -357,13 +357,13 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   check::not_negative("draw_damping", draw_damping);
   check::not_negative("stretch", stretch);
   std::copy_n(gravity.data(), 3, gravity_);
-  rests_ = side_by_side(rests, strands_, springs());
-  folds_ = side_by_side(folds, strands_, points_);
-  note_segments(rests);
+  rests_ = interleaved(rests, strands_, springs());
+  folds_ = interleaved(folds, strands_, points_);
+  group_segments(rests);
 }
 
 // Lengths are rounded up to powers of two, so that a strand collides as if it were alone.
-void SpringStrands::note_segments(In<double, 2> rests) {
+void SpringStrands::group_segments(In<double, 2> rests) {
   SpringElements one;
   one.inverse_masses.assign(points_, 1.0);
   one.inverse_masses.front() = 0;
@@ -391,10 +391,10 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
   const double h = span / static_cast<double>(cells * substeps);
   built.h = h;
   for (std::size_t k = 0; k < 3; ++k) built.fall[k] = h * gravity_[k];
-  built.slowed = 1 / (1 + h * drag_);
-  built.fold = give(fold_, 0, 2, h);
-  built.root_fold = give(fold_, 0, 1, h);
-  built.draw = give(draw_, draw_damping_, 1, h);
+  built.drag_factor = 1 / (1 + h * drag_);
+  built.fold = compliance_of(fold_, 0, 2, h);
+  built.root_fold = compliance_of(fold_, 0, 1, h);
+  built.draw = compliance_of(draw_, draw_damping_, 1, h);
   built.draw_change =
       draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
   built.soft = 1 / (stiffness_ * h * h);
@@ -423,18 +423,18 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
   const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(),
                              count);
-  frame.put_into(plan);
+  frame.fill(plan);
   const std::size_t bundles = bundles_of(strands.strands());
-  const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);
+  const std::size_t max_workers = std::max<std::size_t>(1, bundles / MIN_BUNDLES);
   std::vector<Bundles> workers;
-  workers.reserve(std::min(threads, most));
-  while (workers.size() < std::min(threads, most))
+  workers.reserve(std::min(threads, max_workers));
+  while (workers.size() < std::min(threads, max_workers))
     workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(), out.get());
-  cross_all(workers, bundles);
+  advance_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
-    std::int64_t together = 0;
-    for (const Bundles& one : workers) together += one.touched(step);
-    touched = std::max(touched, together);
+    std::int64_t step_count = 0;
+    for (const Bundles& one : workers) step_count += one.touched(step);
+    touched = std::max(touched, step_count);
   }
   for (const Bundles& one : workers) {
     inside += one.inside;

@@ -12,10 +12,10 @@
 
 namespace animtool {
 
-// states (2, N, 3); particles in contact, and left inside colliders, at most; largest stretch
+// states (2, N, 3); largest numbers of particles in contact and left inside colliders; largest strain
 using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
 
-// Rigid colliders of the carrier, which only particles collide with: the first, and how many.
+// Rigid colliders of the carrier, which only particles collide with: index of the first, and count.
 using CarrierColliders = std::pair<std::size_t, std::size_t>;
 
 class SpringStrands {
@@ -27,11 +27,11 @@ class SpringStrands {
   std::size_t strands() const { return strands_; }
   std::size_t points() const { return points_; }
 
-  // Segments of one of them; strands that are about as long share these, by number.
+  // Segments of strands; strands with similar spring lengths share them, by index.
   const std::vector<SpringElements>& segments() const { return segments_; }
   std::size_t segments_of(std::size_t strand) const { return segments_of_[strand]; }
 
-  // What does not change over a frame of cells of so many steps.
+  // Constants of a frame of cells with a number of steps.
   StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
 
   const double* rests(std::size_t bundle) const { return rests_.data() + bundle * WIDE * springs(); }
@@ -46,7 +46,7 @@ class SpringStrands {
   std::vector<SpringElements> segments_;
   std::vector<std::size_t> segments_of_;  // strands
 
-  void note_segments(In<double, 2> rests);
+  void group_segments(In<double, 2> rests);
 };
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,

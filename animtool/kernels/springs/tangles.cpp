@@ -72,7 +72,7 @@ Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_
   for (std::size_t t = 0; t < triangles_.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k) {
       const auto [i, j] = std::minmax(triangles_[t + k], triangles_[t + (k + 1) % 3]);
-      // Edges ascend by their ends.
+      // Edges are sorted by their ends.
       std::size_t low = 0, high = layers.edges();
       while (low < high) {
         const std::size_t middle = (low + high) / 2;
@@ -111,7 +111,7 @@ Vec Tangles::shorter(const Pierced& pair, const std::vector<double>& x) const {
     const Vec inward = off - along * dot(off, along);
     Vec line = collide::direction(cross(cross(along, inward), normal), Vec{});
     if (dot(line, inward) < 0) line = -line;
-    // Its end goes along the edge as that moves, so that it stays in the triangle's plane.
+    // The piercing point slides along the edge, so that it stays in the plane of the triangle.
     sum = sum + line - normal * (dot(line, along) / through);
   }
   return collide::direction(sum, Vec{});
@@ -136,7 +136,7 @@ void Tangles::part(double shift, std::vector<double>& before, std::vector<double
       full += inverse * shares[k] * shares[k];
       lightest = std::max(lightest, inverse);
     }
-    full = std::max(full, lightest / FARTHEST);
+    full = std::max(full, lightest / MAX_RATIO);
     if (!(full > 0)) continue;
     for (std::size_t k = 0; k < 5; ++k) {
       const auto n = static_cast<std::size_t>(who[k]);

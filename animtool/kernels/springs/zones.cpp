@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "springs/rigid_way.h"
+#include "springs/rigid_motion.h"
 
 namespace animtool {
 
@@ -14,7 +14,7 @@ using shapes::row_of;
 
 namespace {
 
-// Of the masses of all that are free, what one that is held counts as.
+// Weight of a pinned particle, over the mass of all free ones.
 constexpr double PINNED = 1e3;
 
 }  // namespace

@@ -18,12 +18,12 @@ class ImpactZones {
   explicit ImpactZones(const std::vector<double>& inverse_masses)
       : inverse_masses_(inverse_masses) {}
 
-  // A step begins: there is none.
+  // Removes all zones at the start of a step.
   void clear();
   const std::vector<std::int32_t>& members() const { return members_; }
-  // Joins all four of each.
+  // Joins the four particles of each hit.
   void join(const std::vector<LayerHit>& passed);
-  // Moves each from where the step began, as its particles went in the mean.
+  // Moves each zone by the mean rigid motion of its particles in the step.
   void move(const std::vector<double>& from, std::vector<double>& before,
             std::vector<double>& x);
 
@@ -34,7 +34,7 @@ class ImpactZones {
                 std::vector<double>& x) const;
 
   const std::vector<double>& inverse_masses_;
-  std::vector<std::int32_t> parents_;  // of particles, -1 of those in none
+  std::vector<std::int32_t> parents_;  // of particles, -1 outside zones
   std::vector<std::int32_t> members_;
 };
 

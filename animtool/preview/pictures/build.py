@@ -129,14 +129,12 @@ def write_pictures(
     """Render a picture, sheet or film of files, as their page shows them.
 
     It needs the extra ``pictures``, and OpenGL 3.3, which Mesa provides without a
-    graphics
-    card. A film is encoded frame by frame, so its length takes no memory.
+    graphics card. A film is encoded frame by frame, so its length takes no memory.
 
     Args:
         files: Files of any supported kind: takes, rigs, scenes, stages, markers.
         output: ``.png`` or ``.webp`` for a still or sheet; ``.gif``, ``.webp``,
-            ``.mp4``
-            or ``.webm`` for a film.
+            ``.mp4`` or ``.webm`` for a film.
         options: How the files are read, and which frames are shown.
         pictures: Appearance of the picture.
         overwrite: Replace an existing file.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
 from animtool.preview.pictures.device import Array, import_package
 from animtool.preview.pictures.kinds import PictureKind
@@ -29,7 +29,7 @@ def write_picture(path: Path, pixels: Array) -> None:
     if path.suffix.lower() == ".webp":
         settings = {"format": "WEBP", "quality": 90, "method": 6}
     image = image_of.fromarray(np.ascontiguousarray(pixels))
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         try:
             image.save(temporary, **settings)
         except OSError as error:
@@ -55,7 +55,7 @@ def film(
     """
     av = import_package("av")
     palette = _palette(samples) if kind.pixels == "pal8" else None
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         try:
             with av.open(
                 str(temporary),

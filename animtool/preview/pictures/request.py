@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.preview.options import PictureOptions
 from animtool.preview.pictures.camera import KEY_LIGHT, MAX_PITCH, PRESETS, CameraView
@@ -136,7 +136,7 @@ def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
             yaw, pitch, distance, *target = numbers
             return CameraChoice(yaw, pitch, distance, tuple(target))
     all_names = [*PRESETS, *names]
-    similar_name = similar(text, all_names)
+    similar_name = most_similar(text, all_names)
     hint = (
         f"did you mean {similar_name!r}?"
         if similar_name

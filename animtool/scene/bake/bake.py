@@ -6,12 +6,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.errors import Fault, OptionError, refuse_warnings, with_notices
 from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
-from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, outlined
@@ -20,8 +19,11 @@ from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source
 
+if TYPE_CHECKING:
+    from animtool.scene.bake.files import ConvertReport
+
 # Report of one output.
-OutputReport: TypeAlias = BakeReport | ConvertReport
+OutputReport: TypeAlias = "BakeReport | ConvertReport"
 
 
 def bake(
@@ -43,8 +45,7 @@ def bake(
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        FormatError: A source is malformed, or the takes of a library have other
-            joints.
+        FormatError: A source is malformed, or the takes of a library have other joints.
         OptionError: An option is invalid, or the output exists or is no USD file.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.

@@ -54,8 +54,7 @@ class ConvertReport:
     json_keys: ClassVar[str] = (
         "*head output frames start=span.first end=span.last fps=span.fps "
         "rate=span.fps# joints shot? scores+ reduction?{samples keys "
-        "error=.{meters=error joint} weight_error held} "
-        "channels? notices"
+        "error=.{meters=error joint} weight_error held} channels? notices"
     )
 
     @property

@@ -185,8 +185,7 @@ class BakeOptions:
         help="Time code of the first frame; in a scene with systems only, that of 0 "
         "s, when the simulation starts: frames of the range keep their numbers. "
         " [default: the rig layer's, the project's, 1; for a shot the "
-        "timeline's, the project's, 1001; with systems only the first of the "
-        "range]",
+        "timeline's, the project's, 1001; with systems only the first of the range]",
     )
     samples: tuple[Fraction, ...] = option(
         (),
@@ -322,7 +321,7 @@ class BakeOptions:
             500,
         ),
         metavar="N",
-        least=1,
+        min_count=1,
         help=f"For {argument('deform', True)} and systems of a scene: write long "
         "takes as a file for every N samples, joined as value clips; memory "
         "holds two or three files.",

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, cast
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.output import STDOUT, check_outputs, name_key
-from animtool.core.files.placing import target
-from animtool.core.readers import PACKAGE
+from animtool.core.files.placing import output_target
+from animtool.core.readers import USD_PACKAGE_SUFFIX
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage
 from animtool.scene.bake.options import BakeOptions, merged
@@ -227,7 +227,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
     faults = []
     for entry in outline.outputs:
         for path in entry.files if len(outline.outputs) > 1 else ():
-            first_entry = owners.setdefault(name_key(target(path).final), entry)
+            first_entry = owners.setdefault(name_key(output_target(path).final), entry)
             if first_entry is not entry and entry.location and first_entry.location:
                 message = (
                     f"{str(path)!r} is also written by {first_entry.location.where}"
@@ -279,7 +279,7 @@ def check_settings(entry: OutputEntry) -> None:
     if to_stdout:
         return
     check_path(path)
-    if path.suffix.lower() == PACKAGE:
+    if path.suffix.lower() == USD_PACKAGE_SUFFIX:
         check_package(path, options)
 
 

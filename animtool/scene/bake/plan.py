@@ -14,15 +14,13 @@ from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.core.files.output import STDOUT, protect_inputs
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import at_stage_origin, reorient
+from animtool.motion.reorient import at_stage_origin, placement_notice, reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.placed import placement_notice
-from animtool.scene.bake.files import FilePlan
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
@@ -43,6 +41,7 @@ from animtool.usd.layers.jobs import LayerForm
 from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
+    from animtool.scene.bake.files import FilePlan
     from animtool.scene.scene import Scene
     from animtool.usd.rigs.joint_map import RigJointMap
     from animtool.usd.rigs.target import RigTarget
@@ -167,6 +166,8 @@ def _planned_file(
     notices: list[Fault],
 ) -> FilePlan:
     """Return the plan of a take in a format other than USD."""
+    from animtool.scene.bake.files import FilePlan
+
     options, left_out = entry.options, []
     notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
@@ -214,7 +215,7 @@ def _with_others(
         file_plan.names[0] if file_plan.names else source_stem(source)
         for source, file_plan in zip(sources, (plan, *others), strict=True)
     ]
-    take_names = names or tuple(distinct(default_names))
+    take_names = names or tuple(numbered_names(default_names))
     return replace(
         plan, others=tuple(file_plan.take for file_plan in others), names=take_names
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
-from animtool.core.files.output import size_of
+from animtool.core.files.output import written_size
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Channel
@@ -251,7 +251,7 @@ class ChunkFiles:
     def write(self, save: Save) -> None:
         """Write the manifest and the layer."""
         self.result.outputs += self.cache.finish(save)
-        self.result.bytes = sum(map(size_of, self.result.outputs))
+        self.result.bytes = sum(map(written_size, self.result.outputs))
 
 
 def _author_props(

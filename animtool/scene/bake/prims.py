@@ -60,8 +60,7 @@ class MeshReport:
 # Keys of the rounding errors of a take.
 _ERROR = (
     "{take=written.name+ meters=written.rounding.error relative=relative_error "
-    "joint=error_joint frame=written.rounding.code "
-    "half_scales=written.rounding.scales}"
+    "joint=error_joint frame=written.rounding.code half_scales=written.rounding.scales}"
 )
 
 

@@ -15,10 +15,10 @@ from animtool.core.errors import (
     OptionError,
     Severity,
 )
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.options import (
     chosen_options,
-    clashes,
+    clash_messages,
     option_marker,
     refused_options,
 )
@@ -31,7 +31,7 @@ from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.sources.open import (
     OpenTake,
     fitting_options,
-    open_source,
+    open_checked,
     source_stem,
 )
 from animtool.usd.layers.jobs import LayerForm, output_paths
@@ -127,12 +127,7 @@ class SourceSet:
             shot=options.shot or source_options.shot,
             placement=options.placement,
         )
-        stream = open_source(path, source_options, progress=source_progress)
-        from animtool.retarget.standing import with_source_warnings
-
-        return with_source_warnings(
-            path, stream, source_options.up, source_options.unit
-        )
+        return open_checked(path, source_options, progress=source_progress)
 
 
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
@@ -164,7 +159,7 @@ def source_set(sources: Sequence[Source]) -> SourceSet:
     for path, source in zip(files, sources, strict=True):
         if not isinstance(source, Path | str | OpenTake):
             scenes[path] = source
-        elif is_named(path, "scene") and not isinstance(source, OpenTake):
+        elif has_kind_suffix(path, "scene") and not isinstance(source, OpenTake):
             from animtool.scene.file.read import load_scene
 
             scenes[path] = load_scene(path)
@@ -202,7 +197,7 @@ def check_options(
             f"{argument('form', 'split')} writes three files, not stdout",
         )
     )
-    option_clashes += [(True, message) for message in clashes(options)]
+    option_clashes += [(True, message) for message in clash_messages(options)]
     option_clashes += _shot_clashes(options, form)
     option_clashes += _deform_clashes(options, form)
     option_clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
@@ -311,7 +306,7 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
         message = f"{option_marker(name, option)} applies to USD, not to {path}"
         faults.append(Fault("CLI002", message))
     if not faults:
-        faults = [Fault("CLI002", message) for message in clashes(options)]
+        faults = [Fault("CLI002", message) for message in clash_messages(options)]
     if faults:
         raise OptionError(faults)
 

@@ -21,7 +21,7 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.files.reading import recorded_inputs
-from animtool.core.names import is_named, kind_suffixes
+from animtool.core.names import has_kind_suffix, kind_suffixes
 from animtool.core.record import dataclass
 from animtool.core.writers import rig_writer
 from animtool.rig.skeleton import Rig
@@ -161,7 +161,7 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
 
 def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:
     """Warn where a source has motion, which a rig cannot hold."""
-    if is_named(source, "rig"):
+    if has_kind_suffix(source, "rig"):
         return []
     from animtool.scene.sources.open import SourceOptions, open_source
 

@@ -13,14 +13,18 @@ from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
 from animtool.motion.take import Take
-from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.bake import OutputReport, bake_outputs, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import check_outline, outlined
 from animtool.scene.bake.progress import Progress
 from animtool.scene.bake.reading import of_keys
-from animtool.scene.sources.open import OpenTake, SourceOptions, open_source
+from animtool.scene.sources.open import (
+    OpenTake,
+    SourceOptions,
+    open_checked,
+    open_source,
+)
 
 
 def convert(
@@ -116,9 +120,7 @@ def convert_with_passes(
     check_outline(outline)
     contexts: list[PassContext] = []
     with protect_inputs(outline.files):
-        stream = open_source(source, reading, progress=progress)
-        chosen = (reading.up, reading.unit) if reading else ()
-        stream = with_source_warnings(source, stream, *chosen)
+        stream = open_checked(source, reading, progress=progress)
         for pass_, options in passes:
             context = PassContext(_read_take, source.parent)
             contexts.append(context)

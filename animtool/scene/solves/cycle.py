@@ -11,11 +11,10 @@ from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.looping import PASS, cycle_notices
-from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
 from animtool.scene.convert.takes import convert_with_passes
-from animtool.scene.sources.open import SourceOptions, open_source
+from animtool.scene.sources.open import SourceOptions, open_checked
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +61,7 @@ def loop_source(
     """
     for check in PASS.checks(options).values():
         check()
-    stream = open_source(source, reading, progress=progress)
-    chosen = (reading.up, reading.unit) if reading else ()
-    stream = with_source_warnings(source, stream, *chosen)
+    stream = open_checked(source, reading, progress=progress)
     take = stream.collect()
     with faults_in(source):
         if options.find:

@@ -11,8 +11,9 @@ import numpy as np
 
 from animtool.capture.face.capture import FaceCapture, in_order, read_capture
 from animtool.capture.face.file import face_model, load_landmarks
+from animtool.capture.face.fit import FaceFit
 from animtool.capture.face.model import FaceModel
-from animtool.capture.face.solve import FaceFit, fit_face
+from animtool.capture.face.solve import fit_face
 from animtool.capture.options import FaceOptions
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray

@@ -26,7 +26,7 @@ from animtool.core.errors import (
     refuse_warnings,
 )
 from animtool.core.files.output import STDOUT, protect_inputs
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.ik.file import load_targets
@@ -117,8 +117,7 @@ class IkReport:
         "iterations=solved{mean=mean_iterations max=max_iterations} "
         "restarts=solved.restarts microseconds_per_frame=solved.microseconds_per_frame "
         "goals{effector=name joint residuals missed=spans} "
-        "on_limits=solved.limit_counts jumps=solved.jumps_at_codes "
-        "channels? notices"
+        "on_limits=solved.limit_counts jumps=solved.jumps_at_codes channels? notices"
     )
 
     @property
@@ -282,7 +281,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
     is_in_project = any(
         rig.resolve().is_relative_to(root) for root in project_roots(output)
     )
-    return rig if is_named(rig, "rig") and is_in_project else None
+    return rig if has_kind_suffix(rig, "rig") and is_in_project else None
 
 
 def _solve(job: IkJob, progress: Progress) -> IkReport:

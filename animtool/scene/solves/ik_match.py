@@ -19,7 +19,7 @@ from animtool.core.files.output import (
     write_arrays,
     write_parts,
 )
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
@@ -79,7 +79,10 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    if not is_named(job.output, "targets") or job.output.suffix.lower() == ".json":
+    if (
+        not has_kind_suffix(job.output, "targets")
+        or job.output.suffix.lower() == ".json"
+    ):
         message = "is not the name of a targets file"
         hint = "allowed: .targets.yaml, .targets.yml"
         raise OptionError(Fault("OUT004", message, str(job.output), (), hint))

@@ -22,7 +22,7 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.files.reading import path_from_folder
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
@@ -128,7 +128,7 @@ def _check(job: MocapSolveJob) -> None:
     for path, kind in ((job.write_rig, "rig"), (job.write_template, "markers")):
         if path is None:
             continue
-        if not is_named(path, kind):
+        if not has_kind_suffix(path, kind):
             message = f"is not the name of a {kind} file"
             hint = f"allowed: .{kind}.yaml, .{kind}.yml"
             raise OptionError(Fault("OUT004", message, str(path), (), hint))

@@ -14,11 +14,11 @@ from animtool.core.files.output import (
     protect_inputs,
     write_parts,
 )
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
-from animtool.core.values import picked
+from animtool.core.values import template_values
 from animtool.motion.driving import driven_stream
-from animtool.motion.reorient import at_stage_origin
+from animtool.motion.reorient import at_stage_origin, placement_notice
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
@@ -26,7 +26,7 @@ from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
 from animtool.retarget.take_pass import checked_blocks, onto_rig
 from animtool.retarget.verdict import FrameNumbers, Verdict
-from animtool.rig.placed import at_origin, placement_notice
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
@@ -92,7 +92,7 @@ class RetargetResult:
             {
                 "source": source_names[pair.source],
                 "target": target_names[pair.target],
-                **picked(pair, "role found=evidence confidence"),
+                **template_values(pair, "role found=evidence confidence"),
             }
             for pair in self.joint_map.pairs
         ]
@@ -128,7 +128,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    if job.write_map is not None and not is_named(job.write_map, "map"):
+    if job.write_map is not None and not has_kind_suffix(job.write_map, "map"):
         message, hint = "is not the name of a map file", "allowed: .map.yaml, .map.yml"
         raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
     if job.source.is_dir():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from animtool.core.errors import Fault, refuse_warnings
 from animtool.core.files.output import check_outputs
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import TakeStream
@@ -47,7 +47,7 @@ class SolvedOutput:
         """Return the output of a solve; a clip names a rig file."""
         outline = None
         if output is not None:
-            named_rig = rig if rig is not None and is_named(rig, "rig") else None
+            named_rig = rig if rig is not None and has_kind_suffix(rig, "rig") else None
             outline = outlined(source, output, bake, rig_file=named_rig)
         return SolvedOutput(outline, bake, tuple(filter(None, others)))
 

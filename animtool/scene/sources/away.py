@@ -86,7 +86,7 @@ def _first_label(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
     clock = shot.timecode
     assert clock is not None
     label = clock.label(shot_seconds)
-    hour = f"{label[:2]}:00:00{';' if clock.drop else ':'}00"
+    hour = f"{label[:2]}:00:00{';' if clock.drop_frame else ':'}00"
     try:
         begin = parse_timecode(hour, clock.rate) / clock.rate
     except ValueError:

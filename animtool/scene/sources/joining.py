@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import time_codes
 from animtool.core.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.core.names import nearest
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import seconds_between
@@ -314,17 +314,15 @@ class _JoinedTake:
         if frames_missing:
             message = (
                 f"does not have frame {' and '.join(frames_missing)}: its nearest is "
-                "held "
-                "there"
+                "held there"
             )
             yield note("SCN103", message, None, Severity.WARNING)
         seconds_outside = (
             max(-begin, Fraction(0)) + max(end - last, Fraction(0))
         ) / self._rate
         if seconds_outside:
-            message = (
-                f"{plain(float(seconds_outside))} s before and after the first source"
-            )
+            gap_text = plain_number(float(seconds_outside))
+            message = f"{gap_text} s before and after the first source"
             yield note("SCN104", f"{message} are ignored", None, Severity.NOTE)
 
     def _span(self, first: Fraction, last: Fraction) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Severity, listed, naming
+from animtool.core.errors import Fault, OptionError, Severity, listed, names_fault
 from animtool.core.readers import USD, find_reader
 from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
@@ -154,7 +154,7 @@ def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
         names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()
     ]
     return [
-        naming(
+        names_fault(
             code,
             f"{len(track_names)} {description}: ",
             track_names,

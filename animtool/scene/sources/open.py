@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
@@ -245,7 +245,7 @@ def is_usd(path: Path) -> bool:
 def motion_bytes(path: Path) -> int:
     """Return the size of a motion file; 0 for a scene, which refers to others."""
     # A file removed meanwhile is reported by the check of inputs.
-    state = None if is_named(path, "scene") else FileState.of(path)
+    state = None if has_kind_suffix(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
 
 
@@ -314,7 +314,7 @@ def open_source(
             apply to it.
     """
     path, options = Path(path), options or SourceOptions()
-    if is_named(path, "scene"):
+    if has_kind_suffix(path, "scene"):
         message = "is a scene, not a take"
         hint = "bake it with animtool bake, and read its source or output instead"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
@@ -357,6 +357,20 @@ def open_source(
         stream.details.setdefault("units", unit)
     # Keys of a clip are evaluated together with the tracks they drive.
     return stream if reader is DOCUMENT else _drive_tracks(stream)
+
+
+def open_checked(
+    path: Path, options: SourceOptions | None = None, *, progress: Progress = None
+) -> TakeStream:
+    """Open a source like `open_source`, with warnings about its rate, size and up axis.
+
+    They are added to its notices, some of them when its first block is read.
+    """
+    from animtool.retarget.standing import with_source_warnings
+
+    options = options or SourceOptions()
+    stream = open_source(path, options, progress=progress)
+    return with_source_warnings(path, stream, options.up, options.unit)
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:

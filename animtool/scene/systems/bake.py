@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import MAX_FRAMES, FrameSpan
 from animtool.core.errors import Fault, FormatError, OptionError, refuse_warnings
-from animtool.core.files.output import size_of
+from animtool.core.files.output import written_size
 from animtool.core.options import refused_options
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
@@ -185,7 +185,7 @@ class SystemFrames:
         report.notices += run.notices
         report.stopped = run.stopped
         report.result.outputs[:0] = self.files
-        report.result.bytes += sum(map(size_of, self.files))
+        report.result.bytes += sum(map(written_size, self.files))
         for take in report.takes:
             take.meshes += run.reports(written, take.source.name)
             take.simulated += run.simulated

@@ -13,7 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, OptionError
-from animtool.core.names import is_named, nearest
+from animtool.core.names import has_kind_suffix, nearest
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.fields import record_of
@@ -79,7 +79,7 @@ def motion_of(path: Path, take: Take) -> CharacterMotion:
 
 def open_take(path: Path) -> TakeStream:
     """Return the take of a clip, or of a scene with its passes."""
-    if not is_named(path, "scene"):
+    if not has_kind_suffix(path, "scene"):
         return open_source(path)
     from animtool.scene.file.read import load_scene
 

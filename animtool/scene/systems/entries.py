@@ -12,16 +12,16 @@ import numpy.typing as npt
 
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.names import nearest
-from animtool.core.options import OF_ENTRY, Checked, range_faults
+from animtool.core.options import ENTRY_RANGE_MESSAGE, Checked, range_faults
 from animtool.documents.arrays import load_array
 from animtool.documents.check import (
     FileModel,
-    LocatedFaults,
     record_of_options,
     unknown_options,
 )
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER, record_of
+from animtool.documents.model_faults import LocatedFaults
 from animtool.documents.references import (
     referred,
     referred_input,
@@ -87,7 +87,7 @@ class EntryReader:
 
     def note_ranges(self, at: Location, model: FileModel) -> None:
         """Record numbers of an entry that are out of range."""
-        for fault in range_faults(model, OF_ENTRY):
+        for fault in range_faults(model, ENTRY_RANGE_MESSAGE):
             self.note((*at, fault.where or ""), fault)
 
     def opened(

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, warning
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, rest_world
@@ -102,17 +102,17 @@ def _out_of_scale(
     if not fits_in_rig_unit or length * scale > FITTING_RATIO * bounds_size:
         return
     if distance > FAR_RATIO * bounds_size:
-        description = f"starts {plain(distance, 4)} m from the character"
+        description = f"starts {plain_number(distance, 4)} m from the character"
     elif length > LARGE_RATIO * bounds_size:
-        description = f"is {plain(length, 4)} m large"
+        description = f"is {plain_number(length, 4)} m large"
     else:
         return
     unit = unit_name(rig.meters_per_unit)
     counted_name = _UNIT_NAMES[length_unit]
     message = (
         f"{system.name} {description}, but the joints of {rig.name!r} span "
-        f"{plain(joint_size)} m; "
-        f"systems use {counted_name}, this rig is in {unit}"
+        f"{plain_number(joint_size)} m; systems use {counted_name}, "
+        f"this rig is in {unit}"
     )
     hint = _counting_as(unit) or f"write its lengths in {counted_name}"
     yield warning("SIM169", message, hint)
@@ -173,9 +173,9 @@ def _faults(
         description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
     message = (
-        f"the pinned end is {plain(distance, 4)} m from {description}, but the joints "
-        "of "
-        f"{rig.name!r} span {plain(joint_size)} m"
+        f"the pinned end is {plain_number(distance, 4)} m from {description}, "
+        "but the joints "
+        f"of {rig.name!r} span {plain_number(joint_size)} m"
     )
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:

@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, ToleranceError, excerpt
-from animtool.core.quantities import plain
+from animtool.core.quantities import plain_number
 from animtool.core.units import UpAxis, up_from_up
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.prims import MeshReport
@@ -372,7 +372,9 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
         step = system.setup.facts.step or MAX_STEP
         seconds = max(last, 0.0) + system.setup.spec.preroll
         if seconds / step > MAX_STEPS:
-            message = f"{plain(seconds)} s in steps of {plain(step)} s are "
+            message = (
+                f"{plain_number(seconds)} s in steps of {plain_number(step)} s are "
+            )
             message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.location.fault("SCN091", message, hint))

@@ -19,7 +19,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import STDOUT
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.edit.resample import outside_take, resampled
@@ -273,7 +273,7 @@ def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -
     else:
         key, value = "reduce", f"{setting['reduce'] * 1000:g}mm"
     keys = setting.method == KEYS
-    if is_named(path, "scene"):
+    if has_kind_suffix(path, "scene"):
         file = f"file: {source_stem(path)}.clip.yaml, " if keys else ""
         return f"output: {{{file}{key}: {value}}}"
     clip = f"{source_stem(path)}.reduced.clip.yaml"

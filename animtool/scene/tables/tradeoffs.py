@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
@@ -105,7 +105,7 @@ def suite_tradeoffs(
     notices: list[Fault] = []
     for i, name in enumerate(SUITE):
         path = SUITE_FOLDER / name
-        source = load_scene(path) if is_named(path, "scene") else path
+        source = load_scene(path) if has_kind_suffix(path, "scene") else path
         example_progress = part_progress(progress, i, len(SUITE))
         report = measure_tradeoffs(source, budget=budget, progress=example_progress)
         tables += report.tables

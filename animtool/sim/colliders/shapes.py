@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.options import OF_ENTRY, Range, range_faults
+from animtool.core.options import ENTRY_RANGE_MESSAGE, Range, range_faults
 from animtool.core.record import dataclass
 
 Vector: TypeAlias = Sequence[float]
-Radius = Annotated[float, Range("above 0", "SIM020", 0.0, reached=False, finite=True)]
+Radius = Annotated[
+    float, Range("above 0", "SIM020", 0.0, includes_minimum=False, finite=True)
+]
 ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -272,7 +274,7 @@ def _unit(direction: Vector) -> FloatArray:
 
 
 def _range_faults(shape: Any) -> list[str]:
-    return [fault.message for fault in range_faults(shape, OF_ENTRY)]
+    return [fault.message for fault in range_faults(shape, ENTRY_RANGE_MESSAGE)]
 
 
 def _size_faults(values: Sequence[float]) -> list[str]:

@@ -49,7 +49,9 @@ class Sheet(Material, Checked):
     code: ClassVar[str] = "SIM020"
 
     motion: SheetMotion
-    radius: Annotated[float, Range("above 0", "SIM020", 0, reached=False, finite=True)]
+    radius: Annotated[
+        float, Range("above 0", "SIM020", 0, includes_minimum=False, finite=True)
+    ]
     closed: bool = False
     name: str = ""
     depenetration: Annotated[float, above(0, "SIM020")] = 1.0

@@ -23,7 +23,7 @@ from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import SkinContacts, SkinSurface, margin_for
-from animtool.systems.attach.stepping import AttachedSprings
+from animtool.systems.attach.stepping import AttachedSprings, Steering
 from animtool.systems.attach.strands import (
     DEPENETRATION,
     CharacterColliders,
@@ -186,7 +186,9 @@ class Actor:
         motion = self.grid.state.motion
         self.move(np.stack([motion[0], motion[1] + speed]))
 
-    def cross(self, paths: PosePaths, frame: int) -> None:
+    def cross(
+        self, paths: PosePaths, frame: int, steering: Steering | None = None
+    ) -> None:
         """Advance by a frame; frame 0 is the first of the take."""
         started = time.perf_counter()
         count = self._springs.cells
@@ -203,9 +205,10 @@ class Actor:
         cells = Cells(0.0, self.grid.cell, frame * count, count)
         colliders = self._contacts.over(motion.world, cells, surfaces)
         begin_points = self.positions
-        self.grid = self._springs.cross(
-            self.grid, targets, colliders, self._contacts.own
-        )
+        springs, pulled_to = self._springs, targets
+        if steering is not None and steering.weight > 0:
+            springs, pulled_to = self._springs.steered(targets, steering)
+        self.grid = springs.cross(self.grid, pulled_to, colliders, self._contacts.own)
         self.target = targets[-1]
         self._world = motion.world
         self._time = (frame + 1) * self._span

@@ -15,8 +15,9 @@ from animtool.rig.skeleton import Rig
 
 # A root that ends within this many steps of its start is stationary [1].
 STATIONARY_STEPS = 2.0
-# Fraction of the cycle over which the seam residual is blended [1].
-SEAM = 0.25
+# Fraction of the cycle over which the seam residual is blended [1], and over which a
+# cycle is steered to the one before.
+SEAM, STEERED = 0.25, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,11 +153,13 @@ def onward(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
     return replace(pose, translations=translations, rotations=rotations)
 
 
-def seam_weights(frames: int) -> FloatArray:
-    """Return the blend weight of the seam correction for each frame ``(F,)``.
+def seam_weights(frames: int, seam: float = SEAM) -> FloatArray:
+    """Return the weight of the seam correction for each frame ``(F,)``.
+
+    It grows from 0 to 1 over the last part of a cycle, a fraction ``seam`` of it.
 
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     """
-    fractions = np.clip((np.arange(frames) / frames - 1 + SEAM) / SEAM, 0.0, 1.0)
+    fractions = np.clip((np.arange(frames) / frames - 1 + seam) / seam, 0.0, 1.0)
     return np.asarray(fractions * fractions * (3 - 2 * fractions))

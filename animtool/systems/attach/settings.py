@@ -61,7 +61,9 @@ class SimulateOptions:
     # Shear frequency of cloth [Hz].
     diagonals: Annotated[float, within(0.0, "SIM004")] = 20.0
     # Strain limit of springs [1]. None is 0.01 for chains, and 0.05 for others.
-    stretch: Annotated[float | None, within(0.0, "SIM004", reached=False)] = None
+    stretch: Annotated[float | None, within(0.0, "SIM004", includes_minimum=False)] = (
+        None
+    )
     # Gravity, down along the rig's up axis [m/s²]. With 0, attachments of a static
     # character do not move.
     gravity: Annotated[float, within(-MAX_NUMBER, "SIM004")] = 9.81
@@ -106,7 +108,9 @@ class SimulateOptions:
     teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
     teleports: tuple[float, ...] = ()  # frames that begin with a teleport
     # Steps per second; None is as many as ``stretch`` needs.
-    rate: Annotated[float | None, within(0.0, "SIM004", 1e6, reached=False)] = None
+    rate: Annotated[
+        float | None, within(0.0, "SIM004", 1e6, includes_minimum=False)
+    ] = None
     # File (``.npz``) for the states at the frames of ``save_at``, next to the scene.
     save: str = ""
     save_at: tuple[float, ...] = ()  # frames

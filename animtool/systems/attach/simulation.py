@@ -29,6 +29,7 @@ from animtool.systems.attach.actor import (
 )
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
+    STEERED,
     CycleShift,
     LocalPose,
     extrapolated,
@@ -39,6 +40,7 @@ from animtool.systems.attach.poses import (
 )
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.systems.attach.skins import SkinSurface, skins_of
+from animtool.systems.attach.stepping import Steering
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
@@ -46,6 +48,8 @@ from animtool.systems.framework.saved import Clocked
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import LOOK_BACK
 
+# Repeats of a cycle that may close it no better than one before, until it is steered.
+PATIENCE = 3
 # Largest number of point values in a block.
 BLOCK_VALUES = 1 << 20
 
@@ -84,6 +88,7 @@ class Closing:
     repeats: int  # number of repeats
     residual: float  # last distance between end and begin [m]
     tolerance: float  # requested [m]
+    steered: bool  # whether it had to be steered to the cycle before
 
 
 @dataclass(slots=True)
@@ -94,6 +99,8 @@ class _Rows:
     targets: list[FloatArray]
     # Of a cycle, which is measured once its seam is blended.
     surroundings: list[AttachedSurroundings] = field(default_factory=list)
+    # States of a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
+    motions: list[FloatArray] = field(default_factory=list)
 
 
 class AttachSimulation:
@@ -260,13 +267,20 @@ class AttachSimulation:
     def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
         return PosePaths(self.rig, before, after)
 
-    def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
+    def _cross(
+        self,
+        paths: PosePaths,
+        steering: Sequence[Steering] = (),
+        *,
+        jumps: bool = False,
+    ) -> None:
         max_speed = self.options.teleport_speed
-        for actor in self.actors:
+        for number, actor in enumerate(self.actors):
             if jumps or (max_speed and actor.speed(paths) > max_speed):
                 actor.jump(paths)
             else:
-                actor.cross(paths, self._frame)
+                steered = steering[number] if steering else None
+                actor.cross(paths, self._frame, steered)
             if self._progress is not None:
                 self._crossed += 1
                 total = self._to_cross * len(self.actors)
@@ -311,9 +325,11 @@ class AttachSimulation:
         self._crossed, self._to_cross = 0, count * self.options.loop_repeats
         self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
-        for repeat in range(1, self.options.loop_repeats + 1):
+        rows, best, stale, most = list[_Rows](), math.inf, 0, self.options.loop_repeats
+        for repeat in range(1, most + 1):
             firsts = [actor.positions for actor in self.actors]
-            rows = self._round(poses)
+            steered = bool(rows) and (repeat == most or stale >= PATIENCE)
+            rows = self._round(poses, rows if steered else [])
             end_states = [
                 _moved_to_begin(actor.grid.state.motion, travel)
                 for actor in self.actors
@@ -322,39 +338,54 @@ class AttachSimulation:
                 first - end[0] for first, end in zip(firsts, end_states, strict=True)
             ]
             residual = max(float(np.abs(gap).max(initial=0.0)) for gap in gaps)
-            self.closing = Closing(repeat, residual, tolerance)
-            if residual <= tolerance:
+            self.closing = Closing(repeat, residual, tolerance, steered)
+            if residual <= tolerance or steered:
                 break
+            best, stale = min(best, residual), 0 if residual < best else stale + 1
             for actor, end in zip(self.actors, end_states, strict=True):
                 actor.move(end)
         weights = seam_weights(count)
         for row, gap, actor in zip(rows, gaps, self.actors, strict=True):
-            off = so3.rotate(travel.rotation, gap)
-            row.moved = [
-                moved + weight * off
-                for moved, weight in zip(row.moved, weights.tolist(), strict=True)
-            ]
+            # Points of steered cloth are each a little off, in directions of their own:
+            # blended, its edges would be strained by that.
+            if not (steered and len(actor.body.network.triangles)):
+                off = so3.rotate(travel.rotation, gap)
+                row.moved = [
+                    moved + weight * off
+                    for moved, weight in zip(row.moved, weights.tolist(), strict=True)
+                ]
             actor.meter = ContactMeter()
             looks = zip(self.codes, row.moved, row.surroundings, strict=True)
             for code, points, surroundings in looks:
                 actor.measure(code, points, surroundings)
         return self._blended(motion, self._codes(self._early, count), rows)
 
-    def _round(self, poses: list[LocalPose]) -> list[_Rows]:
-        """Simulate a cycle once; return its frames except the last."""
+    def _round(self, poses: list[LocalPose], before: list[_Rows]) -> list[_Rows]:
+        """Simulate a cycle once; return its frames except the last.
+
+        With a cycle ``before`` it is steered to that one, which ended where it starts.
+        """
         rows = [_Rows([], []) for _ in self.bodies]
         codes = self._codes(self._early, len(poses)).tolist()
         self.codes = codes[:-1]
         self._frame = 0
         for actor in self.actors:
             actor.set_target(poses[0])
-        for i, (before, after) in enumerate(pairwise(poses)):
+        weights = np.append(seam_weights(len(poses) - 1, STEERED), 1.0)
+        for i, (first, second) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
                 row.surroundings.append(actor.surroundings())
                 row.moved.append(actor.positions)
+                row.motions.append(actor.grid.state.motion)
                 row.targets.append(actor.target)
+            steering = [
+                Steering(np.stack(row.motions[i : i + 2]), weights[i + 1])
+                for row in before
+            ]
             jumps = codes[i + 1] in self.options.teleports
-            self._cross(self._paths(before, after), jumps=jumps)
+            self._cross(self._paths(first, second), steering, jumps=jumps)
+        for row, actor in zip(rows, self.actors, strict=True):
+            row.motions.append(actor.grid.state.motion)
         return rows
 
     def _blended(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:

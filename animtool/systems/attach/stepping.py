@@ -11,6 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
+from animtool.core.record import dataclass
 from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
@@ -35,6 +36,8 @@ MAX_STEPS = 20_000.0
 FINER = 4
 # Default self-contact distance of cloth, relative to its edges [1].
 THICK = 1 / 3
+# Frequency of the pull that steers a cycle to the one before, at its strongest [Hz].
+STEERING = 40.0
 # Cells of a frame, over which the animation is linear.
 MIN_CELLS, MAX_CELLS = 5, 8
 
@@ -87,6 +90,21 @@ def cells_of(steps: int) -> tuple[int, int]:
     return min(divisions, key=math.prod)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Steering:
+    """Another motion of the particles over a frame, which pulls them to itself."""
+
+    motions: FloatArray  # its states at the start and end ``(2, 2, N, 3)`` [m, m/s]
+    weight: float  # strength of the pull, from 0 to 1
+
+    def path(self, count: int, span: float) -> FloatArray:
+        """Return its positions over a span [s] ``(count + 1, N, 3)`` [m]."""
+        u = (np.arange(count + 1) / count)[:, None, None]
+        (x0, v0), (x1, v1) = self.motions
+        ends = x0 + u * u * (3 - 2 * u) * (x1 - x0)
+        return np.asarray(ends + span * u * (1 - u) * ((1 - u) * v0 - u * v1))
+
+
 class AttachedSprings:
     """Steps the springs of an attachment over frames with xpbd.
 
@@ -112,11 +130,38 @@ class AttachedSprings:
         min_steps = math.ceil(steps_per_second(network, settings) * span - 1e-9)
         self.cells, self.substeps = cells_of(max(1, min_steps))
         self.thickness, self._span = thickness_of(network, settings), span
-        self._network, self._settings = network, settings
+        self._network, self._settings, self._down = network, settings, down
         if network.strands:
             self._strands = _strands(network, settings, down)
         else:
             self._system = _system(network, settings, down, self.thickness)
+
+    def steered(
+        self, path: FloatArray, steering: Steering
+    ) -> tuple[AttachedSprings, FloatArray]:
+        """Return springs that another motion also pulls, and what they are pulled to.
+
+        Both pulls are one: to the mean of the animated particles ``(K, N, 3)`` [m] and
+        that motion, by their strengths.
+        """
+        settings, options = self._settings, self._settings.options
+        pull, steer = settings.frequency**2, (steering.weight * STEERING) ** 2
+        frequency = math.sqrt(pull + steer)
+        damping = options.ratio * settings.frequency + steering.weight * STEERING
+        springs = AttachedSprings(
+            self._network,
+            replace(
+                settings,
+                frequency=frequency,
+                options=replace(options, ratio=damping / frequency),
+            ),
+            self._down,
+            self._span,
+        )
+        goal, free = path.copy(), self._network.free
+        other = steering.path(len(path) - 1, self._span)[:, free]
+        goal[:, free] += steer / (pull + steer) * (other - goal[:, free])
+        return springs, goal
 
     def start(self, positions: FloatArray) -> TimeGrid:
         """Return the grid at rest in positions ``(N, 3)`` [m]."""

@@ -16,7 +16,7 @@ from animtool.core.errors import (
     Severity,
     counted,
     listed,
-    percent,
+    percent_text,
     warning,
 )
 from animtool.core.record import dataclass
@@ -40,7 +40,7 @@ from animtool.systems.attach.simulation import (
     SavedFrame,
     saved_state,
 )
-from animtool.systems.framework.meter import Peak
+from animtool.systems.framework.meter import VISIBLE_DEPTH, Peak
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
@@ -167,7 +167,7 @@ def notices_of(simulation: AttachSimulation) -> list[Fault]:
 def _note(report: AttachReport, actor: Actor) -> Fault:
     phrases = [
         f"{report.name}: {counted(report.steps, 'step')} per frame",
-        f"springs stretch by up to {percent(report.stretch)}",
+        f"springs stretch by up to {percent_text(report.stretch)}",
     ]
     if report.contacts:
         phrases.append(f"up to {counted(report.contacts, 'particle')} in contact")
@@ -216,7 +216,8 @@ def _warnings(report: AttachReport) -> list[Fault]:
     warnings = []
     if report.stretch > PARDON * report.aimed:
         message = (
-            f"{report.name}: springs stretch by up to {percent(report.stretch)}, but "
+            f"{report.name}: springs stretch by up to "
+            f"{percent_text(report.stretch)}, but "
             f"{100 * report.aimed:g}% was the target"
         )
         hint = "use a higher rate, or let it settle from a pose that it can hold"
@@ -231,12 +232,14 @@ def _warnings(report: AttachReport) -> list[Fault]:
 
 def _cycle_notice(names: str, closing: Closing) -> Fault:
     message = f"{names}: the cycle was simulated {counted(closing.repeats, 'time')}; "
+    if closing.steered:
+        message += "it did not close by itself and was steered to the cycle before; "
     message += f"its ends differ by {1000 * closing.residual:.3g} mm"
-    if closing.residual <= closing.tolerance:
+    visible = VISIBLE_DEPTH if closing.steered else 0.0
+    if closing.residual <= max(closing.tolerance, visible):
         return Fault("SIM130", message, severity=Severity.NOTE)
     message += f", but {1000 * closing.tolerance:g} mm was requested"
-    hint = "the rest is blended over the last quarter; raise loop_repeats, or "
-    hint += "the ratio or drag of what oscillates irregularly"
+    hint = "raise loop_repeats, or the ratio or drag of what oscillates irregularly"
     return warning("SIM133", message, hint)
 
 

@@ -191,12 +191,12 @@ def separate_agents(
     count = len(x)
     separated, _, overlap, _ = _kernels.crowd_step(
         points=x, velocities=velocities, preferred=velocities,
-        radii=agents.radii, most=np.zeros(count), gives=agents.yielding,
+        radii=agents.radii, max_speeds=np.zeros(count), yielding=agents.yielding,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
-        does=np.zeros(count, np.uint8), starts=starts, walls=walls,
+        modes=np.zeros(count, np.uint8), starts=starts, walls=walls,
         sight=radius, nearest=0, horizon=1.0, space=0.0, push=0.0, headway=0.0,
-        side=0.0, step=1.0, rounds=SEPARATION_ITERATIONS,
-        enough=OVERLAP_TOLERANCE * radius,
+        side=0.0, step=1.0, max_passes=SEPARATION_ITERATIONS,
+        tolerance=OVERLAP_TOLERANCE * radius,
     )  # fmt: skip
     return separated, overlap
 

@@ -141,13 +141,13 @@ class Crowd:
         shoulders = self._shoulders(state, has_fallen)
         points, velocities, overlap, pressed = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed,
-            radii=agents.radii, most=agents.max_speeds, gives=agents.yielding,
+            radii=agents.radii, max_speeds=agents.max_speeds, yielding=agents.yielding,
             shoulders=shoulder_vectors(state.headings, shoulders), depth=DEPTH_RATIO,
-            groups=agents.groups, does=modes, starts=walls.starts, walls=walls.rows,
+            groups=agents.groups, modes=modes, starts=walls.starts, walls=walls.rows,
             sight=rules.sight, nearest=rules.nearest, horizon=rules.horizon,
             space=rules.space, push=rules.push, headway=rules.headway,
-            side=SIDE_PREFERENCES[rules.side], step=dt, rounds=SEPARATION_PASSES,
-            enough=OVERLAP_TOLERANCE * float(agents.radii.min()),
+            side=SIDE_PREFERENCES[rules.side], step=dt, max_passes=SEPARATION_PASSES,
+            tolerance=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
         progress = self.steering.advance(state.progress, points, dt)
         headings = self._yawed(state.headings, preferred, velocities, dt)

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Refusals, counted, refuse, warning
-from animtool.core.quantities import floored, plain
+from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
@@ -76,7 +76,7 @@ def coarse_drops(
         message = f"{name} has a radius of {radius:.3g} m, {radius_in_spacings:.2g} "
         message += "spacings: below "
         message += f"{RESOLVED_RADIUS:g}, surface tension may be off by a tenth or more"
-        hint = f"spacing: {plain(floored(radius / RESOLVED_RADIUS))}"
+        hint = f"spacing: {plain_number(floor_to_two_digits(radius / RESOLVED_RADIUS))}"
         yield warning("SIM175", message, hint, "spacing")
         return
 

@@ -11,7 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, counted, warning
-from animtool.core.quantities import floored, plain
+from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.core.record import dataclass
 from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
@@ -354,7 +354,9 @@ class Fluid:
         step = None
         if notices is not None and shorter < MAX_SHORTENING:
             step = self._working_step(state, t, dt, shorter)
-        hint = REMEDIES if step is None else f"step: {plain(step)}, or {REMEDIES}"
+        hint = (
+            REMEDIES if step is None else f"step: {plain_number(step)}, or {REMEDIES}"
+        )
         self._stop("SIM102", t + dt, message, hint)
 
     def _working_step(
@@ -364,7 +366,9 @@ class Fluid:
 
         It is at least ``ratio`` times shorter, with a margin.
         """
-        steps = (floored(dt / (ratio * divisor)) for divisor in STEP_DIVISORS)
+        steps = (
+            floor_to_two_digits(dt / (ratio * divisor)) for divisor in STEP_DIVISORS
+        )
         return next((step for step in steps if self._succeeds(state, t, step)), None)
 
     def _succeeds(self, state: FluidState, t: float, step: float) -> bool:

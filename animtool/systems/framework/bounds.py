@@ -6,7 +6,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
-from animtool.core.quantities import floored, plain
+from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.motion.frames import Frame, TransformsFrame
 
 # Largest number of a frame; files hold up to 3e38 in any unit.
@@ -60,7 +60,7 @@ def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
 
 def half_step_text(step: float) -> str:
     """Return half a step [s] as text."""
-    return plain(floored(step / 2))
+    return plain_number(floor_to_two_digits(step / 2))
 
 
 def _primvars(frame: Frame) -> list[tuple[str, FloatArray | IntArray]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, counted, percent, warning
+from animtool.core.errors import Fault, counted, percent_text, warning
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Collider, Colliders, Mesh
 
@@ -142,10 +142,10 @@ class ContactMeter:
             depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
             phrases.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
-            quantile = percent(self.strain_99.value)
+            quantile = percent_text(self.strain_99.value)
             phrases.append(f"99th percentile of strain {quantile}")
             phrases.append(
-                f"largest strain {percent(self.strain.value)} ({self.strain.text})"
+                f"largest strain {percent_text(self.strain.value)} ({self.strain.text})"
             )
         return ", ".join(phrases)
 
@@ -167,9 +167,9 @@ class ContactMeter:
             self.strain_99.value > VISIBLE_STRAIN_99
             or self.strain.value > VISIBLE_STRAIN
         ):
-            message = f"{what} is strained by up to {percent(self.strain.value)} "
+            message = f"{what} is strained by up to {percent_text(self.strain.value)} "
             message += f"({self.strain.text}), 99th percentile "
-            message += f"{percent(self.strain_99.value)}"
+            message += f"{percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"
             hint += " or a higher stiffness" if self.seconds else ""
             notices.append(warning("SIM182", message, hint))

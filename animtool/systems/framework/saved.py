@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import Fault, FormatError, OptionError, listed
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
@@ -54,7 +54,7 @@ def write_states(
         arrays[f"{prefix}state"] = np.array(_names_text(state))
         arrays |= {f"{prefix}state/{key}": rows for key, rows in state.items()}
     try:
-        with replacing(path) as temporary, temporary.open("wb") as file:
+        with replacement_path(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise output_error(path, error) from error

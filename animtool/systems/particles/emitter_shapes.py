@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.options import OF_ENTRY, Range, range_faults
+from animtool.core.options import ENTRY_RANGE_MESSAGE, Range, range_faults
 from animtool.core.record import dataclass
 from animtool.sim.colliders.shapes import Mesh
 
@@ -23,7 +23,7 @@ class _RangeChecked:
 
     def faults(self) -> list[str]:
         """Return messages about invalid values."""
-        return [fault.message for fault in range_faults(self, OF_ENTRY)]
+        return [fault.message for fault in range_faults(self, ENTRY_RANGE_MESSAGE)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Disc(_RangeChecked):
     """
 
     radius: Annotated[
-        float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+        float, Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
     ]
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
@@ -67,7 +67,7 @@ class SphereShape(_RangeChecked):
     """
 
     radius: Annotated[
-        float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+        float, Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
     ]
     hollow: bool = False
 

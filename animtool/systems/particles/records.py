@@ -11,7 +11,7 @@ from annotated_types import Le
 from animtool.core.options import Range, above, key
 from animtool.core.record import dataclass
 
-_POSITIVE = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+_POSITIVE = Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
 # Least mass, as in springs: less overflows divided forces.
 _MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, ToleranceError, excerpt
-from animtool.core.quantities import floored, plain
+from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.core.record import dataclass
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.flight import Flight, fly
@@ -180,11 +180,11 @@ class BodyLoads:
             number = int(np.argmax(swings))
             message = f"the forces on {self._body(number)} make it oscillate at "
             message += f"{swings[number]:.3g} rad/s, which needs more than "
-            message += f"{MAX_SUBSTEPS} substeps in a step of {plain(dt)} s"
+            message += f"{MAX_SUBSTEPS} substeps in a step of {plain_number(dt)} s"
             hint = "use weaker forces, or more mass"
             if math.isfinite(oscillation_steps):
-                step = floored(dt * MAX_SUBSTEPS / oscillation_steps)
-                hint = f"use step: {plain(step)}, or {hint}"
+                step = floor_to_two_digits(dt * MAX_SUBSTEPS / oscillation_steps)
+                hint = f"use step: {plain_number(step)}, or {hint}"
             self._stop(t, message, hint)
         rotation_steps = float(spins.max(initial=0.0)) * dt / MAX_ANGLE
         return max(
@@ -215,10 +215,14 @@ class BodyLoads:
         max_factor = float(inertias.max()) * parts
         if max_factor > MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
-            message += f"contact, is too strong for a step of {plain(dt)} s"
-            step = floored(dt * MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS / max_factor)
+            message += f"contact, is too strong for a step of {plain_number(dt)} s"
+            step = floor_to_two_digits(
+                dt * MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS / max_factor
+            )
             self._stop(
-                t, message, f"use step: {plain(step)}, or less drag, or more mass"
+                t,
+                message,
+                f"use step: {plain_number(step)}, or less drag, or more mass",
             )
         return substeps_for_inertias(parts, inertias)
 

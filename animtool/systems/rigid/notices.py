@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from animtool.core.errors import Fault, Severity, excerpt, warning
-from animtool.core.quantities import floored, plain
+from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.shared import RigidState
 
@@ -23,8 +23,8 @@ def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fa
         return
     name = excerpt(joints.names[state.swinging])
     message = f"the drive of joint {name} oscillates too fast for a step of "
-    message += f"{plain(step)} s: it may lose energy or get out of phase"
-    shorter = plain(floored(state.follows))
+    message += f"{plain_number(step)} s: it may lose energy or get out of phase"
+    shorter = plain_number(floor_to_two_digits(state.follows))
     hint = f"use step: {shorter}, or more damping, or less stiffness"
     yield warning("SIM171", message, hint)
 

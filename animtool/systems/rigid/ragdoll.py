@@ -51,9 +51,9 @@ class RagdollOptions:
     # Blend frames at the start, and after `end` [frames].
     blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
     # Total mass [kg], distributed as the rig states.
-    mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
+    mass: Annotated[float | None, within(0.0, "SIM062", includes_minimum=False)] = None
     # Density if neither `mass` nor the rig sets a mass [kg/m³].
-    density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
+    density: Annotated[float, within(0.0, "SIM062", includes_minimum=False)] = 1000.0
     # Stiffness towards the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
     # Damping of joints [N m s/rad].
@@ -67,7 +67,9 @@ class RagdollOptions:
     gravity: Annotated[float, within(-MAX_NUMBER, "SIM062")] = 9.81
     friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
     colliders: ColliderEntries = ()  # colliders of the ragdoll
-    step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
+    step: Annotated[float, within(0.0, "SIM062", 1.0, includes_minimum=False)] = (
+        0.005  # [s]
+    )
     substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # substeps of each step
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Refusals, ToleranceError
-from animtool.core.quantities import floored, plain
+from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.motion.physics import Physics
@@ -291,7 +291,7 @@ class RigidSimulation(SharedBodies):
             * LARGEST_POSITION
         )
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
-        step = plain(floored(self._spec.step / 2))
+        step = plain_number(floor_to_two_digits(self._spec.step / 2))
         hint = f"do joints start within their limits? if so, use step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 

@@ -9,7 +9,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, warning
-from animtool.core.quantities import length_text, plain
+from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
 from animtool.maths.faces import directed_edges
 from animtool.sim.colliders import Collider
@@ -60,7 +60,9 @@ class SelfCrossings:
         if not self.most:
             return []
         message = f"{name} passed through itself: {counted(self.most, 'pair')} of an "
-        message += f"edge and a face, at {plain(self.when)} s, as its self_contact is "
+        message += (
+            f"edge and a face, at {plain_number(self.when)} s, as its self_contact is "
+        )
         message += "off"
         hint = "set self_contact with a thickness, such as half an edge"
         return [Fault("SIM194", message, hint=hint, severity=Severity.NOTE)]

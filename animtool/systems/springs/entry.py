@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted
-from animtool.core.options import OF_ENTRY, range_faults
+from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
 from animtool.systems.framework.spec import Member, PinnedPoints
@@ -213,7 +213,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
         where = specified[-1] if specified else None
         faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
     else:
-        faults = range_faults(family, OF_ENTRY)
+        faults = range_faults(family, ENTRY_RANGE_MESSAGE)
         if family.rest == 0 and (family.tear or 0) > 0:
             message, hint = "springs of rest length 0 tear at once", "remove tear"
             faults.append(Fault("SIM042", message, hint=hint, where="tear"))
@@ -249,5 +249,5 @@ def _check_wind(entry: BodyEntry) -> None:
         hint = f"for mm/s write {speed / 1000:g}; else raise speed_limit"
         entry.note("SIM050", message, "wind", "velocity", hint=hint)
     if isinstance(wind, FaceWindModel):
-        for fault in range_faults(air_of(wind), OF_ENTRY):
+        for fault in range_faults(air_of(wind), ENTRY_RANGE_MESSAGE):
             entry.add(fault, "wind")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from animtool.core.errors import Fault, percent, warning
-from animtool.core.quantities import plain
+from animtool.core.errors import Fault, percent_text, warning
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.systems.springs.records import Solver
@@ -50,9 +50,12 @@ class Losses:
         if not self.fraction >= REPORTED:
             return []
         message = (
-            f"{solver} damps the motion: it dissipated {percent(self.fraction)} of its "
+            f"{solver} damps the motion: it dissipated "
+            f"{percent_text(self.fraction)} of its "
         )
-        message += f"energy within {plain(self._span)} s, but no drag or damping is "
+        message += (
+            f"energy within {plain_number(self._span)} s, but no drag or damping is "
+        )
         message += "given"
         hint = "use auto or bdf2, which conserve it, or a shorter step"
         return [warning("SIM196", message, hint)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, warning
-from animtool.core.quantities import floored, length_text, plain
+from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
 from animtool.sim.trajectory import Stats, Status
 from animtool.systems.springs.motion import TimeGrid, through_notices
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -64,13 +64,13 @@ def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     notices, choice = [], simulation.choice
     limit, h = choice.limit, choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
-        message = f"{choice.solver} is not stable with steps of {plain(h)} s"
+        message = f"{choice.solver} is not stable with steps of {plain_number(h)} s"
         notices.append(
-            warning("SIM101", message, f"it is stable up to {plain(limit)} s")
+            warning("SIM101", message, f"it is stable up to {plain_number(limit)} s")
         )
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
-        hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
+        hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
         if simulation.grid.unresolved:
             hint = "colliders push it from inside; see SIM123"
         notices.append(warning("SIM102", message, hint))
@@ -107,7 +107,7 @@ def _convergence_hint(simulation: _Simulation) -> str:
     step = None if unsolved is None else working_step(system, unsolved)
     ties, hint = system.ties, "use a shorter step"
     if step is not None:
-        hint = f"step: {plain(floored(step))}"
+        hint = f"step: {plain_number(floor_to_two_digits(step))}"
         if ties is not None:
             hint += " of the bodies of its pins"
     if ties is None:
@@ -128,7 +128,9 @@ def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
     message = f"auto finds no solver for it: {choice.solver}, chosen because "
     message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "
     message += f"at {stats.time:.6g} s, in steps of "
-    message += f"{plain(simulation.shortest)} s; {simulation.options.stretch:.2%} "
+    message += (
+        f"{plain_number(simulation.shortest)} s; {simulation.options.stretch:.2%} "
+    )
     hint = "use less stiffness or more uniform masses, a larger "
     hint += f"stretch, or solver: {choice.solver}, which continues"
     return warning("SIM178", message + "is allowed", hint)

@@ -409,7 +409,7 @@ def _advance_part(
 
     def cross(begins: FloatArray, ends: FloatArray) -> Pulled:
         pinned[:, columns] = begins + fraction * (ends - begins)
-        network.lead(pinned, targets)
+        network.set_paths(pinned, targets)
         return _solve_with_pulls(network, grid, colliders, TIED * ties.size)
 
     solution = TiedCell(ties, steps).cross(cross, grid.state.known)

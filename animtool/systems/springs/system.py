@@ -201,7 +201,7 @@ class SpringSystem(SecondOrder):
             self._staged = None
             return
         network = self._staged[1].network
-        network.lead(pins[1], targets[1])
+        network.set_paths(pins[1], targets[1])
         self._staged = 0, _Stage(pins, targets, network)
 
     def _stage(self, number: int) -> _Stage:

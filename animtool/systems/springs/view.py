@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, percent, warning
-from animtool.core.quantities import length_text, plain
+from animtool.core.errors import Fault, Severity, counted, percent_text, warning
+from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
 from animtool.motion.frames import Frame, MeshFrame
 from animtool.systems.framework.meter import (
@@ -184,7 +184,7 @@ class SpringView:
         if self.first:
             notices += simulation.notices
             if simulation.long:
-                strain = percent(simulation.stretch)
+                strain = percent_text(simulation.stretch)
                 message = f"{name}: springs stretch {strain} beyond their length "
                 hint = "raise the stiffness [N/m] of each spring, or "
                 hint += "lower the mass [kg]"
@@ -196,8 +196,8 @@ class SpringView:
         simulation = self.simulation
         phrases = [
             f"{simulation.choice.solver} ({simulation.reason})",
-            f"shortest step {plain(simulation.shortest)} s",
-            f"springs stretch by up to {percent(simulation.stretch)}",
+            f"shortest step {plain_number(simulation.shortest)} s",
+            f"springs stretch by up to {percent_text(simulation.stretch)}",
         ]
         if simulation.error is not None and math.isfinite(simulation.error):
             phrases.append(f"error {length_text(simulation.error)}")

@@ -13,7 +13,7 @@ from pxr import Sdf
 
 from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.clock import FrameSpan
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
@@ -140,8 +140,7 @@ def author_cache(
 
     A stage has ``Xform`` prims in place of the model and the SkelRoot of a stage with a
     skeleton, and unbound meshes and strands at the same paths. A layer over a rig turns
-    its
-    SkelRoot into an ``Xform``, so that UsdSkel does not deform the points again.
+    its SkelRoot into an ``Xform``, so that UsdSkel does not deform the points again.
     """
     layer = new_layer(job.output)
     reports = [CachedMesh(path) for path in job.meshes]
@@ -250,7 +249,7 @@ def _chunk(
         for writer in writers:
             writer.release(rest=with_rest)
         author_span(layer, cache_metadata(job, 0.0, 0.0))
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         export_layer(layer, temporary, path)
 
 

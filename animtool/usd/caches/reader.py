@@ -263,8 +263,7 @@ class MeshSource:
     """A mesh of an open stage, sampled by time.
 
     ``span`` is the first and last time code at which its points or transform change;
-    None
-    if it is static.
+    None if it is static.
     """
 
     def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:

@@ -341,8 +341,7 @@ class StageContents:
         """Return linear colors of skinned meshes by name.
 
         Colors are per point or one per mesh ``(N or 1, 3)``. Default colors that
-        animtool
-        authors are omitted.
+        animtool authors are omitted.
         """
         prim = self.stage.GetPrimAtPath(skeleton)
         colors_by_name = {}

@@ -203,8 +203,7 @@ class PointWriter:
 
     Animated attributes have samples, static ones a default. With `every`, each frame of
     existing attributes is a sample, as for simulated prims; with `first`, the first
-    frame is
-    also the default.
+    frame is also the default.
     """
 
     def __init__(

@@ -146,8 +146,7 @@ def inspect_layer(path: Path | str) -> Inspection:
     """Return the takes of a USD layer, and all findings in its composed stage.
 
     If it cannot be opened, that is the only finding. USD's own warnings about the layer
-    are
-    not printed, since the findings cover them.
+    are not printed, since the findings cover them.
     """
     path = Path(path)
     try:
@@ -218,8 +217,7 @@ def _distinct(faults: list[Fault]) -> list[Fault]:
     """Return faults without repeats of an earlier fault at the same location.
 
     Per code and location the first message is kept: a validator of USD may repeat a
-    finding
-    of ours.
+    finding of ours.
     """
     reported_foreign: dict[tuple[str, str | None], bool] = {}
     distinct_faults = []

@@ -73,8 +73,7 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
         message = (
             f"{len(out_of_range)} of {len(indices)} indices are not in 0 to "
-            f"{count - 1}, "
-            f"the first is {out_of_range[0]:.0f}"
+            f"{count - 1}, the first is {out_of_range[0]:.0f}"
         )
         yield finding("USD230", path, message)
 
@@ -140,8 +139,7 @@ def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
             worst = int(np.abs(weight_sums - 1.0).argmax())
             message = (
                 f"the weights of {is_off_one.sum()} of {len(weight_sums)} points have "
-                "another sum, "
-                f"of point {worst} {weight_sums[worst]:.6g}"
+                f"another sum, of point {worst} {weight_sums[worst]:.6g}"
             )
             yield finding("USD232", path, message)
 

@@ -149,8 +149,7 @@ def _layer_rates(subject: StageSubject) -> Iterator[Fault]:
             message = (
                 f"the stage has {rate:g} time codes per second, "
                 f"{layer.GetDisplayName()} {rate_text}: its {len(times)} sample times "
-                "are "
-                f"scaled by {rate / layer_rate:.6g}"
+                f"are scaled by {rate / layer_rate:.6g}"
             )
             yield finding("USD257", ROOT, message)
 

@@ -18,7 +18,7 @@ from pxr import Sdf, Usd, UsdUtils
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, counted
-from animtool.core.files.output import after_commit, replacing
+from animtool.core.files.output import after_commit, replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input
 from animtool.core.plugins import load_object
@@ -210,7 +210,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     rewritten = _reanchor_assets(layer, source, output)
     has_same_format = source.suffix.lower() == output.suffix.lower()
     arguments = {"format": _format(source)} if output.suffix == ".usd" else {}
-    with replacing(output) as temporary:
+    with replacement_path(output) as temporary:
         if content is None and has_same_format and not rewritten:
             try:
                 shutil.copyfile(source, temporary)

@@ -19,15 +19,15 @@ from pxr import Sdf, Tf, Vt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
-from animtool.core.files.output import STDOUT, after_commit, replacing
+from animtool.core.files.output import STDOUT, after_commit, replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
-from animtool.usd.layers.package import layer_to_package
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
     export_layer,
     new_layer,
+    packaged,
     save_layer,
     usd_reason,
 )
@@ -89,9 +89,9 @@ def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
         yield growing
         growing.size = save_layer(layer, path)
         return
-    with replacing(path) as temporary:
+    with replacement_path(path) as temporary:
         with (
-            layer_to_package(path, temporary) as file,
+            packaged(path, temporary) as file,
             growing_crate(file, path) as growing,
         ):
             growing.layer.TransferContent(layer)
@@ -252,8 +252,7 @@ class Chunks:
             size: Samples per file.
             prims: Number of prims.
             build: Context with the writers of a file, counted from 0; the file is
-                complete
-                at the end of the context.
+                complete at the end of the context.
         """
         self.files, self._size, self._build = files, size, build
         self._next_samples = [0] * prims
@@ -330,10 +329,9 @@ class Chunks:
         """Write the manifest; return all files.
 
         Leftover files of an earlier, longer bake are removed only after these have
-        their names:
-        a layer always has its own chunks.
+        their names: a layer always has its own chunks.
         """
-        with replacing(self.files.manifest) as temporary:
+        with replacement_path(self.files.manifest) as temporary:
             export_layer(self._manifest, temporary, self.files.manifest)
         files = [*self.paths, self.files.manifest]
         after_commit(lambda: self.files.remove_others(files))

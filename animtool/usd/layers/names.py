@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pxr import Sdf
 
 from animtool.core.errors import Fault, Severity, excerpt
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
 from animtool.rig.skeleton import Joint
 
@@ -74,7 +74,7 @@ def distinct_names(
     first_source: dict[str, str] = {}
     notices: list[Fault] = []
     legals = list(map(legal_name, proposed))
-    rows = zip(original_names, legals, distinct(legals), sources, strict=True)
+    rows = zip(original_names, legals, numbered_names(legals), sources, strict=True)
     for name, legal, unique, source in rows:
         if unique != legal:
             notices.append(

@@ -12,7 +12,6 @@ from pathlib import Path
 from pxr import Sdf, Tf
 
 from animtool.core.files.placing import output_error
-from animtool.core.readers import PACKAGE
 
 PACK_FAILED = "USD could not pack it"
 # The earliest date of a zip file.
@@ -24,13 +23,7 @@ _DIRECTORY_HEADER = b"PK\x01\x02"
 
 @contextmanager
 def layer_to_package(path: Path, temporary: Path) -> Iterator[Path]:
-    """Context with the file to write a layer to; packaged at the end for .usdz.
-
-    ``temporary`` is renamed to ``path`` if all succeeds.
-    """
-    if path.suffix.lower() != PACKAGE:
-        yield temporary
-        return
+    """Context with the file to write a layer to; packaged as `temporary` at the end."""
     # In the same folder, so that its dependencies are found.
     crate = temporary.with_suffix(".usdc")
     try:

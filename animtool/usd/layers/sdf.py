@@ -6,7 +6,7 @@ import gc
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +19,20 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import FrameSpan, time_fraction
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
-from animtool.core.files.output import STDOUT, replacing
+from animtool.core.files.output import STDOUT, replacement_path
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import (
     FileState,
     changed_error,
     open_input,
     path_from_folder,
-    too_large,
-    unreadable,
+    size_error,
+    unreadable_error,
 )
-from animtool.core.files.signatures import expects
-from animtool.core.process.supervisor import note_said, reading
+from animtool.core.files.signatures import expects_format
+from animtool.core.process.supervisor import note_output, reading_file
 from animtool.core.rates import rate_from_float
-from animtool.core.readers import PACKAGE
+from animtool.core.readers import USD_PACKAGE_SUFFIX
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
@@ -47,7 +47,6 @@ from animtool.usd.layers.finite import (
     float_letter,
 )
 from animtool.usd.layers.names import legal_name
-from animtool.usd.layers.package import layer_to_package
 from animtool.usd.layers.text_faults import layer_fault
 
 # Hint for files with a valid name that are not USD.
@@ -165,7 +164,7 @@ def asset_path(file: Path, folder: Path) -> str:
     return f"./{name}"
 
 
-@expects("USD001", "a USD file", AS_USD)
+@expects_format("USD001", "a USD file", AS_USD)
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, recorded=True)
@@ -190,7 +189,7 @@ def layer_state(path: Path, *, recorded: bool = False) -> FileState:
         binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
         limit = MAX_LAYER_BYTES if binary else MAX_TEXT_LAYER_BYTES
         if file.state.size > limit:
-            raise too_large(path, file.state.size, limit)
+            raise size_error(path, file.state.size, limit)
         return file.state
 
 
@@ -211,13 +210,13 @@ def compute_alone() -> None:
 @contextmanager
 def usd_errors(path: Path) -> Iterator[None]:
     """Context that turns USD's errors about a file into a `FormatError`."""
-    with reading(path):
+    with reading_file(path):
         try:
             yield
         except Tf.ErrorException as error:
             raise FormatError(layer_fault(usd_reason(error, 2000), path)) from error
         except UnicodeEncodeError as error:
-            raise unreadable(path, NO_TEXT) from error
+            raise unreadable_error(path, NO_TEXT) from error
         except UnicodeDecodeError as error:
             message = "contains text that is not UTF-8"
             raise FormatError(Fault("USD001", message, str(path))) from error
@@ -237,7 +236,7 @@ def new_layer(path: Path) -> Any:
     """Return a new layer that `save_layer` writes to ``path``."""
     if path == STDOUT:
         return Sdf.Layer.CreateAnonymous(".usda")
-    is_package = path.suffix.lower() == PACKAGE
+    is_package = path.suffix.lower() == USD_PACKAGE_SUFFIX
     return Sdf.Layer.CreateAnonymous(".usdc" if is_package else path.suffix)
 
 
@@ -308,13 +307,25 @@ def save_layer(layer: Any, path: Path) -> int:
     if path == STDOUT:
         text = layer.ExportToString()
         sys.stdout.write(text)
-        note_said()
+        note_output()
         sys.stdout.flush()
         return len(text.encode())
-    with replacing(path) as temporary:
-        with layer_to_package(path, temporary) as file:
+    with replacement_path(path) as temporary:
+        with packaged(path, temporary) as file:
             export_layer(layer, file, path)
         return temporary.stat().st_size
+
+
+def packaged(path: Path, temporary: Path) -> AbstractContextManager[Path]:
+    """Context with the file to write a layer to; packaged at the end for .usdz.
+
+    ``temporary`` is renamed to ``path`` if all succeeds.
+    """
+    if path.suffix.lower() != USD_PACKAGE_SUFFIX:
+        return nullcontext(temporary)
+    from animtool.usd.layers.package import layer_to_package
+
+    return layer_to_package(path, temporary)
 
 
 def export_layer(

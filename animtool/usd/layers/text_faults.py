@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, excerpt
-from animtool.core.names import similar
-from animtool.core.source_lines import Sources
+from animtool.core.names import most_similar
+from animtool.core.source_lines import SourceLineCache
 
 FIRST_LINE = "#usda 1.0"
 # File, line, column, what is wrong, the text there, and the prim or attribute.
@@ -72,7 +72,7 @@ or class")
     match = _PRIM_LINE.match(line)
     if match is None or match[1] in _SPECIFIERS:
         return None
-    meant = similar(match[1], _SPECIFIERS, 0.5)
+    meant = most_similar(match[1], _SPECIFIERS, 0.5)
     hint = "a prim begins with def, over or class"
     hint = f"did you mean {meant!r}? {hint}" if meant else hint
     return f"{match[1]!r} does not begin a prim", hint
@@ -108,7 +108,9 @@ def layer_fault(text: str, path: Path) -> Fault:
                 if "first line" in message:
                     location = {"lines": (1,), "column": 1}
                 else:
-                    line = Sources().line(str(path), *location.get("lines", (0,)))
+                    line = SourceLineCache().line(
+                        str(path), *location.get("lines", (0,))
+                    )
                     message, hint = _specifier_fault(line or "") or (message, hint)
                 return Fault("USD001", message, str(path), hint=hint, **location)
     return Fault("USD001", text[:_LONGEST], str(path), **location)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pxr import Sdf
 
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.usd.layers.sdf import find_layer, usd_errors
 
 _METADATA = (
@@ -47,6 +47,6 @@ def write_view(
         for name in _METADATA:
             if source_metadata.HasInfo(name):
                 view.pseudoRoot.SetInfo(name, source_metadata.GetInfo(name))
-        with replacing(path) as temporary:
+        with replacement_path(path) as temporary:
             temporary.write_text(view.ExportToString(), "utf-8")
     return path

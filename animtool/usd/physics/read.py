@@ -11,7 +11,7 @@ from pxr import Usd, UsdPhysics, UsdShade
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, excerpt
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.physics import Physics, PhysicsBody, PhysicsShape
@@ -178,8 +178,7 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
 
     Raises:
         FormatError: The prim does not exist (SIM051), has no bodies, or contains
-            invalid
-            bodies.
+            invalid bodies.
     """
     with usd_errors(path):
         stage = open_stage(path)
@@ -204,7 +203,7 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
         PrimLocation(str(source.path)).fail(
             "SIM051", message, "name a prim further down"
         )
-    names = distinct([str(prim.GetName()) for prim in rigid])
+    names = numbered_names([str(prim.GetName()) for prim in rigid])
     bodies = [
         _body(source, prim, name) for prim, name in zip(rigid, names, strict=True)
     ]

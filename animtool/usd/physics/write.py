@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Gf, Sdf
 
 from animtool.core.array_types import FloatArray
-from animtool.core.names import distinct
+from animtool.core.names import numbered_names
 from animtool.maths import so3
 from animtool.motion.physics import (
     JointDrive,
@@ -93,7 +93,7 @@ class PhysicsWriter:
         if entries:
             prim(self._layer, scope, "Scope")
         names = [legal_name(entry.name or kind.lower()) for entry in entries]
-        for name, entry in zip(distinct(names), entries, strict=True):
+        for name, entry in zip(numbered_names(names), entries, strict=True):
             yield f"{scope}/{name}", entry
 
     def _scene(self, path: str) -> None:

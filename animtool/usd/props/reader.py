@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import time_fraction
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
@@ -198,7 +198,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             faults.append(Fault("SCN049", message, hint="remove it"))
         elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
-            similar_name = similar(name, names)
+            similar_name = most_similar(name, names)
             hint = f"did you mean {similar_name}?" if similar_name else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))

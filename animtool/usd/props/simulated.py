@@ -18,7 +18,7 @@ from pxr import Gf, Sdf
 from animtool.core.arguments import argument
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
@@ -340,7 +340,10 @@ def chunk_simulated(
 
     @contextmanager
     def chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
-        with replacing(path) as temporary, growing_crate(temporary, path) as growing:
+        with (
+            replacement_path(path) as temporary,
+            growing_crate(temporary, path) as growing,
+        ):
             _declare(growing.layer, reports, layer)
             yield [
                 PointWriter(

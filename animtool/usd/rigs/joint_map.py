@@ -10,7 +10,7 @@ from pxr import Usd, UsdSkel
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
+from animtool.core.errors import Fault, FormatError, Severity, excerpt, names_fault
 from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import placed_motion
@@ -173,11 +173,11 @@ def _unmatched_notices(take: Rig, target: RigTarget, source: IntArray) -> list[F
     if missing_names:
         message = f"{len(missing_names)} joints of the take are not in the rig: "
         hint, kind = "they are skipped", Severity.WARNING
-        notices.append(naming("USD102", message, missing_names, where, hint, kind))
+        notices.append(names_fault("USD102", message, missing_names, where, hint, kind))
     if at_rest:
         message = f"{len(at_rest)} joints of the rig are not in the take: "
         hint, kind = "they stay at rest", Severity.NOTE
-        notices.append(naming("USD111", message, at_rest, where, hint, kind))
+        notices.append(names_fault("USD111", message, at_rest, where, hint, kind))
     return notices
 
 
@@ -234,14 +234,14 @@ def match_shapes(
     if unknown:
         message = f"{len(unknown)} shapes of the take are on no mesh of the rig: "
         hint, kind = "their weights have no effect there", Severity.WARNING
-        notices.append(naming("USD114", message, unknown, where, hint, kind))
+        notices.append(names_fault("USD114", message, unknown, where, hint, kind))
     respelled_names = [
         f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b
     ]
     if respelled_names:
         message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
         notices.append(
-            naming("USD118", message, respelled_names, where, None, Severity.NOTE)
+            names_fault("USD118", message, respelled_names, where, None, Severity.NOTE)
         )
     return tuple(matches), notices
 

@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, excerpt, listed
-from animtool.core.names import distinct, similar
+from animtool.core.names import most_similar, numbered_names
 from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
@@ -131,7 +131,7 @@ def nearest_prim(stage: Any, name: str) -> str | None:
     """Return a hint that names the prim with the most similar path."""
     all_of_them = islice(stage.Traverse(), MAX_COMPARED)
     names = [str(prim.GetPath()) for prim in all_of_them]
-    similar_path = similar(name, names)
+    similar_path = most_similar(name, names)
     return f"did you mean {similar_path}?" if similar_path else None
 
 
@@ -242,7 +242,7 @@ def rig_from_tokens(
     )
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
-    uniques = distinct(token.rpartition("/")[2] for token in tokens)
+    uniques = numbered_names(token.rpartition("/")[2] for token in tokens)
     for i, token in enumerate(tokens):
         parent = _parent(token, index)
         leaf = token.rpartition("/")[2]

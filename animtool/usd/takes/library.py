@@ -3,9 +3,8 @@
 Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
 ``take`` of the model binds one: a variant has ``skel:animationSource``, the SkelRoot's
 extent and, if it has the root's motion, its transform. None of these is authored
-outside
-the variants, where it would be stronger. ``customData`` of a SkelAnimation has the
-frames of the take::
+outside the variants, where it would be stronger. ``customData`` of a SkelAnimation has
+the frames of the take::
 
     animtool = { dictionary take = { string name, timecode start, timecode end } }
 """
@@ -21,7 +20,7 @@ from pxr import Sdf, Usd
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
-from animtool.core.names import similar
+from animtool.core.names import most_similar
 from animtool.core.rates import MAX_FRAME
 from animtool.core.record import dataclass
 from animtool.usd.layers.names import TAKE_SET, RigPaths
@@ -119,7 +118,7 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
         hint = f"a library has a variant set {TAKE_SET!r}"
         raise OptionError(Fault("USD031", message, where, (), hint))
     if name not in takes.names:
-        similar_name = similar(name, takes.names)
+        similar_name = most_similar(name, takes.names)
         hint = f"did you mean {similar_name!r}? " if similar_name else ""
         hint += f"the takes: {listed(takes.names, 40)}"
         message = f"unknown take {excerpt(name)}"

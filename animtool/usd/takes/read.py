@@ -9,30 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdSkel
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock, time_fraction
-from animtool.core.errors import Fault, FormatError, Severity, counted, listed
+from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
-from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import at_stage_origin, placed_motion
+from animtool.motion.reorient import at_stage_origin, placed_motion, placement_notice
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
-from animtool.rig.placed import placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
     PrimLocation,
-    duplicate_names,
     matrix_array,
-    missing_parts,
-    tokens,
-    transform_attributes,
-    unknown_joints,
 )
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -54,14 +47,11 @@ from animtool.usd.rigs.prims import (
     check_moves,
     composition_notices,
     find_skeletons,
-    numbers,
     open_stage,
     others_notice,
     prim_below,
-    rig_from_tokens,
     skeleton_rig,
     stored_data,
-    up_axis,
 )
 from animtool.usd.rigs.skeleton import with_recorded_rest
 from animtool.usd.rigs.skinned import (
@@ -71,17 +61,13 @@ from animtool.usd.rigs.skinned import (
     ignored_binding,
     missing_animation,
 )
-from animtool.usd.takes.animation_values import (
-    SampleGrid,
-    animated_shapes,
-    nearest_samples,
-    normalised,
-    sample_grid,
-    sampled_values,
-    scale_channel,
-    shape_weights,
-    with_rest,
+from animtool.usd.takes.animation import (
+    first_animation,
+    read_animation,
+    rig_of_animation,
+    root_motion_notice,
 )
+from animtool.usd.takes.animation_values import nearest_samples, scale_channel
 from animtool.usd.takes.library import TakeSet, find_take_set, select_take
 
 
@@ -153,7 +139,7 @@ def read_character(
         animation = _bound_animation(skeletons[0])
         prim = skeletons[0].GetPrim()
     else:
-        animation = _first_animation(stage, root_path)
+        animation = first_animation(stage, root_path)
         if animation is None:
             message = f"has no Skeleton and no SkelAnimation below {root_path}"
             characters = character_paths(stage)
@@ -162,16 +148,18 @@ def read_character(
                 names = listed(characters, MAX_NAMED)
                 hint = f"choose one of {names} with {argument('source.prim_path')}"
             raise FormatError(Fault("USD008", message, str(path), (), hint))
-        skeleton = _rig_of_animation(animation, path, stage)
+        skeleton = rig_of_animation(animation, path, stage)
         prim = None
     if animation is None:
         stream, placement = _rest_take(skeleton, stage, path, prim, choice)
     else:
-        stream, placement = _read(stage, path, skeleton, animation, prim, choice)
+        stream, placement = _animated_take(
+            stage, path, skeleton, animation, prim, choice
+        )
     stream.notices += skeleton.notices
     animation_prim = None if animation is None else animation.GetPrim()
     if prim is None:
-        stream.notices += _root_motion_notice(
+        stream.notices += root_motion_notice(
             animation, PrimLocation.of(path, animation)
         )
     else:
@@ -314,56 +302,6 @@ def _bound_animation(skeleton: Any) -> Any:
     return UsdSkel.Animation(binding) if binding else None
 
 
-def _first_animation(stage: Any, root_path: str) -> Any:
-    root_prim = stage.GetPrimAtPath(root_path)
-    # An animation layer alone has only overs above its animation.
-    predicate = Usd.PrimAllPrimsPredicate
-    prims = list(Usd.PrimRange(root_prim, predicate)) if root_prim else []
-    bindings = [
-        stage.GetPrimAtPath(target)
-        for prim in prims
-        if (binding := prim.GetRelationship("skel:animationSource"))
-        for target in binding.GetTargets()
-    ]
-    for prim in (*bindings, *prims):
-        if prim and prim.IsA(UsdSkel.Animation):
-            return UsdSkel.Animation(prim)
-    return None
-
-
-def _root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
-    """Report root motion of a layer that is read without its rig."""
-    parent = animation.GetPrim().GetParent()
-    order = parent.GetAttribute("xformOpOrder")
-    if not order or not order.HasAuthoredValue():
-        return []
-    message = f"{parent.GetPath()} carries root motion, which is ignored"
-    hint = "read a stage that contains the rig too"
-    return [where.fault("USD113", message, hint, Severity.WARNING)]
-
-
-def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
-    joints = tokens(animation.GetJointsAttr())
-    where = PrimLocation.of(path, animation)
-    where.refuse(duplicate_names(animation.GetJointsAttr()))
-    data = stored_data(animation.GetPrim())
-    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    first_code = Usd.TimeCode.EarliestTime()
-    positions = numbers(animation.GetTranslationsAttr(), 3, first_code)
-    if joints and len(positions) == len(joints):
-        matrices[:, 3, :3] = positions
-    rig = rig_from_tokens(
-        joints,
-        matrices,
-        path.stem,
-        where,
-        UsdGeom.GetStageMetersPerUnit(stage),
-        up_axis(stage),
-        {"names": data["names"]} if "names" in data else {},
-    )
-    return replace(rig, rig=replace(rig.rig, has_rest=False))
-
-
 def _rest_take(
     skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
 ) -> tuple[TakeStream, SkeletonPlacement]:
@@ -405,7 +343,7 @@ def _rest_take(
     return stream, placement
 
 
-def _read(
+def _animated_take(
     stage: Any,
     path: Path,
     skeleton: SkeletonRig,
@@ -413,122 +351,24 @@ def _read(
     prim: Any,
     choice: str | None,
 ) -> tuple[TakeStream, SkeletonPlacement]:
+    """Return the take of an animation, and the placement of its Skeleton."""
     where = PrimLocation.of(path, animation)
-    columns, notices = _columns(skeleton, animation, prim, where)
-    attributes = _attributes(animation, columns, where, notices)
-    shapes = animated_shapes(animation)
-    check_moves(len(skeleton.rig.joints), len(shapes), where)
-    sources = [
-        *attributes.values(),
-        *([] if prim is None else animated_ancestors(prim)),
-    ]
-    sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
-    times = sorted({time for source in sources for time in source.GetTimeSamples()})
-    grid = sample_grid(stage, animation, times, where)
-    fps = rate_from_float(stage.GetTimeCodesPerSecond())
-    clock = Clock(fps, grid.start, grid.step, grid.count)
-    codes = clock.times.tolist()
-
-    rig = skeleton.rig
-    notices += _grid_notices(grid, len(times), where)
-    meters = rig.meters_per_unit
-    rests = {
-        "translations": rig.rest_translations / meters,
-        "rotations": rig.rest_rotations,
-        "scales": skeleton.rest_scales,
-    }
-
-    def dense(name: str, rest: FloatArray) -> FloatArray:
-        """Return an attribute for all Skeleton joints; unanimated ones at rest."""
-        attr, width, rows = attributes.get(name), rest.shape[1], None
-        if attr is not None:
-            rows = sampled_values(
-                attr, codes, len(columns), width, where, drift=grid.drift
-            )
-        return with_rest(rest, rows, columns, len(codes))
-
-    translations, rotations, scales = (dense(*part) for part in rests.items())
-    translations *= meters
-    rotations, length_warnings = normalised(rotations, rig.names, codes, where)
-    rotations = so3.align_signs(rotations)
-    notices += length_warnings
-    motion = Motion(
-        Channel.from_dense(translations),
-        Channel.from_dense(rotations),
-        scale_channel(scales),
-        shape_weights(animation, codes, len(shapes), where, grid.drift)
-        if shapes
-        else None,
-    )
+    values = read_animation(stage, skeleton, animation, prim, where)
     ancestors = [] if prim is None else animated_ancestors(prim)
     sample_times = sorted(
         {time for mover in ancestors for time in mover.GetTimeSamples()}
     )
-    ancestor_codes = nearest_samples(sample_times, codes, grid.drift)
-    placement, placement_notices = _placement(prim, rig, ancestor_codes, where, choice)
-    notices += placement_notices
-    motion = _placed_on_stage(motion, rig, placement, choice)
-    rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
-    stream = TakeStream.of(Take(rig, clock, motion))
-    stream.notices.extend(notices)
+    codes = values.clock.times.tolist()
+    ancestor_codes = nearest_samples(sample_times, codes, values.drift)
+    rig = skeleton.rig
+    placement, notices = _placement(prim, rig, ancestor_codes, where, choice)
+    motion = _placed_on_stage(values.motion, rig, placement, choice)
+    rig = replace(rig, shapes=tuple(Shape(name) for name in values.shapes))
+    stream = TakeStream.of(Take(rig, values.clock, motion))
+    stream.notices.extend([*values.notices, *notices])
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = str(animation.GetPath())
     return stream, placement
-
-
-def _attributes(
-    animation: Any, columns: IntArray, where: PrimLocation, notices: list[Fault]
-) -> dict[str, Any]:
-    """Return the attributes UsdSkel requires of an animation, by name.
-
-    Empty if it animates no joint: it only has shape weights, or only lists joints,
-    which then stay at rest.
-    """
-    if not len(columns):
-        return {}
-    faults = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
-    if any(fault.severity is Severity.ERROR for fault in faults):
-        where.refuse(faults)
-    notices += [replace(fault, path=where.path) for fault in faults]
-    if faults:
-        return {}
-    return transform_attributes(animation)
-
-
-def _columns(
-    skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
-) -> tuple[IntArray, list[Fault]]:
-    """Return Skeleton columns of the animation's joints (-1 unknown), and a warning."""
-    attr = animation.GetJointsAttr()
-    index = {token: i for i, token in enumerate(skeleton.tokens)}
-    columns = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
-    if prim is None:
-        return columns, []
-    unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
-    return columns, [replace(fault, path=where.path) for fault in unknown]
-
-
-def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
-    """Return notices of samples that are irregular or off frames."""
-    notices = []
-    interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
-    if not grid.regular:
-        message = f"samples are unevenly spaced; read every {interval}"
-        notices.append(where.fault("USD105", message, severity=Severity.NOTE))
-    if grid.drift:
-        message = (
-            f"samples are up to {grid.drift:.2g} time codes off the frames (at "
-            f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
-            f"one every {interval}"
-        )
-        notices.append(where.fault("USD121", message, severity=Severity.NOTE))
-    if grid.between:
-        message = f"{grid.between} of {samples} samples fall between frames; "
-        message += "only the values on frames are read"
-        hint = "resample the animation to whole frames in the tool that wrote it"
-        warning = Severity.WARNING
-        notices.append(where.fault("USD122", message, hint, warning))
-    return notices
 
 
 def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-from animtool.core.arguments import Calling, in_python
+from animtool.core.arguments import ArgumentNamer, in_python
 from animtool.core.plugins import load_object
 from animtool.validation.formats.plain import text_report
 from animtool.validation.run import Report
@@ -22,7 +22,11 @@ FORMATS = {
 
 
 def written(
-    report: Report, form: str, *, repeats: bool = False, calling: Calling = in_python
+    report: Report,
+    form: str,
+    *,
+    repeats: bool = False,
+    calling: ArgumentNamer = in_python,
 ) -> str:
     """Return a report in one of `FORMATS`.
 

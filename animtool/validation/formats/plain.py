@@ -14,18 +14,18 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 from animtool.core.arguments import (
-    Calling,
+    ArgumentNamer,
     argument,
+    as_text,
     clause,
     in_python,
-    marked,
     worded,
 )
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
-from animtool.core.source_lines import Sources, excerpt_lines
+from animtool.core.source_lines import SourceLineCache, excerpt_lines
 from animtool.core.values import plain_value
 from animtool.report.text import Each, Template
 from animtool.validation.run import Report
@@ -75,7 +75,7 @@ SUMMARY = Template(
 
 
 def text_report(
-    report: Report, *, repeats: bool = False, calling: Calling = in_python
+    report: Report, *, repeats: bool = False, calling: ArgumentNamer = in_python
 ) -> str:
     """Return the findings, each with its source line, and a summary line."""
     report = report.worded(calling)
@@ -88,7 +88,7 @@ def text_report(
 
 def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     """Return the findings to print; without a line, only the first of a kind."""
-    sources = Sources()
+    sources = SourceLineCache()
     counts = Counter(map(_kind, report.findings))
     index_of_kind: dict[_Kind, Fault] = {}
     shown_findings = []
@@ -114,7 +114,7 @@ def summary(report: Report) -> str:
     >>> summary(Report((), ()))
     '0 files: nothing found'
     """
-    return marked(SUMMARY.text(report)[0])
+    return as_text(SUMMARY.text(report)[0])
 
 
 _LEVELS = {

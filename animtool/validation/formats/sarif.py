@@ -18,7 +18,7 @@ from urllib.parse import quote
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import json_printed
 from animtool.core.rules import Rule, all_rules, page_text
-from animtool.core.source_lines import Sources
+from animtool.core.source_lines import SourceLineCache
 from animtool.validation.run import Report
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -34,7 +34,7 @@ def sarif_report(report: Report) -> str:
     """Return one run: the rules with findings, their pages, and results."""
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
-    sources = Sources()
+    sources = SourceLineCache()
     rule_objects = [_rule(rules[code]) for code in codes if code in rules]
     driver = {
         "name": "animtool",
@@ -69,7 +69,7 @@ def _rule(rule: Rule) -> dict[str, Any]:
 
 
 def _result(
-    fault: Fault, rule_index: dict[str, int], sources: Sources
+    fault: Fault, rule_index: dict[str, int], sources: SourceLineCache
 ) -> dict[str, Any]:
     text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {

@@ -251,8 +251,7 @@ def _scaled_travel(subject: MotionSubject, contacts: FootStances) -> Iterator[Fa
     direction = "along with" if scale > 1.0 else "back against"
     message = (
         f"planted feet slide {direction} the body: it travels {scale:.2g} times as far "
-        "as "
-        f"they step, such as {subject.take.rig.joints[joint].name!r}"
+        f"as they step, such as {subject.take.rig.joints[joint].name!r}"
     )
     hint = "scale the root motion to the legs, or hold planted feet with IK"
     yield subject.fault("MOT208", joint, frame, message, hint)

@@ -188,8 +188,7 @@ def _sunk(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     message = (
         f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
         f"ground from frame {subject.at(first)} to {subject.at(deepest)}; the ground "
-        "is "
-        f"at the height of {foot_text} in other frames, {ground[e]:.3g} m"
+        f"is at the height of {foot_text} in other frames, {ground[e]:.3g} m"
     )
     hint = "lift the root there, or hold the foot with IK"
     yield subject.fault("MOT209", joint, first, message, hint)
@@ -241,8 +240,7 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
         message = (
             f"no foot is closer than {height:.3g} m to the ground from frame "
             f"{subject.at(first)} to {subject.at(last_frame)}, for {seconds:.2g} s; "
-            "the "
-            f"ground is at their height in other frames, {ground:.3g} m"
+            f"the ground is at their height in other frames, {ground:.3g} m"
         )
         hint = "lower the root there; no jump lasts that long"
         yield subject.fault("MOT209", joint, first, message, hint)

@@ -77,8 +77,7 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     message = (
         f"the range is {span_label(range_start, range_end)}, but the samples are at "
         f"{span_label(first_code, last_code)}: the pose is constant for "
-        f"{max(lead, tail):g} "
-        "time codes"
+        f"{max(lead, tail):g} time codes"
     )
     hint = "let the range be that of the samples, and a glTF begin at time 0"
     yield subject.fault("MOT217", None, 0, message, hint)
@@ -379,8 +378,7 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     )
     message = (
         f"nothing moves from frame {subject.at(first_frame)} to "
-        f"{subject.at(end_frame)}, "
-        f"between frames that do{repeat_text}"
+        f"{subject.at(end_frame)}, between frames that do{repeat_text}"
     )
     hint = "frames were lost and the last one repeated; record or export the take again"
     yield subject.fault("MOT206", None, first_frame, message, hint)
@@ -395,8 +393,7 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
         message = (
             f"{np.count_nonzero(is_repeat)} of {subject.frames} frames repeat the "
             f"previous one: the motion has about {actual_rate:.3g} frames per second, "
-            "the "
-            f"take {rate:g}"
+            f"the take {rate:g}"
         )
         hint = "export it at its recording rate"
         first_frame = int(np.flatnonzero(is_repeat)[0])
@@ -426,8 +423,7 @@ def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
     if playback_rate is not None and not _is_multiple(fps / playback_rate):
         message = (
             f"the stage has {playback_rate:g} frames per second, but {fps:g} time "
-            "codes per "
-            "second: most frames fall between samples"
+            "codes per second: most frames fall between samples"
         )
         hint = "author the same framesPerSecond and timeCodesPerSecond"
         yield subject.fault("MOT207", None, 0, message, hint)
@@ -438,8 +434,7 @@ def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
         return
     message = (
         f"samples are {typical_step:.6g} time codes apart: {fps / typical_step:.4g} "
-        "per second in a "
-        f"stage of {fps:g} time codes per second"
+        f"per second in a stage of {fps:g} time codes per second"
     )
     hint = "export at the stage's rate; most samples fall between frames"
     yield subject.fault("MOT207", None, 0, message, hint)

@@ -132,8 +132,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     if offsets[joint] > MAX_BIND_DISTANCE * subject.size:
         message = (
             f"{rig.joints[joint].name!r} is {offsets[joint]:.3g} m from its rest "
-            f"position in the bind pose, of a skeleton that spans {subject.size:.3g} "
-            "m"
+            f"position in the bind pose, of a skeleton that spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
 

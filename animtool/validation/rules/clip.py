@@ -106,8 +106,7 @@ def _excess_text(
         frames_text = f"frames {frames[0]:g} to {frames[-1]:g}"
     return (
         f"{channel.target!r} is within its limits at the keys of frames {key_frames}, "
-        "but "
-        f"exceeds them by up to {amount_text} in between, in {frames_text}"
+        f"but exceeds them by up to {amount_text} in between, in {frames_text}"
     )
 
 
@@ -334,8 +333,7 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
             first_time, last_time = channel.times[0], channel.times[-1]
             message = (
                 f"{channel.target!r} repeats frames {first_time:g} to {last_time:g}, "
-                "but its "
-                "first and last values differ, so every repeat jumps"
+                "but its first and last values differ, so every repeat jumps"
             )
             hint = (
                 "give both the same value, or use cycle_offset to continue from the "

@@ -37,8 +37,7 @@ def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
         message = (
             f"the driver of {joint.name!r} reaches "
             f"{shown(rig, joint, float(values[worst_sample]))} within the limits of "
-            "its "
-            f"inputs; its limits are {shown(rig, joint, lower)} to "
+            f"its inputs; its limits are {shown(rig, joint, lower)} to "
             f"{shown(rig, joint, upper)}"
         )
         location = (*rig.at("joints", joint.name), "driven")

@@ -37,8 +37,7 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
                 range_text = f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
                 message = (
                     f"the limits of {joint.name!r} are {range_text}, which exclude its "
-                    "rest "
-                    "pose"
+                    "rest pose"
                 )
             case BallLimit(twist=(lower, upper)) if (
                 not lower <= LIMIT_TOLERANCE or not upper >= -LIMIT_TOLERANCE
@@ -46,8 +45,7 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
                 range_text = f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
                 message = (
                     f"the twist limits of {joint.name!r} are {range_text}, which "
-                    "exclude "
-                    "its rest pose"
+                    "exclude its rest pose"
                 )
             case _:
                 continue
@@ -108,8 +106,7 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
             message = (
                 f"{joint.name!r} reaches {shown(rig, joint, value)} where "
                 f"{leader.name!r} is at {shown(rig, leader, leader_limit)}; its limits "
-                "are "
-                f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
+                f"are {shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
             )
             location = (*rig.at("joints", joint.name), "limits")
             yield rig.fault("RIG205", location, message, "widen them, or reduce gain")

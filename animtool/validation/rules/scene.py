@@ -12,7 +12,7 @@ from typing import Any
 from animtool.clip.reduction.points import joint_bounds
 from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, Fault, OptionError
-from animtool.core.names import is_named
+from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
 from animtool.documents.document import read_document
 from animtool.documents.variables import resolve_variables
@@ -51,7 +51,7 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
         if output.path is not None
     ]
     for path in sorted(scene_path.parent.iterdir()) if written else ():
-        if path == scene_path or not is_named(path, "scene"):
+        if path == scene_path or not has_kind_suffix(path, "scene"):
             continue
         stat = path.stat()
         written_by_other = _outputs(path, stat.st_mtime_ns, stat.st_size)
@@ -182,8 +182,7 @@ def _range_faults(
         subject_text, location = "cut with its handles,", ("shot",)
     message = (
         f"the {subject_text} from {frame_range.first} to {frame_range.last} {verb}, "
-        "which has "
-        f"output frames {float(start_code):g} to {float(last_code):g}"
+        f"which has output frames {float(start_code):g} to {float(last_code):g}"
     )
     hint = "frame numbers are those of the output, counted from its start"
     yield subject.fault(code, location, message, hint)

@@ -248,8 +248,7 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             message = (
                 f"{track.name!r} is "
                 f"{distances[worst_frame] - lengths[worst_frame]:.3g} m out of reach "
-                "at "
-                f"frame {times[worst_frame]:g}: {rig.joints[chain[0]].name!r} is "
+                f"at frame {times[worst_frame]:g}: {rig.joints[chain[0]].name!r} is "
                 f"{distances[worst_frame]:.3g} m away, and the chain is "
                 f"{lengths[worst_frame]:.3g} m long"
             )
@@ -346,8 +345,7 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         if fitting_units:
             message = (
                 f"the points are in {unit_name(file_unit)}, and all are farther from "
-                "the "
-                f"rig than {FAR_SIZES:g} times its size"
+                f"the rig than {FAR_SIZES:g} times its size"
             )
             hint = f"units: {{length: {fitting_units[0]}}} is more plausible"
             yield sampled_targets.fault(

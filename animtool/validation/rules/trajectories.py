@@ -11,7 +11,7 @@ import numpy as np
 from animtool.capture.markers.spikes import find_spikes
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, counted, listed, percent
+from animtool.core.errors import Fault, counted, listed, percent_text
 from animtool.validation.subjects.trajectories import MarkersSubject
 
 # Fraction of its frames in which a marker may be missing.
@@ -34,7 +34,7 @@ def gaps(subject: MarkersSubject) -> Iterator[Fault]:
     markers = subject.markers
     missing_fractions = 1.0 - markers.visible.mean(axis=0)
     often_missing = [
-        f"{name} {percent(fraction)}"
+        f"{name} {percent_text(fraction)}"
         for name, fraction in zip(
             markers.names, missing_fractions.tolist(), strict=True
         )
@@ -43,7 +43,7 @@ def gaps(subject: MarkersSubject) -> Iterator[Fault]:
     if often_missing:
         message = (
             f"{counted(len(often_missing), 'marker')} missing from more than "
-            f"{percent(MISSING_FRACTION)} of frames: "
+            f"{percent_text(MISSING_FRACTION)} of frames: "
             f"{listed(often_missing, MAX_LISTED)}"
         )
         hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
@@ -74,7 +74,7 @@ def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
     point_count = int(visible.sum())
     fraction = float(visible[:, nameless].sum()) / point_count if point_count else 0.0
     if fraction > UNLABELLED_FRACTION:
-        message = f"{percent(fraction)} of all points have no label"
+        message = f"{percent_text(fraction)} of all points have no label"
         hint = "animtool mocap label names them"
         yield subject.fault("MKR203", message, hint)
 

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from animtool.core.errors import AnimtoolError, Fault, OptionError
-from animtool.core.files.reading import unreadable
-from animtool.core.names import is_named
+from animtool.core.files.reading import unreadable_error
+from animtool.core.names import has_kind_suffix
 from animtool.core.plugins import load_object
 from animtool.core.readers import (
     ARRAYS,
     BVH,
     C3D,
     DOCUMENT,
-    EXPORTS,
+    EXPORT_HINTS,
     FBX,
     GLTF,
     LIVELINK,
@@ -56,7 +56,7 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
     """
     by_scene: dict[Path, SceneValues] = {}
     for path in paths:
-        if not is_named(path, "batch"):
+        if not has_kind_suffix(path, "batch"):
             continue
         from animtool.batch.discover import scene_values
         from animtool.batch.file import load_batch
@@ -177,10 +177,10 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     if reader in _READ_AS:
         return _open(_READ_AS[reader], path)
     if reader is None and not path.exists():
-        raise unreadable(path, "does not exist")
+        raise unreadable_error(path, "does not exist")
     if reader is not None and reader is not DOCUMENT:
         return _open(Kind.TAKE, path)
-    if reader is None and path.suffix.lower() in EXPORTS:
+    if reader is None and path.suffix.lower() in EXPORT_HINTS:
         raise OptionError(export_fault(path))
     if reader is None:
         hint = f"supported: {', '.join(readable_suffixes())}"

@@ -16,6 +16,7 @@ from animtool.capture.face import FaceModel, fit_face, transfer_weights
 from animtool.capture.face import solve as solving
 from animtool.capture.face.capture import FaceCapture, in_order, read_capture
 from animtool.capture.face.file import face_model, load_landmarks
+from animtool.capture.face.poses import interpolate_poses
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import FormatError, OptionError
 from animtool.maths.so3 import from_axis_angle, rotate
@@ -407,7 +408,7 @@ def test_a_head_stays_where_it_is_before_and_behind_what_is_seen() -> None:
     poses = np.zeros((9, 7))
     poses[:, :4] = from_axis_angle(np.array([0.0, 1.0, 0.0]), np.radians(angles))
     poses[:, 4] = [9, 9, 1, 9, 9, 2.5, 2.75, 9, 9]
-    turns, shifts = solving._interpolate_poses(poses, usable)
+    turns, shifts = interpolate_poses(poses, usable)
     assert_allclose(shifts[:, 0], [1, 1, 1, 1.5, 2, 2.5, 2.75, 2.75, 2.75])
     expected = np.array([10.0, 10, 10, 40, 70, 100, 110, 110, 110])
     assert_allclose(np.degrees(2 * np.arctan2(turns[:, 1], turns[:, 3])), expected)

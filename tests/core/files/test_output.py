@@ -19,8 +19,8 @@ from animtool.core.files.output import (
     atomic_outputs,
     check_outputs,
     protect_inputs,
-    replacing,
-    size_of,
+    replacement_path,
+    written_size,
 )
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import note_input
@@ -28,7 +28,7 @@ from animtool.core.files.reading import note_input
 
 def test_a_file_appears_whole(tmp_path: Path) -> None:
     target = tmp_path / "a.txt"
-    with replacing(target) as temporary:
+    with replacement_path(target) as temporary:
         temporary.write_text("done")
         assert not target.exists()
         assert temporary.parent == target.parent
@@ -42,7 +42,7 @@ def test_a_failure_leaves_what_was(tmp_path: Path, error: type[BaseException]) -
     target.write_text("old")
 
     def fail() -> None:
-        with replacing(target) as temporary:
+        with replacement_path(target) as temporary:
             temporary.write_text("half")
             raise error
 
@@ -70,7 +70,7 @@ def test_a_temporary_file_is_not_named(tmp_path: Path) -> None:
 
 
 def test_nothing_written_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError), replacing(tmp_path / "a.txt"):
+    with pytest.raises(OutputError), replacement_path(tmp_path / "a.txt"):
         pass
 
 
@@ -110,7 +110,7 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
     target, link = tmp_path / "real.txt", tmp_path / "link.txt"
     target.write_text("old")
     link.symlink_to(target)
-    with replacing(link) as temporary:
+    with replacement_path(link) as temporary:
         temporary.write_text("new")
     assert link.is_symlink()
     assert target.read_text() == "new"
@@ -118,7 +118,7 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
 
 def test_several_writers_of_one_file(tmp_path: Path) -> None:
     target = tmp_path / "a.txt"
-    with replacing(target) as one, replacing(target) as two:
+    with replacement_path(target) as one, replacement_path(target) as two:
         assert one != two
         one.write_text("one")
         two.write_text("two")
@@ -165,9 +165,9 @@ def test_files_get_their_names_together(tmp_path: Path) -> None:
     one, other = tmp_path / "one.txt", tmp_path / "other.txt"
     one.write_text("before", "utf-8")
     with atomic_outputs():
-        with replacing(one) as temporary:
+        with replacement_path(one) as temporary:
             temporary.write_text("after", "utf-8")
-        with replacing(other) as temporary:
+        with replacement_path(other) as temporary:
             temporary.write_text("after", "utf-8")
         assert one.read_text("utf-8") == "before"
         assert not other.exists()
@@ -179,12 +179,12 @@ def test_sizes_are_known_before_names(tmp_path: Path) -> None:
     one = tmp_path / "one.txt"
     one.write_text("before all", "utf-8")
     with atomic_outputs():
-        with replacing(one) as temporary:
+        with replacement_path(one) as temporary:
             temporary.write_text("after", "utf-8")
-        assert size_of(one) == 5
-    assert size_of(one) == 5
+        assert written_size(one) == 5
+    assert written_size(one) == 5
     with pytest.raises(FileNotFoundError):
-        size_of(tmp_path / "other.txt")
+        written_size(tmp_path / "other.txt")
 
 
 @pytest.mark.parametrize("sound", [True, False])
@@ -193,7 +193,7 @@ def test_some_props_are_done_once_files_have_names(tmp_path: Path, sound: bool) 
 
     def write() -> None:
         with atomic_outputs():
-            with replacing(one) as temporary:
+            with replacement_path(one) as temporary:
                 temporary.write_text("after", "utf-8")
             after_commit(lambda: found.append(one.exists()))
             assert found == []
@@ -213,7 +213,7 @@ def test_some_props_are_done_once_files_have_names(tmp_path: Path, sound: bool) 
 def test_what_is_together_within_waits_for_the_whole(tmp_path: Path) -> None:
     one = tmp_path / "one.txt"
     with atomic_outputs():
-        with atomic_outputs(), replacing(one) as temporary:
+        with atomic_outputs(), replacement_path(one) as temporary:
             temporary.write_text("after", "utf-8")
         assert not one.exists()
     assert one.read_text("utf-8") == "after"
@@ -225,9 +225,9 @@ def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> Non
 
     def write() -> None:
         with atomic_outputs():
-            with replacing(one) as temporary:
+            with replacement_path(one) as temporary:
                 temporary.write_text("after", "utf-8")
-            with replacing(tmp_path / "other.txt") as temporary:
+            with replacement_path(tmp_path / "other.txt") as temporary:
                 temporary.write_text("after", "utf-8")
                 if inside:
                     raise KeyboardInterrupt
@@ -236,7 +236,7 @@ def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> Non
     with pytest.raises(KeyboardInterrupt):
         write()
     assert list(tmp_path.iterdir()) == []
-    with replacing(one) as temporary:
+    with replacement_path(one) as temporary:
         temporary.write_text("alone", "utf-8")
     assert one.read_text("utf-8") == "alone"
 
@@ -284,7 +284,7 @@ def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
     def write() -> None:
         with atomic_outputs():
             for path in paths:
-                with replacing(path) as temporary:
+                with replacement_path(path) as temporary:
                     temporary.touch()
 
     with pytest.raises(OptionError):

@@ -20,7 +20,7 @@ from animtool.core.files.reading import (
     open_input,
     read_input,
     recorded_inputs,
-    unreadable,
+    unreadable_error,
 )
 from animtool.formats.bvh.read import read_bvh
 
@@ -87,7 +87,7 @@ def test_the_nearest_folder(tree: Path) -> None:
 
 
 def test_every_file_that_is_missing_has_the_nearest_name(tree: Path) -> None:
-    error = unreadable(tree / "bb.bvh", "does not exist")
+    error = unreadable_error(tree / "bb.bvh", "does not exist")
     assert error.code == "IO001"
     assert "b.bvh" in str(error.faults[0].hint)
 

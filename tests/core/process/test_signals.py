@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from support.cli import TIMEOUT
 
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.process.signals import (
     TerminatedError,
     deferred_signals,
-    ending,
+    ending_signal,
     obeyed_signals,
     outlast_signals,
 )
@@ -100,7 +100,7 @@ def test_signals_come_too_late_once_all_is_written() -> None:
     with obeyed_signals():
         outlast_signals()
         signal.raise_signal(signal.SIGINT)
-        assert not ending()
+        assert not ending_signal()
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="POSIX timers")
@@ -121,7 +121,7 @@ def test_an_interrupt_that_python_ignores_comes_again() -> None:
 
 def test_an_output_gets_no_name_after_a_swallowed_interrupt(tmp_path: Path) -> None:
     def work() -> None:
-        with obeyed_signals(), replacing(tmp_path / "o.txt") as temporary:
+        with obeyed_signals(), replacement_path(tmp_path / "o.txt") as temporary:
             temporary.write_text("whole")
             with suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)

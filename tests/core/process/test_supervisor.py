@@ -27,7 +27,7 @@ from pathlib import Path
 from animtool.core.process import supervisor
 from animtool.core.errors import FormatError
 from animtool.core.files.leftovers import remove_leftovers
-from animtool.core.files.output import replacing
+from animtool.core.files.output import replacement_path
 from animtool.core.process.signals import TerminatedError, receive_signals
 
 def crash():
@@ -97,7 +97,7 @@ def test_a_file_that_crashes_is_refused_by_a_second_run() -> None:
     child = """
 def child():
     for name in supervisor.stdin_lines():
-        with supervisor.reading(Path(name)):
+        with supervisor.reading_file(Path(name)):
             if name == "bad.usda":
                 crash()
     return 0
@@ -108,7 +108,7 @@ def child():
 def test_a_crash_over_no_file_is_told() -> None:
     child = """
 def child():
-    with supervisor.reading(Path("whole.usda")):
+    with supervisor.reading_file(Path("whole.usda")):
         pass
     os.abort()
 """
@@ -119,8 +119,8 @@ def test_what_was_said_is_not_said_twice() -> None:
     child = """
 def child():
     print("once")
-    supervisor.note_said()
-    with supervisor.reading(Path("bad.usda")):
+    supervisor.note_output()
+    with supervisor.reading_file(Path("bad.usda")):
         crash()
 """
     assert run(child) == (70, "once\nrefused SIGSEGV bad.usda\n")
@@ -129,7 +129,7 @@ def child():
 def test_what_a_crashed_child_began_to_write_is_removed(tmp_path: Path) -> None:
     child = f"""
 def child():
-    with replacing(Path({str(tmp_path / "o.usda")!r})) as temporary:
+    with replacement_path(Path({str(tmp_path / "o.usda")!r})) as temporary:
         temporary.write_text("half")
         crash()
 """
@@ -156,7 +156,7 @@ def child():
 def test_a_child_that_does_not_obey_is_killed(tmp_path: Path) -> None:
     child = f"""
 def child():
-    with replacing(Path({str(tmp_path / "o.usda")!r})) as temporary:
+    with replacement_path(Path({str(tmp_path / "o.usda")!r})) as temporary:
         temporary.write_text("half")
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         os.kill(os.getppid(), signal.SIGINT)

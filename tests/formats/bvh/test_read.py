@@ -21,7 +21,7 @@ from support.bvh import (
 from animtool.core.errors import FormatError, Severity
 from animtool.core.units import LengthUnit
 from animtool.formats.bvh import lines as lines_module
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.formats.bvh.write import bvh_text
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward

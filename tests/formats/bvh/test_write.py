@@ -13,8 +13,8 @@ from support.faults import raises
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
 from animtool.core.rates import rate_from_frame_time
-from animtool.formats.bvh import read_bvh, write_bvh
-from animtool.formats.bvh.write import bvh_text, frame_time
+from animtool.formats.bvh.read import read_bvh
+from animtool.formats.bvh.write import bvh_text, frame_time, write_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take

@@ -10,7 +10,7 @@ import pytest
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile
 
 from animtool.core.errors import FormatError
-from animtool.formats.c3d import read_c3d
+from animtool.formats.c3d.read import read_c3d
 from animtool.motion.markers import Markers
 
 FRAMES, POINTS, CHANNELS, SAMPLES = 150, 5, 4, 7

@@ -12,7 +12,7 @@ from support.data import data_files
 
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.core.units import UpAxis
-from animtool.formats.c3d import read_c3d
+from animtool.formats.c3d.read import read_c3d
 
 FRAMES_TOO = {"groups": {"POINT": {"FRAMES": np.array([60_000])}}}
 

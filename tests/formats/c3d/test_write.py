@@ -12,7 +12,8 @@ import pytest
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.formats.c3d import read_c3d, write_c3d
+from animtool.formats.c3d.read import read_c3d
+from animtool.formats.c3d.write import write_c3d
 from animtool.motion.markers import Markers
 
 

@@ -24,7 +24,7 @@ from support.fbx import (
 )
 
 from animtool.core.errors import FormatError, OptionError, Severity
-from animtool.core.readers import EXPORTS, find_reader
+from animtool.core.readers import EXPORT_HINTS, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.core.writers import take_writer
 from animtool.formats.fbx.poses import NodeTransforms
@@ -280,7 +280,7 @@ def test_what_drives_the_pose_is_named(tmp_path: Path) -> None:
     assert "aim" in fault.message
 
 
-@pytest.mark.parametrize("suffix", sorted(EXPORTS.keys() - {".xacro", ".sdf"}))
+@pytest.mark.parametrize("suffix", sorted(EXPORT_HINTS.keys() - {".xacro", ".sdf"}))
 def test_files_of_tools_are_refused_with_their_export(
     tmp_path: Path, suffix: str
 ) -> None:

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from support.faults import raises
 
 from animtool.core.errors import FormatError, OptionError
-from animtool.formats.livelink import read_livelink, write_livelink
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES
+from animtool.formats.livelink.read import read_livelink
 from animtool.formats.livelink.timecodes import row_frames
-from animtool.formats.livelink.write import timecode
+from animtool.formats.livelink.write import timecode, write_livelink
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig

@@ -16,8 +16,9 @@ from support.faults import raises
 
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
-from animtool.formats.mot import read_mot, read_mot_rig, write_mot
 from animtool.formats.mot.coordinates import column_names, coordinates_of, spellings
+from animtool.formats.mot.read import read_mot, read_mot_rig
+from animtool.formats.mot.write import write_mot
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take

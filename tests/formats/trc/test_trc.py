@@ -11,7 +11,8 @@ from support.faults import raises
 
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError
-from animtool.formats.trc import read_trc, write_trc
+from animtool.formats.trc.read import read_trc
+from animtool.formats.trc.write import write_trc
 from animtool.motion.markers import Markers
 
 HEAD = (

@@ -11,7 +11,8 @@ import pytest
 from support.faults import raises
 
 from animtool.core.errors import FormatError
-from animtool.formats.trc import read_trc, write_trc
+from animtool.formats.trc.read import read_trc
+from animtool.formats.trc.write import write_trc
 from animtool.motion.markers import Markers
 
 NTSC = [f"{i * 1001 / 60000:.5f}" for i in range(400)]

@@ -72,8 +72,8 @@ def _face(rng: Rng) -> dict[str, Any]:
         "threshold": float(rng.uniform(1e-4, 10)),
         "smooth": float(rng.choice([0.0, 1e-3, 1.0])),
         "rest": float(rng.choice([0.0, 1e-4, 1.0])),
-        "enough": 1e-4,
-        "rounds": int(rng.integers(1, 6)),
+        "tolerance": 1e-4,
+        "max_iterations": int(rng.integers(1, 6)),
         "warm": bool(rng.integers(2)),
     }
 

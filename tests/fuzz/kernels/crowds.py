@@ -30,12 +30,12 @@ def _crowd(rng: Rng) -> dict[str, Any]:
         "velocities": rng.normal(size=(count, 2)),
         "preferred": rng.normal(size=(count, 2)),
         "radii": rng.uniform(0.1, 0.4, count),
-        "most": rng.uniform(0, 2, count),
-        "gives": rng.uniform(0.1, 1, count),
+        "max_speeds": rng.uniform(0, 2, count),
+        "yielding": rng.uniform(0.1, 1, count),
         "shoulders": rng.uniform(-0.7, 0.7, (count, 2)) * float(rng.integers(0, 2)),
         "depth": 0.6,
         "groups": rng.integers(-1, 3, count, dtype=np.int32),
-        "does": rng.integers(0, 3, count, dtype=np.uint8),
+        "modes": rng.integers(0, 3, count, dtype=np.uint8),
         "starts": _starts(rng, rows, count),
         "walls": walls,
         "sight": float(rng.choice([0.5, 3.0])),
@@ -46,8 +46,8 @@ def _crowd(rng: Rng) -> dict[str, Any]:
         "headway": float(rng.choice([0.0, 0.5])),
         "side": float(rng.choice([-0.3, 0.0, 0.3])),
         "step": 0.05,
-        "rounds": int(rng.integers(0, 5)),
-        "enough": 1e-3,
+        "max_passes": int(rng.integers(0, 5)),
+        "tolerance": 1e-3,
     }
 
 

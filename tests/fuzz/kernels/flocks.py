@@ -40,7 +40,7 @@ def _flock(rng: Rng) -> dict[str, Any]:
         "repulsion": pull(),
         "softening": 0.1,
         "period": period,
-        "most": float(rng.choice([1e9, 10.0])),
+        "max_tests": float(rng.choice([1e9, 10.0])),
     }
 
 
@@ -48,21 +48,21 @@ def _spaced(rng: Rng) -> dict[str, Any]:
     made = _flock(rng)
     return {
         "points": made["points"],
-        "least": np.maximum(rng.uniform(-0.2, 0.8, len(made["points"])), 0.0),
+        "min_distances": np.maximum(rng.uniform(-0.2, 0.8, len(made["points"])), 0.0),
         "period": made["period"],
-        "most": made["most"],
+        "max_tests": made["max_tests"],
     }
 
 
 def _braking(rng: Rng) -> dict[str, Any]:
     made = _spaced(rng)
     speeds = rng.normal(size=made["points"].shape)
-    return {**made, "velocities": speeds, "seen": 2.0, "room": 0.1}
+    return {**made, "velocities": speeds, "sight": 2.0, "min_gap": 0.1}
 
 
 def _apart(rng: Rng) -> dict[str, Any]:
     rounds = int(rng.integers(0, 12))
-    return {**_spaced(rng), "rounds": rounds, "share": 0.6, "clear": 1e-4}
+    return {**_spaced(rng), "max_passes": rounds, "relaxation": 0.6, "clearance": 1e-4}
 
 
 CALLS: dict[str, Maker] = {

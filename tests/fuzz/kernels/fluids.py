@@ -32,7 +32,7 @@ def _steps(rng: Rng) -> dict[str, Any]:
         "tension": float(rng.choice([0.0, 1.0])),
         "sound": float(rng.uniform(1, 40)),
         "step": 0.005,
-        "parts": int(rng.integers(1, 5)),
+        "substeps": int(rng.integers(1, 5)),
     }
 
 

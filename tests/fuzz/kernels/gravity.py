@@ -32,7 +32,7 @@ def _pairs(rng: Rng) -> dict[str, Any]:
         "points": rng.normal(scale=10.0 ** rng.integers(-1, 4), size=(count, 3)),
         "box": 2 * reach * rng.uniform(1, 3, 3),
         "reach": reach,
-        "most": 10**6,
+        "max_pairs": 10**6,
     }
 
 

@@ -73,7 +73,7 @@ def _bodies(rng: Rng) -> dict[str, Any]:
         "corners": np.concatenate([np.zeros(0, np.int64), *corners]).astype(np.int64),
         "joints": joints,
         "joint_numbers": numbers,
-        "apart": rng.integers(0, count, (int(rng.integers(0, 3)), 2)),
+        "excluded": rng.integers(0, count, (int(rng.integers(0, 3)), 2)),
     }
 
 
@@ -95,7 +95,7 @@ def _step(rng: Rng) -> dict[str, Any]:
         "state": state,
         "pairs": pairs,
         "contacts": rng.normal(size=(touching, 6)),
-        "held": rng.normal(size=(joined, 12)),
+        "joint_impulses": rng.normal(size=(joined, 12)),
         "forces": rng.normal(size=(count, 6)),
         "colliders": colliders(rng),
         "anchors": anchors,
@@ -104,10 +104,10 @@ def _step(rng: Rng) -> dict[str, Any]:
         # radians in a small step.
         "method": 0,
         "substeps": int(rng.integers(1, 4)),
-        "rounds": int(rng.integers(1, 4)),
+        "max_iterations": int(rng.integers(1, 4)),
         "tolerance": 1e-4,
-        "drowsy": float(rng.choice([0.0, 0.1])),
-        "rest": 0.5,
+        "sleep_speed": float(rng.choice([0.0, 0.1])),
+        "sleep_time": 0.5,
     }
 
 

@@ -66,8 +66,8 @@ class Cloth:
             "air_drag": air[0],
             "air_lift": air[1],
             "knots": knots,
-            "held": held,
-            "held_path": self._path(rng, knots, held),
+            "pinned": held,
+            "pinned_path": self._path(rng, knots, held),
             "anchors": anchors,
             "anchor_stiffness": rng.uniform(0, 100, len(anchors)),
             "anchor_damping": rng.uniform(0, 100, len(anchors)),
@@ -141,7 +141,7 @@ def _network(rng: Rng) -> dict[str, Any]:
 def _lead(rng: Rng) -> dict[str, Any]:
     cloth = Cloth(rng)
     paths = {
-        name: cloth.arguments[name].copy() for name in ("held_path", "anchor_path")
+        name: cloth.arguments[name].copy() for name in ("pinned_path", "anchor_path")
     }
     return {"self": cloth.network(), **paths}
 
@@ -217,7 +217,13 @@ def _project(rng: Rng) -> dict[str, Any]:
     crossed = np.zeros((0, 3), np.int64)
     if layers is not None and len(cloth.arguments["triangles"]):
         crossed = np.array([[0, 0, 1], [len(cloth.points), 1, -1]])
-    steps = {"calm": 0, "least": 1, "most": 16, "stretch": 0.01, "crossed": crossed}
+    steps = {
+        "calm": 0,
+        "min_substeps": 1,
+        "max_substeps": 16,
+        "stretch": 0.01,
+        "crossed": crossed,
+    }
     return {**made, **steps}
 
 
@@ -261,10 +267,10 @@ def _follow(rng: Rng) -> dict[str, Any]:
 
 CALLS: dict[str, Maker] = {
     "SpringNetwork": _network,
-    "SpringNetwork.lead": _lead,
+    "SpringNetwork.set_paths": _lead,
     "SpringLayers": _layers,
-    "SpringLayers.least": _least,
-    "SpringLayers.least_of_edges": _least_of_edges,
+    "SpringLayers.distance": _least,
+    "SpringLayers.edge_distance": _least_of_edges,
     "SpringStrands": _strands,
     "follow_strands": _follow,
     "part_springs": _part,

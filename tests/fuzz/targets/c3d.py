@@ -10,7 +10,7 @@ import numpy as np
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile
 
 from animtool.core.errors import AnimtoolError
-from animtool.formats.c3d import read_c3d
+from animtool.formats.c3d.read import read_c3d
 from fuzz.mutations import spoil
 
 ABOUT = "C3D files: counts that contradict, bits of header and parameters, sizes"

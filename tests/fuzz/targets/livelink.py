@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.errors import AnimtoolError
-from animtool.formats.livelink import read_livelink
+from animtool.formats.livelink.read import read_livelink
 from fuzz.mutations import pick, spoil
 
 ABOUT = "Live Link Face recordings (CSV), read with each way of dropped frames"

@@ -9,7 +9,8 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
-from animtool.formats.mot import read_mot, write_mot
+from animtool.formats.mot.read import read_mot
+from animtool.formats.mot.write import write_mot
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, JointType, Rig

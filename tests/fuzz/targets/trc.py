@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.errors import AnimtoolError
-from animtool.formats.trc import read_trc, write_trc
+from animtool.formats.trc.read import read_trc
+from animtool.formats.trc.write import write_trc
 from fuzz.mutations import pick, spoil
 
 ABOUT = "TRC files of markers: read, written and read again"

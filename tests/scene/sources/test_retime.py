@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.scene.sources.retime import with_preroll

@@ -150,3 +150,24 @@ def test_a_cycle_is_measured_with_its_seam() -> None:
     strain = max(float(np.abs(one / EDGE - 1).max()) for one in lengths)
     (report,) = stream.simulated
     assert report["strain"]["value"] == pytest.approx(strain, abs=1e-9)
+
+
+@pytest.mark.parametrize("repeats", [3, 20])
+def test_cloth_that_does_not_come_round_is_steered(repeats: int) -> None:
+    """It is no rougher at the seam than elsewhere, and keeps its lengths there."""
+
+    def turn(t: np.ndarray) -> np.ndarray:
+        return np.stack([0 * t, 2 * np.sin(2 * np.pi * t), 0 * t], axis=1)
+
+    take = take_of(sheet_rig(6), 24, 23 / 24, turn=turn)
+    options = SimulateOptions(("flag",), loop=True, loop_repeats=repeats, drag=0.1)
+    stream = simulate(TakeStream.of(take), options)
+    points = moved(stream.collect())
+    codes = {notice.code for notice in stream.notices}
+    assert not codes & {"SIM133", "SIM180", "SIM181", "SIM182"}
+    (report,) = stream.simulated
+    assert report["strain"]["value"] < 0.08
+    assert report["pierced"]["value"] == 0
+    changes = points - 2 * np.roll(points, 1, axis=0) + np.roll(points, -1, axis=0)
+    sizes = np.linalg.norm(changes, axis=2).max(axis=1)
+    assert max(sizes[0], sizes[-1]) <= sizes[1:-1].max()

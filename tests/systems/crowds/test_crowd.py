@@ -494,7 +494,7 @@ def test_who_is_squeezed_is_moved_apart_in_a_hundred_rounds(
     left = made.simulation.step(squeezed, 0.0, 0.05).overlap
     (given,) = seen
     fewer, same, more = (
-        step(**{**given, "rounds": rounds})[2] for rounds in (99, 100, 101)
+        step(**{**given, "max_passes": rounds})[2] for rounds in (99, 100, 101)
     )
     assert left == same
     assert fewer > left > more > 0
@@ -544,7 +544,7 @@ def test_who_fell_stays_and_who_left_is_out(
     step = crowds._kernels.crowd_step
 
     def spy(**given: Any) -> Any:
-        seen.append(given["does"].tolist())
+        seen.append(given["modes"].tolist())
         return step(**given)
 
     monkeypatch.setattr(crowds._kernels, "crowd_step", spy)

@@ -446,7 +446,7 @@ def test_no_distance_is_more_than_springs_leave_room_for() -> None:
     expected = np.minimum(np.where(same, apart / 1.5, apart), thickness)
     rng = np.random.default_rng(1)
     for n in rng.choice(len(x), 10, replace=False).tolist():
-        made = [found.least(t, n) for t in range(len(triangles))]
+        made = [found.distance(t, n) for t in range(len(triangles))]
         np.testing.assert_allclose(made, expected[n], atol=1e-12)
     edges = Reference(body, body.masses, SelfContact(thickness)).edges
     for i in rng.choice(len(edges), 10, replace=False).tolist():
@@ -456,7 +456,7 @@ def test_no_distance_is_more_than_springs_leave_room_for() -> None:
             one = (who[0] < len(x) // 2) == (who[2] < len(x) // 2)
             least = min(gap / 1.5 if one else gap, thickness) * 0.75
             shared = len(set(who)) < 4
-            made = found.least_of_edges(i, j)
+            made = found.edge_distance(i, j)
             assert made == pytest.approx(0.0 if shared else least, abs=1e-12)
 
 

@@ -13,7 +13,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.surfaces import held, shaped_rig
 from support.usd import open_stage, validation_errors
 
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward

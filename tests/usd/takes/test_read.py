@@ -15,7 +15,7 @@ from support.usd import joint_positions
 
 from animtool.core.errors import FormatError
 from animtool.core.shot import FrameRange
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh.read import read_bvh
 from animtool.report.compare import compare_takes
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions

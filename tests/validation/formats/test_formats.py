@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import escaped
 from animtool.core.rules import builtin_rules
-from animtool.core.source_lines import cut
+from animtool.core.source_lines import crop_line
 from animtool.validation.formats import FORMATS, written
 from animtool.validation.run import Report
 
@@ -66,7 +66,7 @@ def test_text_shows_the_line(report: Report) -> None:
 def test_a_line_is_cut_around_its_place(text: str, column: int, more: int) -> None:
     line = text.replace("\n", "") + "x" * more
     column = min(column, len(line) + 1)
-    shown, caret = cut(line, column)
+    shown, caret = crop_line(line, column)
     assert len(shown) <= 96
     place = len(caret) - 1
     if column <= len(line) and line[column - 1] == "x" and place < len(shown):
@@ -76,7 +76,7 @@ def test_a_line_is_cut_around_its_place(text: str, column: int, more: int) -> No
 def test_a_long_line_is_cut_before_and_behind_its_place() -> None:
     line = "".join(chr(ord("a") + i % 26) for i in range(300))
     for column in (1, 33, 34, 150, 236, 237, 290, 300):
-        shown, caret = cut(line, column)
+        shown, caret = crop_line(line, column)
         assert len(shown) == 96
         assert shown[len(caret) - 1] in {line[column - 1], "\N{HORIZONTAL ELLIPSIS}"}
     assert cut_text(line, 300).endswith(line[-90:])
@@ -84,7 +84,7 @@ def test_a_long_line_is_cut_before_and_behind_its_place() -> None:
 
 
 def cut_text(line: str, column: int) -> str:
-    return next(iter(cut(line, column)))
+    return next(iter(crop_line(line, column)))
 
 
 def test_findings_that_repeat_one_of_their_file_are_counted(report: Report) -> None:

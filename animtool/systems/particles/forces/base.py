@@ -19,7 +19,7 @@ AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _THREE]
 Finite: TypeAlias = Annotated[float, Range("finite", "SIM022", -math.inf, finite=True)]
 NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
-    float, Range("above 0", "SIM022", 0.0, reached=False, finite=True)
+    float, Range("above 0", "SIM022", 0.0, includes_minimum=False, finite=True)
 ]
 # A time for all particles, or one per particle ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"

@@ -12,7 +12,7 @@ namespace animtool {
 
 class RigidMotion {
  public:
-  // Of points by number, each with a weight: where they were, and where they are.
+  // From the previous and current positions of weighted points.
   template <class From, class To, class Weight>
   RigidMotion(std::size_t count, From from, To to, Weight weight) {
     double full = 0;
@@ -34,23 +34,23 @@ class RigidMotion {
         axis = axis + cross(columns_[c], sums[c]);
         along += dot(columns_[c], sums[c]);
       }
-      axis = axis * (1 / (std::abs(along) + LEAST));
+      axis = axis * (1 / (std::abs(along) + EPSILON));
       const double angle = length(axis);
-      if (!(angle > TURNED) || !std::isfinite(angle)) break;
+      if (!(angle > MIN_ROTATION) || !std::isfinite(angle)) break;
       rotation(axis * (1 / angle), angle);
     }
   }
 
-  // Where it brings a point.
+  // The image of a point.
   Vec operator()(Vec p) const {
     const Vec arm = p - start_;
     return end_ + columns_[0] * arm.x + columns_[1] * arm.y + columns_[2] * arm.z;
   }
 
  private:
-  // Turns are made better so often, until they change by less than this [rad].
+  // Largest number of rotation updates, and the angle below which they end [rad].
   static constexpr int MAX_ROTATIONS = 20;
-  static constexpr double TURNED = 1e-10, LEAST = 1e-300;
+  static constexpr double MIN_ROTATION = 1e-10, EPSILON = 1e-300;
 
   void rotation(Vec n, double angle) {
     const double c = std::cos(angle), s = std::sin(angle);

@@ -1,4 +1,4 @@
-#include "springs/pulls.h"
+#include "springs/forces.h"
 
 #include <algorithm>
 #include <array>
@@ -11,8 +11,8 @@ namespace animtool {
 
 namespace {
 
-// A band has as many springs, at least half of its places, and no gap of more places.
-constexpr std::size_t LEAST = 4 * WIDE, GAP = 4 * WIDE;
+// A band has at least this many springs, one for at least half of its particles, and no larger gap.
+constexpr std::size_t MIN_SPRINGS = 4 * WIDE, MAX_GAP = 4 * WIDE;
 
 std::size_t low(const Spring& spring) {
   return static_cast<std::size_t>(std::min(spring.i, spring.j));
@@ -22,8 +22,8 @@ std::size_t offset(const Spring& spring) {
   return static_cast<std::size_t>(std::max(spring.i, spring.j)) - low(spring);
 }
 
-// Numbers of springs, by their offsets and then by where they begin.
-std::vector<std::size_t> by_offset(const std::vector<Spring>& springs) {
+// Indices of springs, sorted by offset and then by first particle.
+std::vector<std::size_t> order_by_offset(const std::vector<Spring>& springs) {
   std::vector<std::size_t> order(springs.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
@@ -42,52 +42,52 @@ const SpringLoops& spring_loops() {
   return quads ? *quads : spring_loops_on<Plain>;
 }
 
-void SpringPulls::Numbers::add(double length, double stiff, double damps) {
+void SpringForces::Numbers::add(double length, double stiff, double damps) {
   rest.push_back(length);
   stiffness.push_back(stiff);
   damping.push_back(damps);
 }
 
-SpringPulls::SpringPulls(const std::vector<Spring>& springs, std::size_t particles)
+SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t particles)
     : particles_(particles) {
   std::vector<std::size_t> banded;
-  std::vector<Band> bands = lay_bands(springs, banded);
-  // What bands cost besides is by particle.
+  std::vector<Band> bands = build_bands(springs, banded);
+  // Bands have a cost for each particle, too.
   if (2 * banded.size() < particles) banded.clear();
-  if (!banded.empty()) lay_pieces(std::move(bands));
-  std::vector<bool> laid(springs.size());
-  for (const std::size_t s : banded) laid[s] = true;
+  if (!banded.empty()) build_pieces(std::move(bands));
+  std::vector<bool> is_banded(springs.size());
+  for (const std::size_t s : banded) is_banded[s] = true;
   for (std::size_t s = 0; s < springs.size(); ++s) {
-    if (laid[s]) continue;
+    if (is_banded[s]) continue;
     const Spring& spring = springs[s];
-    loose_ends_.push_back(spring.i);
-    loose_ends_.push_back(spring.j);
-    loose_.add(spring.rest, spring.stiffness, spring.damping);
+    unbanded_ends_.push_back(spring.i);
+    unbanded_ends_.push_back(spring.j);
+    unbanded_.add(spring.rest, spring.stiffness, spring.damping);
   }
 }
 
-std::vector<SpringPulls::Band> SpringPulls::lay_bands(const std::vector<Spring>& springs,
+std::vector<SpringForces::Band> SpringForces::build_bands(const std::vector<Spring>& springs,
                                                       std::vector<std::size_t>& banded) const {
-  const std::vector<std::size_t> order = by_offset(springs);
+  const std::vector<std::size_t> order = order_by_offset(springs);
   std::vector<Band> bands;
   for (std::size_t k = 0; k < order.size();) {
     std::vector<std::size_t> chosen{order[k]};
     const Spring& first = springs[order[k]];
     for (++k; k < order.size(); ++k) {
       const Spring &last = springs[chosen.back()], &next = springs[order[k]];
-      if (offset(next) != offset(first) || low(next) > low(last) + GAP) break;
-      // Of several springs between two particles one is in a band.
+      if (offset(next) != offset(first) || low(next) > low(last) + MAX_GAP) break;
+      // Of several springs between two particles, only one is in a band.
       if (low(next) != low(last)) chosen.push_back(order[k]);
     }
     const std::size_t locations = low(springs[chosen.back()]) - low(first) + 1;
-    if (chosen.size() < LEAST || 2 * chosen.size() < locations) continue;
+    if (chosen.size() < MIN_SPRINGS || 2 * chosen.size() < locations) continue;
     bands.push_back(band_of(springs, chosen));
     banded.insert(banded.end(), chosen.begin(), chosen.end());
   }
   return bands;
 }
 
-SpringPulls::Band SpringPulls::band_of(const std::vector<Spring>& springs,
+SpringForces::Band SpringForces::band_of(const std::vector<Spring>& springs,
                                        const std::vector<std::size_t>& chosen) {
   const std::size_t first = low(springs[chosen.front()]) / WIDE * WIDE;
   const std::size_t last = (low(springs[chosen.back()]) / WIDE + 1) * WIDE;
@@ -103,27 +103,27 @@ SpringPulls::Band SpringPulls::band_of(const std::vector<Spring>& springs,
   return band;
 }
 
-void SpringPulls::lay_pieces(std::vector<Band> bands) {
+void SpringForces::build_pieces(std::vector<Band> bands) {
   std::stable_sort(bands.begin(), bands.end(),
                    [](const Band& a, const Band& b) { return a.first < b.first; });
   const std::size_t full = plane_height(particles_) - WIDE;
-  std::vector<const Band*> here;
+  std::vector<const Band*> active;
   for (std::size_t begin = 0, next = 0, end; begin < full; begin = end) {
-    std::erase_if(here, [&](const Band* band) { return band->last <= begin; });
+    std::erase_if(active, [&](const Band* band) { return band->last <= begin; });
     for (; next < bands.size() && bands[next].first == begin; ++next)
-      here.push_back(&bands[next]);
+      active.push_back(&bands[next]);
     end = std::min(full, begin + BAND_PIECE);
     if (next < bands.size()) end = std::min(end, bands[next].first);
-    for (const Band* band : here) end = std::min(end, band->last);
-    lay_piece(begin, end, here);
+    for (const Band* band : active) end = std::min(end, band->last);
+    build_piece(begin, end, active);
   }
 }
 
-void SpringPulls::lay_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands) {
+void SpringForces::build_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands) {
   std::sort(bands.begin(), bands.end(),
             [](const Band* a, const Band* b) { return a->offset < b->offset; });
   pieces_.push_back({begin, end, offsets_.size(), bands.size(), numbers_.size()});
-  most_offsets_ = std::max(most_offsets_, bands.size());
+  max_offsets_ = std::max(max_offsets_, bands.size());
   for (const Band* band : bands) offsets_.push_back(band->offset);
   for (std::size_t n = begin; n < end; n += WIDE)
     for (const Band* band : bands) {
@@ -134,53 +134,53 @@ void SpringPulls::lay_piece(std::size_t begin, std::size_t end, std::vector<cons
     }
 }
 
-BandPieces SpringPulls::pieces() const {
+BandPieces SpringForces::pieces() const {
   return {pieces_.data(), pieces_.size(), offsets_.data(), numbers_.data()};
 }
 
-BandPlanes SpringPulls::planes(PullRoom& room) const {
-  return {plane_height(particles_), room.x.data(), room.v.data(), room.f.data(),
-          room.kept.data()};
+BandPlanes SpringForces::planes(ForceBuffers& buffers) const {
+  return {plane_height(particles_), buffers.x.data(), buffers.v.data(), buffers.f.data(),
+          buffers.stored.data()};
 }
 
-void SpringPulls::make(PullRoom& room) const {
+void SpringForces::allocate(ForceBuffers& buffers) const {
   const std::size_t size = 3 * plane_height(particles_);
-  room.x.resize(size);
-  room.v.resize(size);
-  room.f.assign(size, 0.0);
-  room.kept.resize(3 * most_offsets_ * KEPT);
+  buffers.x.resize(size);
+  buffers.v.resize(size);
+  buffers.f.assign(size, 0.0);
+  buffers.stored.resize(3 * max_offsets_ * STORED);
 }
 
-void SpringPulls::read(const double* rows, std::vector<double>& columns) const {
+void SpringForces::read(const double* rows, std::vector<double>& columns) const {
   spring_loops().to_planes(rows, particles_, plane_height(particles_), columns.data());
 }
 
-void SpringPulls::write(const std::vector<double>& columns, double* rows) const {
+void SpringForces::write(const std::vector<double>& columns, double* rows) const {
   spring_loops().to_rows(columns.data(), particles_, plane_height(particles_), rows);
 }
 
-void SpringPulls::set(const double* x, const double* v, PullRoom& room,
+void SpringForces::set(const double* x, const double* v, ForceBuffers& buffers,
                       double* forces) const {
-  if (!banded()) {
+  if (!has_bands()) {
     std::fill_n(forces, ROW * particles_, 0.0);
   } else {
-    make(room);
-    read(x, room.x);
-    read(v, room.v);
-    spring_loops().pull_planes(pieces(), planes(room));
-    write(room.f, forces);
+    allocate(buffers);
+    read(x, buffers.x);
+    read(v, buffers.v);
+    spring_loops().pull_planes(pieces(), planes(buffers));
+    write(buffers.f, forces);
   }
-  add_loose(x, v, forces);
+  add_unbanded(x, v, forces);
 }
 
-void SpringPulls::add_loose(const double* x, const double* v, double* forces) const {
-  const SpringColumns columns{loose_ends_.data(), loose_.rest.data(), loose_.stiffness.data(),
-                              loose_.damping.data()};
-  spring_loops().add_pulls(columns, loose_.rest.size(), x, v, forces);
+void SpringForces::add_unbanded(const double* x, const double* v, double* forces) const {
+  const SpringColumns columns{unbanded_ends_.data(), unbanded_.rest.data(), unbanded_.stiffness.data(),
+                              unbanded_.damping.data()};
+  spring_loops().add_forces(columns, unbanded_.rest.size(), x, v, forces);
 }
 
-void SpringPulls::step(const PlaneSteps& steps, PullRoom& room) const {
-  spring_loops().step_planes(pieces(), steps, planes(room));
+void SpringForces::step(const PlaneSteps& steps, ForceBuffers& buffers) const {
+  spring_loops().step_planes(pieces(), steps, planes(buffers));
 }
 
 }  // namespace animtool

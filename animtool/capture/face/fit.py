@@ -1,0 +1,103 @@
+"""The result of a face solve: weights and head poses over frames, and their fit."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+
+from animtool.capture.face.model import FaceModel
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
+from animtool.core.record import dataclass
+
+# A landmark with less than half weight in this fraction of frames is misplaced.
+MISPLACED_FRACTION = 0.5
+
+
+class FrameStatus(StrEnum):
+    """How a frame was solved."""
+
+    SOLVED = "solved"
+    GAP = "gap"  # too few landmarks: weights and pose are interpolated
+    POOR = "poor"  # more than half of the landmarks are outliers
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkScore:
+    """Fit of a landmark."""
+
+    name: str  # of the landmark
+    rms: float  # root mean square residual where its weight is at least one half
+    seen: int  # frames in which it is visible
+    outliers: int  # visible frames in which its weight is below one half
+
+
+@dataclass(frozen=True, slots=True)
+class ShapePeak:
+    """Largest weight of a shape."""
+
+    name: str  # of the shape
+    max: float  # its largest weight
+
+
+@dataclass(frozen=True, slots=True)
+class FaceFit:
+    """Face weights over frames, and their fit.
+
+    Attributes:
+        model: The face.
+        weights: Weights of its shapes, 0 to 1 ``(F, S)``.
+        rotations: Rotations of the head, world from face ``(F, 4)``.
+        translations: Translations of the head [m] ``(F, 3)``.
+        residuals: Distance of landmarks from the face in [m], or [px] of a camera ``(F,
+            N)``; NaN where missing.
+        shares: Robust weight of each landmark, 0 to 1 ``(F, N)``.
+        status: Status of each frame.
+        noise: Standard deviation of the noise in one direction, in the unit of the
+            residuals.
+        rounds: Rounds of the slowest window.
+        change: Largest change of a weight in the last round of a window.
+        notices: Warnings.
+    """
+
+    model: FaceModel
+    weights: FloatArray
+    rotations: FloatArray
+    translations: FloatArray
+    residuals: FloatArray
+    shares: FloatArray
+    status: tuple[FrameStatus, ...]
+    noise: float
+    rounds: int
+    change: float
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def rms(self) -> float:
+        """Root mean square residual of landmarks with weight of at least one half."""
+        is_inlier = (self.shares >= MISPLACED_FRACTION) & np.isfinite(self.residuals)
+        return (
+            float(np.sqrt((self.residuals[is_inlier] ** 2).mean()))
+            if is_inlier.any()
+            else 0.0
+        )
+
+    @property
+    def landmarks(self) -> list[LandmarkScore]:
+        """Fit of each landmark."""
+        visible = np.isfinite(self.residuals)
+        is_inlier = visible & (self.shares >= MISPLACED_FRACTION)
+        squares = np.where(is_inlier, self.residuals, 0.0) ** 2
+        rms = np.sqrt(squares.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1))
+        counts = visible.sum(axis=0), (visible & ~is_inlier).sum(axis=0)
+        columns = (rms.tolist(), *(count_column.tolist() for count_column in counts))
+        return [
+            LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
+        ]
+
+    @property
+    def peaks(self) -> list[ShapePeak]:
+        """The largest weight of each shape."""
+        largest = self.weights.max(axis=0, initial=0.0).tolist()
+        return [ShapePeak(*row) for row in zip(self.model.shapes, largest, strict=True)]

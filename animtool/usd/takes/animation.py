@@ -1,0 +1,214 @@
+"""A SkelAnimation as motion of a Skeleton's joints, or of an animation layer alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, Severity, counted
+from animtool.core.rates import rate_from_float
+from animtool.core.record import dataclass
+from animtool.maths import so3
+from animtool.motion.motion import Channel, Motion
+from animtool.usd.layers.faults import (
+    PrimLocation,
+    duplicate_names,
+    missing_parts,
+    tokens,
+    transform_attributes,
+    unknown_joints,
+)
+from animtool.usd.rigs.placement import animated_ancestors
+from animtool.usd.rigs.prims import (
+    SkeletonRig,
+    check_moves,
+    numbers,
+    rig_from_tokens,
+    stored_data,
+    up_axis,
+)
+from animtool.usd.takes.animation_values import (
+    SampleGrid,
+    animated_shapes,
+    normalised,
+    sample_grid,
+    sampled_values,
+    scale_channel,
+    shape_weights,
+    with_rest,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class AnimationMotion:
+    """The motion of an animation, before its Skeleton is placed on the stage."""
+
+    clock: Clock
+    motion: Motion  # of all joints of the Skeleton
+    shapes: list[str]  # names of its shapes
+    drift: float  # largest distance of samples from their frames [time code]
+    notices: list[Fault]
+
+
+def read_animation(
+    stage: Any, skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
+) -> AnimationMotion:
+    """Return the motion that an animation gives a Skeleton.
+
+    ``prim`` is the Skeleton; None for an animation layer alone.
+    """
+    columns, notices = _columns(skeleton, animation, prim, where)
+    attributes = _attributes(animation, columns, where, notices)
+    shapes = animated_shapes(animation)
+    check_moves(len(skeleton.rig.joints), len(shapes), where)
+    sources = [
+        *attributes.values(),
+        *([] if prim is None else animated_ancestors(prim)),
+    ]
+    sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
+    times = sorted({time for source in sources for time in source.GetTimeSamples()})
+    grid = sample_grid(stage, animation, times, where)
+    fps = rate_from_float(stage.GetTimeCodesPerSecond())
+    clock = Clock(fps, grid.start, grid.step, grid.count)
+    codes = clock.times.tolist()
+    notices += _grid_notices(grid, len(times), where)
+    rig = skeleton.rig
+    meters = rig.meters_per_unit
+
+    def dense(name: str, rest: FloatArray) -> FloatArray:
+        """Return an attribute for all Skeleton joints; unanimated ones at rest."""
+        attr, width, rows = attributes.get(name), rest.shape[1], None
+        if attr is not None:
+            rows = sampled_values(
+                attr, codes, len(columns), width, where, drift=grid.drift
+            )
+        return with_rest(rest, rows, columns, len(codes))
+
+    translations = dense("translations", rig.rest_translations / meters) * meters
+    rotations = dense("rotations", rig.rest_rotations)
+    scales = dense("scales", skeleton.rest_scales)
+    rotations, length_warnings = normalised(rotations, rig.names, codes, where)
+    notices += length_warnings
+    weights = None
+    if shapes:
+        weights = shape_weights(animation, codes, len(shapes), where, grid.drift)
+    motion = Motion(
+        Channel.from_dense(translations),
+        Channel.from_dense(so3.align_signs(rotations)),
+        scale_channel(scales),
+        weights,
+    )
+    return AnimationMotion(clock, motion, shapes, grid.drift, notices)
+
+
+def _attributes(
+    animation: Any, columns: IntArray, where: PrimLocation, notices: list[Fault]
+) -> dict[str, Any]:
+    """Return the attributes UsdSkel requires of an animation, by name.
+
+    Empty if it animates no joint: it only has shape weights, or only lists joints,
+    which then stay at rest.
+    """
+    if not len(columns):
+        return {}
+    faults = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
+    if any(fault.severity is Severity.ERROR for fault in faults):
+        where.refuse(faults)
+    notices += [replace(fault, path=where.path) for fault in faults]
+    if faults:
+        return {}
+    return transform_attributes(animation)
+
+
+def _columns(
+    skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
+) -> tuple[IntArray, list[Fault]]:
+    """Return Skeleton columns of the animation's joints (-1 unknown), and a warning."""
+    attr = animation.GetJointsAttr()
+    index = {token: i for i, token in enumerate(skeleton.tokens)}
+    columns = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
+    if prim is None:
+        return columns, []
+    unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
+    return columns, [replace(fault, path=where.path) for fault in unknown]
+
+
+def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
+    """Return notices of samples that are irregular or off frames."""
+    notices = []
+    interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
+    if not grid.regular:
+        message = f"samples are unevenly spaced; read every {interval}"
+        notices.append(where.fault("USD105", message, severity=Severity.NOTE))
+    if grid.drift:
+        message = (
+            f"samples are up to {grid.drift:.2g} time codes off the frames (at "
+            f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
+            f"one every {interval}"
+        )
+        notices.append(where.fault("USD121", message, severity=Severity.NOTE))
+    if grid.between:
+        message = f"{grid.between} of {samples} samples fall between frames; "
+        message += "only the values on frames are read"
+        hint = "resample the animation to whole frames in the tool that wrote it"
+        warning = Severity.WARNING
+        notices.append(where.fault("USD122", message, hint, warning))
+    return notices
+
+
+def first_animation(stage: Any, root_path: str) -> Any:
+    """Return the first animation that a layer binds or holds; None without one."""
+    root_prim = stage.GetPrimAtPath(root_path)
+    # An animation layer alone has only overs above its animation.
+    predicate = Usd.PrimAllPrimsPredicate
+    prims = list(Usd.PrimRange(root_prim, predicate)) if root_prim else []
+    bindings = [
+        stage.GetPrimAtPath(target)
+        for prim in prims
+        if (binding := prim.GetRelationship("skel:animationSource"))
+        for target in binding.GetTargets()
+    ]
+    for prim in (*bindings, *prims):
+        if prim and prim.IsA(UsdSkel.Animation):
+            return UsdSkel.Animation(prim)
+    return None
+
+
+def root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
+    """Report root motion of a layer that is read without its rig."""
+    parent = animation.GetPrim().GetParent()
+    order = parent.GetAttribute("xformOpOrder")
+    if not order or not order.HasAuthoredValue():
+        return []
+    message = f"{parent.GetPath()} carries root motion, which is ignored"
+    hint = "read a stage that contains the rig too"
+    return [where.fault("USD113", message, hint, Severity.WARNING)]
+
+
+def rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
+    """Return the rig of an animation layer alone: its joints at their first sample."""
+    joints = tokens(animation.GetJointsAttr())
+    where = PrimLocation.of(path, animation)
+    where.refuse(duplicate_names(animation.GetJointsAttr()))
+    data = stored_data(animation.GetPrim())
+    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+    first_code = Usd.TimeCode.EarliestTime()
+    positions = numbers(animation.GetTranslationsAttr(), 3, first_code)
+    if joints and len(positions) == len(joints):
+        matrices[:, 3, :3] = positions
+    rig = rig_from_tokens(
+        joints,
+        matrices,
+        path.stem,
+        where,
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_axis(stage),
+        {"names": data["names"]} if "names" in data else {},
+    )
+    return replace(rig, rig=replace(rig.rig, has_rest=False))
