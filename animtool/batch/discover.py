@@ -289,7 +289,14 @@ def _check_variables(
         # Each holds its faults until the items are built.
         used_in_output |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_unused(variables, used_in_output - taken, spec.path)
+    has_scene = spec.scene is not None
+    check_unused(
+        variables,
+        used_in_output - taken,
+        spec.path,
+        in_batch=spec.path is not None,
+        has_scene=has_scene,
+    )
 
 
 @dataclass(slots=True)

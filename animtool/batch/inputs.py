@@ -169,15 +169,16 @@ def no_input(spec: BatchSpec) -> NoMatchError:
     suffixes = input_suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"
-    hint = _other_case(spec, suffixes) or hint
+    hint = _other_suffix(spec, suffixes) or hint
     return NoMatchError(Fault("BAT005", message, path, (), hint))
 
 
-def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
-    """Return a hint if files match a pattern except for the case of its suffix."""
+def _other_suffix(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
+    """Return a hint if files match a pattern except for its suffix, or its case."""
     for text in spec.inputs:
         stem, dot, suffix = text.rpartition(".")
-        for other in (suffix.lower(), suffix.upper()):
+        others = [known.removeprefix(".") for known in suffixes]
+        for other in (suffix.lower(), suffix.upper(), *others):
             meant = f"{stem}{dot}{other}"
             if dot and other != suffix and _meant(spec.folder, meant, suffixes):
                 return f"did you mean {meant!r}?"

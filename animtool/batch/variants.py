@@ -35,6 +35,9 @@ TOO_MANY_TEXT = f"a batch has at most {MAX_VARIANTS} variants"
 _RANGE = re.compile(
     r"(?P<first>[-+]?\d+(?:\.\d+)?)\.\.(?P<last>[^/.][^/]*)(?:/(?P<step>.+))?"
 )
+# A range of other tools: FIRST:LAST:STEP, FIRST:STEP:LAST or FIRST..LAST..STEP.
+_NUMBER = r"(-?(?:0|[1-9]\d*)(?:\.\d+)?)"
+_OTHER_RANGE = re.compile(rf"{_NUMBER}(?::|\.\.){_NUMBER}(?::|\.\.){_NUMBER}")
 _UNSAFE_CHARACTERS = re.compile(r"[^A-Za-z0-9_.+-]+")
 
 
@@ -77,9 +80,11 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     faults: list[Fault] = []
     names = [text.partition("=")[0].strip() for text in texts]
     problems = dict(name_problems(names))
-    hint = "write NAME=1,2,5 or NAME=1..20"
     for i, (name, text) in enumerate(zip(names, texts, strict=True)):
         marker = argument("vary", text)
+        range_meant = _range_meant(text.partition("=")[2])
+        hint = "write NAME=1,2,5 or NAME=1..20"
+        hint = f"write {name}={range_meant}" if range_meant else hint
         if "=" not in text:
             message, form = f"{marker}: the sign = is missing", _assignment_hint(text)
             faults.append(Fault("BAT064", message, hint=form))
@@ -104,12 +109,29 @@ def _assignment_hint(text: str) -> str:
     >>> _assignment_hint("wind 1 2"), _assignment_hint("wind")
     ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')
     """
+    if range_meant := _range_meant(text.strip()):
+        return f"write NAME={range_meant}"
     name, *values = re.split(r"[\s:,]+", text.strip())
     if not is_variable_name(name):
         name = "NAME"
     if values:
         return f"write {name}={','.join(values)}"
     return f"write {name}=1,2,5 or {name}=1..20"
+
+
+def _range_meant(text: str) -> str | None:
+    """Return a range of another notation in ours; None if the text is none.
+
+    >>> _range_meant("50:200:50"), _range_meant("50:50:200"), _range_meant("01:00:00")
+    ('50..200/50', '50..200/50', None)
+    """
+    match = _OTHER_RANGE.fullmatch(text)
+    if match is None:
+        return None
+    first, middle, last = match.groups()
+    if float(last) > float(middle) or float(middle) == 0:
+        middle, last = last, middle
+    return f"{first}..{middle}/{last}"
 
 
 def values_of_text(text: str) -> list[str]:
@@ -123,6 +145,8 @@ def values_of_text(text: str) -> list[str]:
         match = _RANGE.fullmatch(part)
         if match is None:
             problem = value_problem(part)
+            if problem is None and _range_meant(part) is not None:
+                problem = f"{excerpt(part)} is neither a value nor a range"
             if problem is not None:
                 raise ValueError(problem)
             values.append(part)

@@ -61,14 +61,18 @@ _NOTICE_PREFIXES = (
     "CLIP",
     "DOC",
     "FAC",
+    "IK",
     "MAP",
     "MKT",
     "RIG",
     "SCN",
+    "SIM",
+    "SKIN",
     "TGT",
 )
 _CHECK_PREFIXES = (
     "BVH",
+    "C3D",
     "FBX",
     "GLT",
     "LLF",

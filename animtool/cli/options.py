@@ -66,7 +66,7 @@ def _tolerance(text: str) -> float:
     if not value >= 0:
         from animtool.documents.value_faults import number_hint
 
-        hint = number_hint("", text)
+        hint = number_hint("", text) if math.isnan(value) else None
         message = f"{text!r} is not a number from 0 up"
         raise ValueError(f"{message}; {hint}" if hint else message)
     return value

@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from animtool.cli.help import LazyGroup
 from animtool.core.errors import Fault
@@ -61,6 +62,14 @@ _TAKEN_BY = {
 }
 # What most users of an option want: the first of these commands that has it.
 _SUGGESTED_COMMANDS = ("bake", "retarget", "ik", "batch", "validate", "preview", "info")
+_NUMBER = re.compile(r"-?[\d.]+")
+# Values of several numbers by their placeholder in help.
+_SEVERAL_NUMBERS = {
+    "A-B[xN]": "1-24",
+    "A-B[xN]|A,B,...": "1-24",
+    "OFFSETS": "-.25,0,.25",
+}
+_STATED = {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
 _CHOICE = re.compile(r": '([^']*)' is not one of ('.*')\.")
 _EXTRA_ARGUMENTS = re.compile(r"unexpected extra arguments? \((.*)\)")
 
@@ -82,6 +91,11 @@ def explained(error: click.ClickException) -> click.ClickException:
         text = f"Unexpected argument {first!r}; {hint}"
     elif choice := _CHOICE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
+        param = getattr(error, "param", None)
+        if choice[1].startswith("-") and param is not None:
+            flag = param.opts[-1]
+            text = f"Option {flag!r} needs a value: {' or '.join(names)}."
+            return click.UsageError(text, context)
         other_value = OTHER_VALUES.get(choice[1].lower())
         close_matches = (
             [other_value]
@@ -106,12 +120,25 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
                 return replace(fault, where=option.opts[-1])
     if not fault.code.startswith("IO") or fault.where or fault.path is None:
         return fault
+    if _NUMBER.fullmatch(fault.path):
+        return replace(fault, hint=_number_hint(context) or fault.hint)
     for option in _options(context.command):
         value = context.params.get(str(option.name))
         if isinstance(value, Path) and str(value) == fault.path:
             hint = fault.hint or (None if value.suffix else "it takes a file")
             return replace(fault, where=option.opts[0], hint=hint)
     return fault
+
+
+def _number_hint(context: click.Context) -> str | None:
+    """Return a hint for a number that is taken for a file: part of an option."""
+    for option in _options(context.command):
+        name = str(option.name)
+        example = _SEVERAL_NUMBERS.get(str(option.metavar))
+        if example and context.get_parameter_source(name) in _STATED:
+            flag = option.opts[-1]
+            return f"a value of {flag} has no spaces: {flag} {example}"
+    return None
 
 
 def _option_hints(name: str, context: click.Context) -> Iterator[str]:
@@ -181,6 +208,8 @@ def _argument_hint(text: str, context: click.Context) -> str | None:
     for flag in taken:
         if flag in flags:
             return f"write {flag} {text}"
+    if "--clip" in flags and path.suffix and path.exists():
+        return f"to start from it, write --clip {text}"
     if "--output" in flags and path.suffix:
         return f"to write it, use -o {text}"
     return None

@@ -14,6 +14,7 @@ from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_FRAME
+from animtool.documents.yaml_text import flow_text
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
@@ -241,9 +242,10 @@ class ChannelReader:
                 if not isinstance(handle, list) or isinstance(handle[0], list):
                     continue
                 if handle[0] * sign < 0:
-                    side = "before" if sign < 0 else "behind"
+                    side = "before" if sign < 0 else "after"
                     message = f"the handle's time {handle[0]:g} points the wrong way"
-                    hint = f"'{name}' is {side} its key"
+                    written = flow_text(name, [-handle[0], handle[1]])
+                    hint = f"write {written}: '{name}' is {side} its key"
                     location = (*at, "keys", k, name)
                     self.document.add("CLIP005", location, message, hint)
 
@@ -350,7 +352,10 @@ class ChannelReader:
                 values = values * 3
             if isinstance(dt, list) or len(values) != components:
                 message = f"the handle is not a time and {counted(components, 'value')}"
-                self.document.add("CLIP007", (*at, name), message)
+                zeros = [0] * components if components > 1 else 0
+                written = flow_text(name, [-2 if name == "in" else 2, zeros])
+                hint = f"for example {written}"
+                self.document.add("CLIP007", (*at, name), message, hint)
                 both_sides.append((Tangent.FREE, no_handle))
                 continue
             both_sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))

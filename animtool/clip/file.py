@@ -114,8 +114,8 @@ def _note_missing(file: ClipFile) -> NoReturn:
     """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
     suggestion = missing_hint(file.document, file.model.rig or "")
-    other = clause(f"pass another rig with {argument('source.rig')}")
-    hint = f"{suggestion}; {other}" if suggestion else other
+    other = f"pass another rig with {argument('source.rig')}"
+    hint = suggestion + clause(f" or {other}") if suggestion else clause(other)
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)

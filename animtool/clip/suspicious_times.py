@@ -73,6 +73,13 @@ def _warn_of_range(
         return
     i, keys = next(iter(keys_outside.items()))
     frames = listed([f"{t:g}" for t in channels[i].times[keys]])
+    times = channels[i].times
+    if times[0] > last or times[-1] < first:
+        message = f"no key of {channels[i].target!r} is in the range from {first:g} to "
+        message += f"{last:g}: its keys are from {times[0]:g} to {times[-1]:g}"
+        hint = f"write range: [{times[0]:g}, {times[-1]:g}], or move the keys"
+        document.warn("CLIP201", ("channels", i, "keys", 0, "t"), message, hint)
+        return
     other_count = len(keys_outside) - 1
     message = (
         f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the range "

@@ -144,6 +144,11 @@ class AnimtoolError(Exception):
         """Code of the first fault."""
         return self.faults[0].code
 
+    def add(self, faults: Sequence[Fault]) -> None:
+        """Append faults."""
+        self.faults += tuple(faults)
+        self.args = ("\n".join(map(str, self.faults)), *self.args[1:])
+
 
 class FormatError(AnimtoolError):
     """An input is malformed or cannot be read."""
@@ -176,6 +181,21 @@ def faults_in(path: object) -> Iterator[None]:
         yield
     except (FormatError, OptionError) as error:
         raise type(error)([fault.in_file(path) for fault in error.faults]) from error
+
+
+@contextmanager
+def with_notices(notices: Sequence[Fault]) -> Iterator[None]:
+    """Add known warnings to the faults that stop the block: they may be the cause."""
+    try:
+        yield
+    except (FormatError, OptionError, ToleranceError) as error:
+        warnings = [
+            notice
+            for notice in notices
+            if notice.severity is Severity.WARNING and notice not in error.faults
+        ]
+        error.add(warnings)
+        raise
 
 
 def refuse(

@@ -22,8 +22,8 @@ MAX_COMPARED_NAMES = 40
 MIN_SIMILARITY = 0.65
 # Longer names are not misspellings.
 MAX_LENGTH = 120
-# Number of names that a hint lists; no format has more keys.
-MAX_LISTED_NAMES = 200
+# Number of names that a hint lists, the nearest first: most lists of keys are shorter.
+MAX_LISTED_NAMES = 24
 # Pattern of variable names.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 # Kinds that the first line of a file may name, and its file name too. A batch names a
@@ -101,9 +101,21 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def check_unused(
-    stated: Iterable[str], used: Iterable[str], path: Path | None = None
+    stated: Iterable[str],
+    used: Iterable[str],
+    path: Path | None = None,
+    *,
+    in_batch: bool = False,
+    has_scene: bool = True,
 ) -> None:
-    """Refuse unused variables; ``path`` is the file that defines them.
+    """Refuse unused variables.
+
+    Args:
+        stated: Their names.
+        used: Names that scenes use.
+        path: The scene, or the batch that defines them.
+        in_batch: Whether a batch defines them, and not the command line.
+        has_scene: Whether there is a scene that could use them.
 
     Raises:
         OptionError: Has a fault for each of them (SCN031).
@@ -111,13 +123,17 @@ def check_unused(
     >>> check_unused(["shot"], ["shot", "rate"])
     """
     names, where = sorted(used), None if path is None else str(path)
-    option = argument("variables")
+    setter = "variables" if in_batch else argument("variables")
     faults = [
-        Fault("SCN031", f"{option}: no scene uses {name!r}", where, hint=hint)
+        Fault("SCN031", f"{setter}: no scene uses {name!r}", where, hint=hint)
         for name in stated
         if name not in names
         for hint in [
-            nearest(name, names) if names else f"write ${{{name}}} for it in a scene"
+            nearest(name, names)
+            if names
+            else f"write ${{{name}}} in the scene where its value belongs, or remove it"
+            if has_scene
+            else f"name a scene that uses ${{{name}}} with {argument('scene')}"
         ]
     ]
     if faults:
@@ -231,6 +247,10 @@ def most_similar(
         candidates.sort(
             key=lambda candidate: len(pairs & _letter_pairs(candidate)), reverse=True
         )
+    folded = name.casefold()
+    for candidate in candidates:
+        if candidate.casefold() == folded:
+            return candidate
     from difflib import get_close_matches  # every command imports this module
 
     matches = get_close_matches(name, candidates[:MAX_COMPARED_NAMES], 1, cutoff)

@@ -230,7 +230,9 @@ def parse_rate(text: FractionLike) -> Fraction:
         ) from error
     if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
         quoted = excerpt(text).strip("'")
-        raise RateError(f"a frame rate is between 0.001 and 100000, not {quoted}")
+        raise RateError(
+            f"a frame rate is between 0.001 and 100000, such as 24, not {quoted}"
+        )
     return rate
 
 

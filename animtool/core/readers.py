@@ -349,10 +349,21 @@ def export_fault(path: Path) -> Fault:
     return Fault("IO002", message, str(path), (), hint)
 
 
+# What to give in place of a file without some content.
+_INSTEAD = {
+    "markers": "give a .c3d, .trc or .npz of markers; animtool bake takes joints",
+    "motion": "give a take, such as .bvh, .fbx or .usd; animtool mocap solve moves a "
+    "rig by markers",
+    "rig": "give a .rig.yaml, .usd, .bvh, .glb, .fbx or .urdf",
+    "takes": "give the name of a file with takes, such as .usd, .fbx or .glb",
+}
+
+
 def _load_opener(target: str, content: str, path: Path) -> Callable[..., Any]:
     if not target:
         message = f"{path.suffix} files hold no {content}"
-        raise OptionError(Fault("IO002", message, str(path)))
+        hint = _INSTEAD.get(content)
+        raise OptionError(Fault("IO002", message, str(path), (), hint))
     try:
         return cast(Callable[..., Any], load_object(target))
     except (ImportError, AttributeError) as error:

@@ -214,6 +214,21 @@ def current_codes(code: str) -> tuple[str, ...]:
     return replaced_codes().get(code, (code,))
 
 
+# Letters that are typed for digits.
+_DIGITS = str.maketrans("OILSB", "01158")
+
+
+def code_meant(code: str, codes: Iterable[str]) -> str | None:
+    """Return the code or prefix whose digits were typed as letters; None if unclear.
+
+    >>> code_meant("MOT2O8", ["MOT208"])
+    'MOT208'
+    """
+    digits = re.sub(r"\d.*", lambda tail: tail[0].translate(_DIGITS), code.upper())
+    is_known = any(known_code.startswith(digits) for known_code in codes)
+    return digits if digits != code.upper() and is_known else None
+
+
 def find_rule(code: str) -> Rule:
     """Return the rule of a code, ignoring case (unknown: VAL005).
 
@@ -236,7 +251,10 @@ def find_rule(code: str) -> Rule:
         family_codes = sorted(
             known_code for known_code in rules if known_code.startswith(family)
         )
-        if padded_code not in rules and family and family_codes:
+        meant = code_meant(name, rules)
+        if meant is not None:
+            hint = f"did you mean {meant!r}, with digits?"
+        elif padded_code not in rules and family and family_codes:
             range_text = f"{family_codes[0]} to {family_codes[-1]}"
             hint = (
                 f"{family} codes are {range_text}; animtool explain {family} lists them"

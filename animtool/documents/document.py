@@ -147,6 +147,12 @@ class Document:
             location[:depth] in unknown for depth in range(1, len(location) + 1)
         )
 
+    def has_doubt_below(self, location: Location) -> bool:
+        """Return whether a value inside a location is a placeholder."""
+        depth = len(location)
+        unknown = self.doubts | self.guessed_keys
+        return any(inner[:depth] == location for inner in unknown)
+
     def has_unnamed(self, key: str, *parts: str) -> bool:
         """Return whether a list has an entry whose name is unknown.
 
@@ -263,6 +269,18 @@ def parse_location(where: str) -> Location:
     """
     steps = re.findall(r"\[(\d+)\]|([^.\[\]]+)", where)
     return tuple(int(number) if number else name for number, name in steps)
+
+
+def positioned(fault: Fault) -> Fault:
+    """Return a fault about a key of a file with the key's line, read from the file."""
+    if fault.path is None or fault.lines or not fault.where:
+        return fault
+    try:
+        document = read_document(Path(fault.path))
+    except FormatError:
+        return fault
+    line, column = document.position(parse_location(fault.where))
+    return replace(fault, lines=(line,), column=column)
 
 
 @expects_format(

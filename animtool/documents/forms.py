@@ -23,7 +23,7 @@ from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
 MAX_EXAMPLE = 100
-_NUMBER_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
+_NUMBER_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:[-xX:,]|\.\.)\s*(-?\d+(?:\.\d+)?)")
 _NUMBER_UNIT = re.compile(r"\d+([A-Za-z]+)")
 _RANGE_LENGTH = 2
 
@@ -56,7 +56,8 @@ def form_hint(
     examples = info.examples or [None]
     example, inner_steps = examples[0], location[depth:]
     is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
-    if is_mapping and not _converted_value(entry, example):
+    holds_mappings = not isinstance(example, list) or not _are_numbers(example)
+    if is_mapping and holds_mappings and not _converted_value(entry, example):
         entries = _list_entries(annotation_of(info), entry)
         for shown in (entries, entries[:1]):
             text = flow_text(str(location[depth - 1]), shown)
@@ -88,6 +89,30 @@ def _shortened_flow(key: str, entries: Sequence[Any]) -> str:
         if len(text) <= MAX_EXAMPLE or count == 1:
             return text if count == len(entries) else f"{text[:-1]}, …]"
     return flow_text(key, list(entries))
+
+
+def missing_key_hint(
+    model: type[BaseModel], value: Any, location: Location
+) -> str | None:
+    """Return a hint that adds a missing key with its example; None if that is long."""
+    match = field_at(model, value, location)
+    example = None if match is None else (match[1].examples or [None])[0]
+    if example is None:
+        return None
+    text = flow_text(str(location[-1]), example)
+    return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
+
+
+def components(value: Any) -> list[Any] | None:
+    """Return the numbers of a vector that is written with a key each; None for others.
+
+    >>> components({"x": 0, "y": 1, "z": 0}), components({"t": 1, "v": 2})
+    ([0, 1, 0], None)
+    """
+    if not isinstance(value, dict) or tuple(value) not in _COMPONENTS:
+        return None
+    numbers = list(value.values())
+    return numbers if _are_numbers(numbers) else None
 
 
 def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
@@ -139,6 +164,7 @@ def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, A
 
 
 # Keys that other tools use for the ends of a range, the lower end first.
+_COMPONENTS = (tuple("xyz"), tuple("wxyz"), ("dt", "dv"))
 _RANGE_END_NAMES = (
     "min",
     "low",
@@ -159,9 +185,10 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
         return None
     if isinstance(value, str):
         return _list_of_text(value.strip(), example)
-    if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
+    if isinstance(value, dict):
         bounds = [value.get(key) for key in _RANGE_END_NAMES if key in value]
-        return bounds if len(bounds) == len(value) == _RANGE_LENGTH else None
+        values = bounds if len(bounds) == _RANGE_LENGTH else components(value) or []
+        return values if len(values) == len(value) == len(example) else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A magnitude along the only axis of the example: gravity of 9.81 points down.
         axes = [i for i, number in enumerate(example) if number]
@@ -184,7 +211,12 @@ def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
     if len(keys) == 1 and all(isinstance(row, dict) for row in value):
         return [{key: row[key]} for row in value for key in row]
     is_range = len(value) == _RANGE_LENGTH + 1 and len(example) == _RANGE_LENGTH
+    is_range = is_range and _are_numbers([*value, *example]) and example[0] >= 0
     return value[:_RANGE_LENGTH] if is_range and value[0] < value[1] else None
+
+
+def _are_numbers(values: Sequence[Any]) -> bool:
+    return all(isinstance(value, int | float) for value in values)
 
 
 def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:

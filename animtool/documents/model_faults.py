@@ -12,8 +12,14 @@ from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.names import FILE_KINDS, most_similar, nearest, sort_by_similarity
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.documents.forms import example_hint, form_hint, paired_entries
-from animtool.documents.other_words import AXES, OTHER_KEYS
+from animtool.documents.forms import (
+    components,
+    example_hint,
+    form_hint,
+    missing_key_hint,
+    paired_entries,
+)
+from animtool.documents.other_words import AXES, OTHER_KEYS, options_meant
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -30,6 +36,7 @@ from animtool.documents.value_faults import (
     values_message,
 )
 from animtool.documents.versions import new_key
+from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import flow_value
 
 # Faulty values to replace by placeholders before validation stops.
@@ -48,12 +55,18 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
         for location, _ in by_location
         for depth in range(len(location))
     }
-    return [
-        (location, Fault("SCN002", values_message(faults), hint=hint))
-        for (location, _), faults in by_location.items()
-        if location not in ancestors
-        for hint in [value_hint(location[-1], faults) if location else None]
-    ]
+    located: LocatedFaults = []
+    unpaired: set[Location] = set()  # lists of numbers where pairs are needed
+    for (location, _), faults in by_location.items():
+        if location in ancestors or location[:-1] in unpaired:
+            continue
+        hint = value_hint(location[-1], faults) if location else None
+        is_entry = len(location) > 1 and isinstance(location[-1], int)
+        if is_entry and hint is None and expected_structures(faults) == {"a list"}:
+            unpaired.add(location[:-1])
+            hint = "write pairs, such as [[1, 0], [24, 1]]"
+        located.append((location, Fault("SCN002", values_message(faults), hint=hint)))
+    return located
 
 
 def key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
@@ -129,6 +142,8 @@ class ModelFaults:
         node = self.value
         for step in mapping:
             node = node[step]
+        if self._vector_of_keys(mapping):
+            return
         if key not in node or self._paired_key(mapping, node):
             return
         value = node.pop(key)
@@ -215,7 +230,8 @@ class ModelFaults:
         if location in self.document.old_keys:
             return
         if not self._depends_on_kind(location):
-            self.document.add("DOC021", mapping, f"key {key!r} is missing")
+            hint = missing_key_hint(self.model, self.value, location)
+            self.document.add("DOC021", mapping, f"key {key!r} is missing", hint)
         self._put_placeholder(location)
 
     def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
@@ -224,10 +240,41 @@ class ModelFaults:
         if not isinstance(last, int) or not outer or not expected_structures(faults):
             return False
         hint = form_hint(self.model, self.value, tuple(outer), expects_list=True)
-        if hint is None or not hint.startswith("write "):
+        if hint is None:
+            return False
+        entries = self._value_at(tuple(outer))
+        if len(entries) == 3 and "rotat" in str(outer[-1]):
+            hint = "write a quaternion [w, x, y, z]"
+            message = "3 numbers where 4 are needed"
+            self.document.add("DOC022", tuple(outer), message, hint)
+            self._put_placeholder(tuple(outer))
+            return True
+        if not hint.startswith("write ") and not all(
+            isinstance(entry, int | float) for entry in entries
+        ):
             return False
         self.document.add("DOC022", location, values_message(faults), hint)
         self._put_placeholder(tuple(outer))
+        return True
+
+    def _value_at(self, location: Location) -> Any:
+        node = self.value
+        for step in location:
+            node = node[step]
+        return node
+
+    def _vector_of_keys(self, mapping: Location) -> bool:
+        """Record once that a vector is written as {x: …, y: …, z: …}."""
+        if mapping in self.document.doubts:
+            return True
+        value = self._value_at(mapping)
+        numbers = components(value)
+        if numbers is None or not mapping:
+            return False
+        hint = f"write {flow_text(str(mapping[-1]), numbers)}"
+        message = f"{excerpt(flow_value(value))[1:-1]} is not a list"
+        self.document.add("DOC022", mapping, message, hint)
+        self._put_placeholder(mapping)
         return True
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
@@ -258,7 +305,11 @@ class ModelFaults:
         if structures and commas is not None:
             return commas
         if is_euler_angles(faults):
-            return "write a quaternion [w, x, y, z]"
+            hint = "write a quaternion [w, x, y, z]"
+            if location[-1] == "orientation":
+                angles = {"euler": "XYZ", "keys": [{"t": 1, "v": value}]}
+                hint += f", or for angles {flow_text('orientation', angles)}"
+            return hint
         axis = AXES.get(str(value).upper())
         if axis is not None and structures == {"a list"}:
             numbers = flow_value([round(number) for number in axis])
@@ -331,7 +382,10 @@ def _entry_hint(location: Location, fault: Any) -> str | None:
         return None
     if len(location) > 1 and isinstance(location[-2], int):
         # Of an entry that is named by its only key, the value.
-        return f"write {location[-1]}: {{OPTION: VALUE}}"
+        name = str(location[-1])
+        options = options_meant(name, value)
+        text = flow_text(name, options) if options else f"{name}: {{OPTION: VALUE}}"
+        return f"write {text}"
     if not isinstance(location[-1], int):
         return None
     if not isinstance(value, str) or not value.isidentifier():

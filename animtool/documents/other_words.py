@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 # Directions by axis name.
 AXES = {
     f"{sign}{name}": [(-1.0 if sign else 1.0) * (i == k) for i in range(3)]
@@ -51,6 +53,14 @@ OTHER_VALUES = {
     "y-up": "Y",
     "z-up": "Z",
 }
+# Likewise, for keys that do not have the first.
+MORE_VALUES = {
+    "smooth": "bezier",
+    "auto": "auto_clamped",
+    "euler": "symplectic_euler",
+    "verlet": "velocity_verlet",
+    "implicit": "implicit_euler",
+}
 # Keys by the names that other tools use for them, in lower case without underscores.
 OTHER_KEYS = {
     "rotateorder": ("euler", "channels"),
@@ -91,3 +101,37 @@ OTHER_KEYS = {
     "stop": ("range", "last"),
     "out": ("output",),
 }
+# Options that a value in place of a pass's options means, in order.
+PASS_OPTIONS = {
+    "blend": ("take",),
+    "difference": ("base",),
+    "hang": ("joint", "system"),
+    "ik": ("targets",),
+    "layer": ("take",),
+    "loop": ("first", "last"),
+    "mirror": ("axis",),
+    "resample": ("fps",),
+    "retarget": ("rig",),
+    "root_motion": ("root",),
+    "simulate": ("what",),
+    "time_scale": ("speed",),
+    "time_warp": ("curve",),
+    "trim": ("first", "last"),
+}
+
+
+def options_meant(name: str, value: Any) -> dict[str, Any]:
+    """Return the options of a pass that a value alone means; empty if unclear.
+
+    >>> options_meant("trim", [5, 60]), options_meant("mirror", True)
+    ({'first': 5, 'last': 60}, {})
+    """
+    options = PASS_OPTIONS.get(name, ())
+    if isinstance(value, list) and len(value) == len(options) > 1:
+        return dict(zip(options, value, strict=True))
+    if isinstance(value, bool | dict | None) or not options:
+        return {}
+    if name == "simulate" and not isinstance(value, list):
+        value = [value]
+    is_scalar = not isinstance(value, list) or name in {"simulate", "time_warp"}
+    return {options[0]: value} if is_scalar else {}

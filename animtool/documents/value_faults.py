@@ -8,7 +8,7 @@ from typing import Any
 
 from animtool.core.errors import counted, excerpt
 from animtool.core.names import most_similar
-from animtool.documents.other_words import OTHER_VALUES
+from animtool.documents.other_words import MORE_VALUES, OTHER_VALUES
 from animtool.documents.yaml_values import flow_value, plain_scalar
 
 # Larger bounds are general limits, not the key's.
@@ -88,7 +88,7 @@ def is_type_fault(faults: Iterable[Any]) -> bool:
 
 def values_message(faults: Sequence[Any]) -> str:
     """Return the message of all faults of a value."""
-    if len(faults) > 1 and faults[0]["input"] is None:
+    if faults[0]["input"] is None:
         return "the value is missing"
     return _join_messages(dict.fromkeys(map(_value_message, likely_faults(faults))))
 
@@ -97,6 +97,9 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     """Return a hint that shows the intended value."""
     value = faults[0]["input"]
     kinds = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
+    classes = {fault.get("ctx", {}).get("class") for fault in faults}
+    if key == "size" and "Sequence" in classes and isinstance(value, int | float):
+        return f"write {flow_value([value] * 3)}"
     if kinds & {"a number", "a whole number"}:
         return number_hint(key, value)
     if "true or false" in kinds:
@@ -109,19 +112,36 @@ def number_hint(key: str | int, value: Any) -> str | None:
     """Return a hint with the number that a text or list means."""
     if isinstance(value, list) and len(value) == 1:
         return f"write {flow_value(value[0])}"
+    if isinstance(value, list | tuple) and len(value) == 3 and key == "gravity":
+        return _magnitude_hint(value)
     text = value.strip() if isinstance(value, str) else ""
     if not text or len(text) > _LONGEST_NUMBER:
         return None
     if not isinstance(plain_scalar(text), str):
         return f"remove the quotes: {text}"
-    if re.fullmatch(r"[-+]?\d*,\d+", text):
-        return f"write {text.replace(',', '.')}, with a decimal point"
+    if re.fullmatch(r"[-+]?\d*[,-]\d+", text):
+        is_decimal = "," in text
+        return (
+            f"write {text.replace(',', '.')}, with a decimal point"
+            if is_decimal
+            else "write one number; variants of a batch are written 1..4"
+        )
     match = _NUMBER_WITH_UNIT.fullmatch(text)
     return match and _unit_hint(key, float(match[1]), match[2].lower())
 
 
+def _magnitude_hint(value: Sequence[Any]) -> str | None:
+    """Return a hint for a direction where gravity is a magnitude that points down."""
+    axes = [number for number in value if number]
+    if len(axes) != 1 or not isinstance(axes[0], int | float):
+        return "write its size, such as 9.81; it pulls down along the up axis"
+    return f"write gravity: {abs(axes[0]):g}, which pulls down along the up axis"
+
+
 def _unit_hint(key: str | int, number: float, unit: str) -> str:
     """Return a hint for a number with a unit."""
+    if unit == "%":
+        return f"write {number / 100:g}"
     if key == "t":
         return "times of keys are frames, without a unit"
     if key == "seconds" and unit in _SECONDS_PER_UNIT:
@@ -170,9 +190,17 @@ def _value_message(fault: Any) -> str:
         allowed = context.get("expected", context.get("expected_tags"))
         tag = excerpt(str(context["tag"])) if "tag" in context else value_text
         return f"{tag} is not one of {allowed}"
-    if kind in _EXPECTED_NOUNS:
-        return f"{value_text} is not {_EXPECTED_NOUNS[kind]}"
+    expected = _expected_noun(fault)
+    if expected is not None:
+        return f"{value_text} is not {expected}"
     return _value_fault(value_text, fault)
+
+
+def _expected_noun(fault: Any) -> str | None:
+    """Return what a value of the right type is called; None for other faults."""
+    if fault["type"] == "is_instance_of":
+        return "a list" if fault["ctx"]["class"] == "Sequence" else None
+    return _EXPECTED_NOUNS.get(fault["type"])
 
 
 def _value_fault(value_text: str, fault: Any) -> str:
@@ -211,9 +239,10 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             ignoring_case = next((n for n in names if n.lower() == value.lower()), None)
             if ignoring_case is not None:
                 return f"write {ignoring_case}"
-            replacement = OTHER_VALUES.get(value.lower().replace("_", ""))
-            if replacement in names:
-                return f"{value!r} is called {replacement!r} here"
+            word = value.lower().replace("_", "")
+            for replacement in (OTHER_VALUES.get(word), MORE_VALUES.get(word)):
+                if replacement in names:
+                    return f"{value!r} is called {replacement!r} here"
             meant = most_similar(value, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"

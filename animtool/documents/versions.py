@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from animtool.core.arguments import flag
 from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.signatures import DOCUMENT, format_mismatch
 from animtool.core.names import FILE_KINDS
@@ -34,11 +35,17 @@ _OLD_KEY_TYPES: dict[tuple[str | None, ...], type] = {
 }
 # Hints for files passed instead of a clip, by their kind.
 _WRONG_KIND_HINTS = {
-    "rig": ": a clip holds motion for it; animtool validate checks it, animtool "
-    "convert writes it as USD",
-    "targets": ": animtool ik solves it to a clip",
-    "markers": ": animtool mocap solve uses it to solve a capture",
-    "scene": ": end its name in .scene.yaml",
+    "batch": "animtool batch runs it",
+    "cameras": f"animtool mocap triangulate takes it with {flag('cameras')}",
+    "clip": "animtool bake bakes it",
+    "landmarks": f"animtool mocap face takes it with {flag('landmarks')}",
+    "map": f"animtool retarget takes it with {flag('map')}",
+    "markers": f"animtool mocap solve takes it with {flag('template')}",
+    "remap": f"animtool mocap face takes it with {flag('remap')}",
+    "rig": f"animtool bake CLIP takes it with {flag('rig')}, animtool validate "
+    "checks it, animtool convert writes it as USD",
+    "scene": "animtool bake bakes it; end its name in .scene.yaml",
+    "targets": f"animtool ik takes it with {flag('targets')}",
 }
 
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
@@ -111,10 +118,8 @@ def version_of(
         names_rig = kind == path_kind and kinds_in_file == ["rig"]
         if kinds_in_file and not names_rig:
             message = f"is not a {kind or ' or '.join(table)} file"
-            hint = f"it looks like a {kinds_in_file[0]} file"
-            hint += (
-                _WRONG_KIND_HINTS.get(kinds_in_file[0], "") if kind == "clip" else ""
-            )
+            hint = f"it looks like a {kinds_in_file[0]} file; "
+            hint += _WRONG_KIND_HINTS[kinds_in_file[0]]
         document.add("DOC009", (), message, hint)
         document.check()
     newest_version, file_version = newest(table[named_kind]), document.value[named_kind]
@@ -128,7 +133,7 @@ def version_of(
         message = f"unknown version {file_version}"
         newer = number is not None and version > newest_version
         hint = (
-            f"this version reads up to animtool/{newest_version}"
+            f"this version reads up to animtool/{newest_version}: update animtool"
             if newer
             else f"allowed: animtool/{newest_version}"
         )

@@ -127,9 +127,7 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
             fault = YamlFault(message, None, 1, 1)
             hint = f"name a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
-            fault = fault._replace(
-                message="'${' without the name of a variable"
-            )
+            fault = fault._replace(message="'${' without the name of a variable")
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
     except yaml.YAMLError as error:

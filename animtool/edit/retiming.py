@@ -149,7 +149,8 @@ def _trim_blocks(
         last = start + (count - 1) * stream.step
         raise frame_refusal(
             f"the first frame to keep is {float(start + first_index * stream.step):g}, "
-            f"but the take has {float(start):g}-{float(last):g}"
+            f"but the take has {float(start):g}-{float(last):g}",
+            f"write frames from {float(start):g} to {float(last):g}",
         )
     if last_index is not None and last_index >= count and not in_shot:
         last = start + (count - 1) * stream.step

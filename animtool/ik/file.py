@@ -177,7 +177,8 @@ class _TargetsReader:
         values = {kind.name: self._value(at, model, kind) for kind in KINDS}
         parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
         value_parts = {part for part in PARTS if getattr(model, part) is not None}
-        if not value_parts - {"pole"} and not model.hold:
+        is_empty = not value_parts - {"pole"} and not model.hold
+        if is_empty and not self.document.has_doubt_below(at):
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
@@ -287,7 +288,9 @@ class _TargetsReader:
     def _axis(self, at: Location, axis: list[float]) -> Vector:
         length = math.hypot(*axis)
         if not length > MIN_DIRECTION:
-            self.document.add("TGT008", at, f"direction {axis} has zero length")
+            message = f"direction {axis} has zero length"
+            hint = "write the direction to aim, such as [0, 0, 1]"
+            self.document.add("TGT008", at, message, hint)
             return (0.0, 0.0, 1.0)
         x, y, z = (value / length for value in axis)
         return (x, y, z)

@@ -17,6 +17,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
+from animtool.ik.axes import up_axis_hint
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -191,7 +192,7 @@ def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     return [
         replace(
             _goal_warning(solved, "IK101", i, _miss_text(report)),
-            hint=_advice(solved, report),
+            hint=_advice(solved, report, i),
         )
         for i, report in enumerate(reports)
         if report.spans
@@ -223,8 +224,12 @@ def pole_notices(solved: TakeIk) -> list[Fault]:
     return notices
 
 
-def _advice(solved: TakeIk, report: GoalReport) -> str | None:
+def _advice(solved: TakeIk, report: GoalReport, i: int) -> str | None:
     """Return a hint for a missed goal, where one is known."""
+    worst = max(report.spans, key=lambda span: span.distance)
+    hint = up_axis_hint(solved, i, worst.frame) if worst.distance > 0 else None
+    if hint is not None:
+        return hint
     far_miss = FAR_MISS * solved.problem.length
     if any(span.distance > far_miss for span in report.spans):
         return "far out of reach: do the targets use these units and this space?"

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, cast
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
-from animtool.core.names import most_similar
+from animtool.core.names import nearest
 from animtool.core.old_names import rename_attributes
 from animtool.core.plugins import (
     ListedEntry,
@@ -295,10 +295,8 @@ def find_pass(name: str) -> Pass:
     if name in points:
         return load_plugin(points[name], Pass)
     allowed_names = sorted({*PASSES, *points})
-    suggestion = most_similar(name, allowed_names)
-    hint = f"did you mean {suggestion}?" if suggestion else None
-    message = f"unknown pass {excerpt(name)}; allowed: {', '.join(allowed_names)}"
-    raise OptionError(Fault("SCN010", message, hint=hint))
+    message = f"unknown pass {excerpt(name)}"
+    raise OptionError(Fault("SCN010", message, hint=nearest(name, allowed_names)))
 
 
 def listed_passes() -> list[ListedEntry]:

@@ -159,6 +159,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     document, model = file.document, file.model
     rigs = {"source": source, "target": target}
     indices = {side: _joints_by_name(rig) for side, rig in rigs.items()}
+    _check_sides(file, rigs, indices)
 
     def joint_indices(
         side: str, names: Sequence[str], *where: str | int
@@ -166,7 +167,10 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         for i, name in enumerate(names):
             if name not in indices[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
+                other = "target" if side == "source" else "source"
                 hint = nearest(name, indices[side])
+                if name in indices[other]:
+                    hint = f"it is a joint of the {other} {rigs[other].name!r}"
                 document.add("MAP001", (*where, i), message, hint)
         return tuple(indices[side][name] for name in names if name in indices[side])
 
@@ -203,6 +207,23 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         (ignored[0], ignored[1]),
         model.others == "none",
     )
+
+
+def _check_sides(
+    file: MapFile, rigs: Mapping[str, Rig], indices: Mapping[str, Mapping[str, int]]
+) -> None:
+    """Refuse a map of the opposite direction, in one fault (MAP001)."""
+    document, entries = file.document, file.model.joints
+    for side, other in (("source", "target"), ("target", "source")):
+        names = [name for entry in entries for name in _name_list(getattr(entry, side))]
+        if not all(n in indices[other] and n not in indices[side] for n in names):
+            return
+    name = names[0]
+    message = "source and target are swapped in this map: its targets, such as "
+    message += f"{name!r}, are joints of the source {rigs['source'].name!r}"
+    hint = "swap the two names in each entry, or retarget in the other direction"
+    document.add("MAP001", ("joints", 0), message, hint)
+    document.check()
 
 
 def _name_list(value: str | list[str]) -> list[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -167,7 +168,10 @@ def _syntax_fault(text: str, error: Exception) -> str:
     at = (getattr(error, "offset", None) or 1) - 1
     if at >= len(text) or text.rstrip().endswith(tuple("+-*/,(")):
         return "the expression ends too early"
-    return f"the expression cannot be read from {excerpt(text[at:])} on"
+    before, rest = text[:at].rstrip(), text[at:]
+    if re.search(r"[\w.)]$", before) and re.match(r"[A-Za-z_(]", rest):
+        return f"no operator before {excerpt(rest)}; write {before} * {rest}"
+    return f"the expression cannot be read from {excerpt(rest)} on"
 
 
 def _coordinate_name(node: ast.expr) -> str | None:

@@ -282,8 +282,8 @@ def _worst_part_hint(fit: RigFit) -> str:
     parts = fit.parts
     worst_part = min(parts, key=lambda name: parts[name])
     advice = {
-        "joints": "choose another rig, or match the names "
-        f"({argument('strip_namespace')} N drops prefixes)",
+        "joints": "transfer the motion with animtool retarget, choose another rig, or "
+        f"match the names ({argument('strip_namespace')} N drops prefixes)",
         "rotations": "transfer the motion to the rest pose with animtool retarget",
         "lengths": "transfer the motion to the bones of the rig with animtool retarget",
         "size": f"check the units of both ({argument('source.unit')} sets that of a "

@@ -140,7 +140,7 @@ def _joint_entries(
         if model.name in entries:
             message = f"duplicate joint {model.name!r}"
             first_line = document.position(("joints", entries[model.name].index))[0]
-            hint = f"the first is on line {first_line}"
+            hint = f"the first is on line {first_line}: rename one"
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
         entries[model.name] = _JointEntry(i, model.name, model.parent)
@@ -223,7 +223,8 @@ def _parents_first(
                 ]
                 cycle_text = joined_cycle(trail[::-1])
                 message = f"the joints are their own ancestors: {cycle_text}"
-                document.add("RIG003", ("joints", entry.index), message)
+                hint = "remove the parent of the one that is the root"
+                document.add("RIG003", ("joints", entry.index), message, hint)
                 entry.parent, entry.orphaned = None, True
                 if entry.mirrored and missing_parent == entry.source:
                     del pending_names[name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -12,12 +13,16 @@ from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.errors import counted
 from animtool.documents.document import Document, Location
 from animtool.rig.controls import Control, Drive
+from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
-from animtool.rig.skeleton import Rig
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Names of the units of angles; for each, the other one and the factor from it.
 ANGLE_NAMES = {"deg": "degrees", "rad": "radians"}
+# A driver with more inputs is not checked at their ends.
+MAX_INPUTS = 4
 OTHER_ANGLE_UNITS = {
     "deg": ("rad", math.degrees(1.0)),
     "rad": ("deg", math.radians(1.0)),
@@ -198,6 +203,59 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             at = ("controls", names.index(control.name), "drives", k)
             document.warn("RIG112", at, message, hint)
             return
+    _warn_of_drivers(document, rig)
+
+
+def _warn_of_drivers(document: Document, rig: Rig) -> None:
+    """Warn of an angle whose driver gives the other unit (RIG112)."""
+    in_degrees = rig.radians_per_unit != 1.0
+    entries = {
+        entry.get("name"): i for i, entry in enumerate(document.value.get("joints", ()))
+    }
+    for joint in rig.joints:
+        if joint.driven is None or joint.type is not JointType.PIN:
+            continue
+        largest = _largest_driven(rig, joint.driven)
+        target = f"joint/{joint.name}.angle"
+        is_other = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
+        if not is_other or joint.name not in entries:
+            continue
+        declared = "deg" if in_degrees else "rad"
+        meant, factor = OTHER_ANGLE_UNITS[declared]
+        message = (
+            f"{joint.name!r} is driven to {largest:.4g}, which looks like "
+            f"{ANGLE_NAMES[meant]}, but units.angle is {declared}"
+        )
+        hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
+        at = ("joints", entries[joint.name], "driven")
+        document.warn("RIG112", at, message, hint)
+        return
+
+
+def _largest_driven(rig: Rig, driver: Driver) -> float:
+    """Return a driver's largest value where its inputs end [file's angle].
+
+    0 if an input has no ends, or there are many inputs.
+    """
+    ends = [_input_ends(rig, name) for name in driver.names]
+    if len(ends) > MAX_INPUTS or not all(ends):
+        return 0.0
+    rows = np.array(list(itertools.product(*ends))).reshape(-1, len(ends))
+    columns = {name: rows[:, i] for i, name in enumerate(driver.names)}
+    values = np.abs(driver.evaluate(columns) / driver.unit)
+    return float(values.max()) if np.isfinite(values).all() else 0.0
+
+
+def _input_ends(rig: Rig, name: str) -> tuple[float, ...]:
+    """Return the ends of a driver's input [rad], [m], [1]; empty without ends."""
+    joint, _ = split_coordinate(name)
+    if not joint:
+        for control in rig.controls:
+            if control.name == name and None not in (control.low, control.high):
+                return (control.low or 0.0, control.high or 0.0)
+        return ()
+    limits = rig.joints[rig.index(joint)].limits if joint in rig.names else None
+    return (limits.low, limits.high) if isinstance(limits, RangeLimit) else ()
 
 
 def _largest_drive(

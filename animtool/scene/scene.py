@@ -28,6 +28,7 @@ from animtool.scene.file.entries import (
     SceneSource,
     SceneSystem,
 )
+from animtool.scene.file.pass_order import with_order_hints
 from animtool.scene.sources.open import SourceOptions, open_source
 from animtool.scene.sources.retime import Preroll, drop_first, in_shot, with_preroll
 
@@ -328,7 +329,12 @@ class Scene:
         context = replace(context, scores=[])
         stage = self.meter.stage(entry.pass_.name, entry.location.where)
         context.errors.clear()
-        with self.meter.running(stage), entry.location.located():
+        folder = context.folder
+        with (
+            self.meter.running(stage),
+            with_order_hints(self.passes, entry, folder),
+            entry.location.located(),
+        ):
             stream = self._apply(entry, replace(stream, notices=pass_notices), context)
         pass_notices += context.notices
         context.notices.clear()

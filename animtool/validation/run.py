@@ -62,7 +62,10 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     if not files:
         shown_paths = ", ".join(texts) or "nothing"
         message = f"no file to check in {shown_paths}"
-        hint = f"folders are searched for {', '.join(SUFFIXES)}"
+        hint = "animtool checks .rig.yaml, .clip.yaml, .scene.yaml, .bvh and .usda; "
+        hint += "animtool explain VAL006 lists all names"
+        suggestion = nearest_file(Path(texts[0])) if texts else None
+        hint = f"{suggestion} {hint}" if suggestion else hint
         raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched_patterns
 
@@ -379,7 +382,7 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     if checked_file.kind not in rule.kinds:
         kinds_text = ", ".join(sorted(rule.kinds))
         message = f"is a {checked_file.kind} file, but {rule.code} checks {kinds_text}"
-        raise FormatError(Fault("DOC009", message, str(path)))
+        raise FormatError(Fault("DOC009", message, str(path), hint="leave it out"))
     subjects = _rule_subjects(rule, checked_file)
     if not subjects:
         raise FormatError(checked_file.faults)

@@ -223,10 +223,11 @@ def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
         if missing_names:
             suggestions = most_similar(missing_names[0], list(by_name))
             message = f"camera {missing_names[0]!r} has no calibration"
+            shown_names = listed(list(by_name))
             hint = (
                 f"did you mean {suggestions!r}?"
                 if suggestions
-                else f"the calibration has {listed(list(by_name))}"
+                else f"the calibration has {shown_names}: is it that of this capture?"
             )
             raise OptionError(Fault("CAM011", message, path, (), hint))
         chosen = tuple(by_name[name] for name in observations.cameras)
@@ -235,7 +236,8 @@ def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
         if len(chosen) != views:
             message = f"holds {counted(len(chosen), 'camera')}, but the observations "
             message += f"have {views}"
-            hint = "write camera_names in the observations to tell which they are"
+            hint = "use the calibration of this capture, or write camera_names in the "
+            hint += "observations to tell which cameras they are"
             raise OptionError(Fault("CAM011", message, path, (), hint))
     if views < 2:
         message = "one camera sees no depth: at least two are needed"

@@ -385,7 +385,7 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
         hint = (
             f"did you mean {suggestions!r}?"
             if suggestions
-            else (f"the calibration has {listed(cameras.names)}")
+            else f"the calibration has {listed(cameras.names)}; name the folder so"
         )
         raise OptionError(Fault("CAM011", message, cameras.path or None, (), hint))
     if len(folders) != len(cameras):

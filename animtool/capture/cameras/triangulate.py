@@ -150,7 +150,8 @@ class _TriangulationRun:
             self._warn_of_disagreement(message)
         if not noise.agree or middle > SUSPECT_NOISE * width:
             message = f"rays of the cameras miss each other by {middle:.1f} px"
-            hint = "one of them may have moved; calibrate them again"
+            hint = "a camera may have moved, or this may be the calibration of another "
+            hint += "stage or day; calibrate the cameras again"
             self._warn("CAM108", message, hint)
         return noise.stale
 

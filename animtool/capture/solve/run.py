@@ -54,6 +54,8 @@ NOISE_SAMPLES = 24
 MIN_UNIT_RATIO = 30.0
 # Typical residual above which markers do not belong to this rig [m].
 MIN_STRANGE_RESIDUAL = 0.01
+# A marker this many times farther off than most has a wrong name or offset [1].
+FAR_FACTOR = 4.0
 # Initial noise, maximum rounds of its estimate, and the ratio at which it has
 # converged.
 INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
@@ -222,15 +224,33 @@ def solve_markers(
         notices.append(Fault("SOL103", message, severity=Severity.WARNING))
     notices += static_notices(model.template.names, positions)
     noise = sampled_noise(model, sample, options.noise)
-    median = float(np.median(noise))
     swapped = swapped_notices(model, sample, noise, options.noise, sampled_noise)
-    notices += swapped
-    if median > MIN_STRANGE_RESIDUAL and not swapped:
-        message = f"markers are {length_text(median)} off their positions on the rig"
-        hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
-        notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
+    notices += swapped or _residual_notices(model.template.names, noise)
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
+
+
+def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
+    """Return warnings about markers off their positions on the rig (SOL107).
+
+    A few that are much farther off than the others likely have swapped names, which
+    calibration would keep.
+    """
+    median = float(np.median(noise))
+    is_far = (noise > FAR_FACTOR * median) & (noise > MIN_STRANGE_RESIDUAL)
+    far = sorted(np.flatnonzero(is_far).tolist(), key=lambda i: -noise[i])
+    if far:
+        shown = listed([f"{names[i]} by {length_text(noise[i])}" for i in far], 6)
+        message = f"markers are off their positions on the rig: {shown}; the others "
+        message += f"by {length_text(median)}"
+        hint = "are their names swapped, or their offsets wrong? correct that first: "
+        hint += f"{argument('calibrate', True)} would keep it"
+    elif median > MIN_STRANGE_RESIDUAL:
+        message = f"markers are {length_text(median)} off their positions on the rig"
+        hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
+    else:
+        return []
+    return [Fault("SOL107", message, hint=hint, severity=Severity.WARNING)]
 
 
 def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:

@@ -128,9 +128,9 @@ def _unmatched_fault(
     template: MarkerTemplate, labelled_names: Sequence[str], names: Sequence[str]
 ) -> Fault:
     """Return the fault of a capture that has no marker of a template."""
-    message = "no marker has a name of the template"
+    message = "no marker of the capture has a name of the template"
     if not labelled_names:
-        message = f"none of its {counted(len(names), 'point')} has a label"
+        message = f"none of the {counted(len(names), 'point')} has a label"
         hint = "animtool mocap label gives points their names"
         return Fault("SOL001", message, hint=hint)
     bare_names = [_split_prefix(name)[1] for name in labelled_names]
@@ -139,7 +139,9 @@ def _unmatched_fault(
         for name in template.names
         if (guess := most_similar(name, bare_names))
     ]
-    hint = "; ".join(suggestions[:MAX_LISTED_NAMES])
+    shown_names = ", ".join(suggestions[:MAX_LISTED_NAMES])
+    hint = f"{shown_names}: rename them in the template, or add aliases"
     if not suggestions:
-        hint = f"it has {listed(labelled_names, MAX_LISTED_NAMES)}; add them to aliases"
+        shown_names = listed(labelled_names, MAX_LISTED_NAMES)
+        hint = f"the capture has {shown_names}; add them to aliases of the template"
     return Fault("SOL001", message, hint=hint)

@@ -14,7 +14,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import most_similar
+from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
@@ -41,9 +41,18 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     >>> joint_bounds(arm, 0.001, {"ha*": 0.0001}).tolist()
     [0.001, 0.0001]
     """
+    bounds_by_option = [
+        ("reduce", tolerance),
+        *(("reduce_at", other) for other in others.values()),
+    ]
     faults = [
-        Fault("CLIP020", f"a tolerance must be above 0 and finite, not {value:g} m")
-        for value in (tolerance, *others.values())
+        Fault(
+            "CLIP020",
+            f"a tolerance must be above 0 and finite, not {value:g} m",
+            where=option,
+            hint="write a length such as 0.5mm",
+        )
+        for option, value in bounds_by_option
         if not (math.isfinite(value) and value > 0)
     ]
     bounds = np.full(len(rig.joints), float(tolerance))
@@ -53,10 +62,9 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         ]
         bounds[matching_joints] = value
         if not matching_joints:
-            suggestions = most_similar(pattern, rig.names)
-            hint = f"did you mean {suggestions!r}?" if suggestions else None
+            hint = nearest(pattern, rig.names)
             message = f"unknown joint {excerpt(pattern)} of {rig.name!r}"
-            faults.append(Fault("CLIP020", message, hint=hint))
+            faults.append(Fault("CLIP020", message, where="reduce_at", hint=hint))
     if faults:
         raise OptionError(faults)
     return bounds

@@ -214,6 +214,9 @@ def unexpanded_hint(text: str) -> str | None:
     return hint + "value" + clause(f" with {argument('set', f'{name}=VALUE')}")
 
 
+_RARELY_MEANT = {"", ".md", ".npz", ".png", ".py", ".txt"}
+
+
 def _folder_hint(path: Path) -> str | None:
     """Return a hint at the first file in a folder, if any; None for other paths."""
     try:
@@ -221,8 +224,9 @@ def _folder_hint(path: Path) -> str | None:
         files = sorted(entry for entry in entries if entry.is_file())
     except (OSError, ValueError):
         return None
-    # Texts are rarely what is meant; YAML files are rigs, clips and scenes.
-    files.sort(key=lambda file: file.suffix.lower() in {".md", ".txt", ""})
+    # Texts, scripts and arrays are rarely what is meant; YAML files are rigs, clips and
+    # scenes.
+    files.sort(key=lambda file: file.suffix.lower() in _RARELY_MEANT)
     return f"name a file in it, such as {files[0]}" if files else "name a file"
 
 

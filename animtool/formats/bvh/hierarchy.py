@@ -7,12 +7,14 @@ from dataclasses import field
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.names import most_similar
 from animtool.core.quantities import CONTROL
 from animtool.core.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.core.record import dataclass
 from animtool.formats.bvh.lines import FLOAT32_MAX, HeaderLines
 from animtool.rig.skeleton import CHANNEL_NAMES
 
+_KEYWORDS = ("ROOT", "JOINT", "End Site", "OFFSET", "CHANNELS", "MOTION")
 _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 
 # Rates outside this range are implausible: slower than stop motion on sixes, or faster
@@ -83,7 +85,7 @@ class _HierarchyParser:
         self.lines.fail(
             "BVH005",
             "the file ends inside the HIERARCHY, without a MOTION block",
-            self._open_blocks() or "is the file truncated?",
+            self._open_blocks() or "is it truncated? copy or export it again",
         )
 
     def _after_start(self) -> str:
@@ -119,11 +121,10 @@ class _HierarchyParser:
             case "CHANNELS":
                 self._channels(words, block)
             case _:
-                self.lines.fail(
-                    "BVH003",
-                    f"unexpected {excerpt(keyword)}",
-                    "expected ROOT, JOINT, End Site, OFFSET, CHANNELS, MOTION, { or }",
-                )
+                meant = most_similar(keyword.upper(), _KEYWORDS)
+                hint = f"expected {', '.join(_KEYWORDS)}, {{ or }}"
+                hint = f"did you mean {meant}?" if meant else hint
+                self.lines.fail("BVH003", f"unexpected {excerpt(keyword)}", hint)
 
     def _open(self, block: _OpenBrace | None) -> None:
         if block is None or block.is_opened:
@@ -222,8 +223,9 @@ class _HierarchyParser:
         if len(names) != count:
             self.lines.fail(
                 "BVH007",
-                f"CHANNELS states {count}, but names {len(names)}",
-                self._name(block),
+                f"CHANNELS of {self._name(block)} states {count}, but names "
+                f"{len(names)}",
+                f"write CHANNELS {len(names)}, or the missing names",
             )
         joint.channels = tuple(_CHANNELS[name.lower()] for name in names)
         if len(set(joint.channels)) != count:
@@ -291,7 +293,7 @@ def _field(lines: HeaderLines, name: str) -> str:
         continue
     if line is None:
         message = f"the file ends before '{name.title()}:'"
-        lines.fail("BVH005", message, "is the file truncated?")
+        lines.fail("BVH005", message, "is it truncated? copy or export it again")
     key, colon, value = line.partition(":")
     if not colon or " ".join(key.split()).lower() != name:
         message = f"expected '{name.title()}:', found {excerpt(line.strip())}"

@@ -243,7 +243,7 @@ class RowReader:
         if column > self._width:
             hint = "does the HIERARCHY name every channel?"
         elif is_last_line:
-            hint = "this is the last line of the file: is it truncated?"
+            hint = "the file ends here: is it truncated? copy or export it again"
         message = (
             f"the row has {counted(column, 'number')}, but the channels need "
             f"{self._width}"
@@ -318,7 +318,7 @@ class RowReader:
             message = f"Frames states {declared}, but there are {count} rows"
             hint = "all rows are read"
             if declared > count:
-                hint += "; is the file truncated?"
+                hint += "; is the file truncated? copy or export it again"
             self.notices.append(
                 Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
             )

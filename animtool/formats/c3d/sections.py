@@ -138,7 +138,8 @@ def read_sections(data: bytes) -> Sections:
         MalformedError: It is not a C3D file.
     """
     if len(data) < BLOCK_BYTES or data[1] != MAGIC:
-        raise MalformedError("does not start like a C3D file")
+        state = "does not start like a C3D file" if data else "is empty"
+        raise MalformedError(f"{state}; copy or export it again")
     start = BLOCK_BYTES * (data[0] - 1)
     has_parameters = data[0] >= 2 and start + 4 <= len(data)
     kind = data[start + 3] if has_parameters else 0

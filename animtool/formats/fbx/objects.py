@@ -143,7 +143,7 @@ def open_objects(path: Path | str) -> FbxFile:
     content = read_input(path)
     is_text = not content.startswith(MAGIC)
     if is_text and not looks_like_text(content):
-        message = "does not start like an FBX, binary or ASCII"
+        message = "does not start like an FBX, binary or ASCII; export it again"
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
     version, root = (read_text if is_text else read_binary)(content, notes)
     version = _stated_version(root, version)

@@ -7,6 +7,7 @@ import struct
 from pathlib import Path
 from typing import Any, NoReturn
 
+from animtool.core.errors import excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
@@ -135,13 +136,23 @@ def _parse_json(text: bytes, notes: FileNotices) -> JsonItem:
     try:
         value = json.loads(text.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        reason = (
-            str(error) if isinstance(error, ValueError) else "it is nested too deeply"
-        )
-        notes.fail("GLT001", "", f"the JSON cannot be read: {reason}")
+        notes.fail("GLT001", "", f"the JSON cannot be read: {_json_reason(error)}")
     if not isinstance(value, dict):
         notes.fail("GLT001", "", "the JSON must be an object")
     return JsonItem(value, "", notes)
+
+
+def _json_reason(error: Exception) -> str:
+    """Return what is wrong with a JSON text, and what to do."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if not isinstance(error, json.JSONDecodeError):
+        return f"{error}; export the file again"
+    location = f"line {error.lineno}, column {error.colno}"
+    if not error.doc[error.pos :].strip():
+        return f"it ends too early, at {location}; copy or export the file again"
+    there = excerpt(error.doc[error.pos :].split("\n")[0], 20)
+    return f"{there} is unexpected at {location}; export the file again"
 
 
 def _refuse_constant(name: str) -> Any:

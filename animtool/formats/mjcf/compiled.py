@@ -31,6 +31,19 @@ from animtool.rig.parts import Vector
 from animtool.rig.skeleton import JointType, Quaternion
 
 MAX_LISTED_JOINTS = 8
+# Frequent refusals of MuJoCo: how they begin, what is wrong, and what to do.
+_REFUSALS = (
+    (
+        "axis too small in joint",
+        "axis too small: it has zero length",
+        "write an axis such as 0 0 1",
+    ),
+    (
+        "invalid keyword",
+        "an attribute has an unknown value",
+        "types of joints are free, ball, slide and hinge",
+    ),
+)
 _ERROR_LINE = re.compile(r",? line (\d+)")
 _ERROR_PREFIX = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
 _INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
@@ -83,7 +96,15 @@ def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
     where = None if element is None else label_of(element)
     if where is None and element is not None and body:
         where = f"{element.tag} of body {excerpt(body)}"
-    notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
+    message, hint = next(
+        (
+            (ours + message.removeprefix(theirs), remedy)
+            for theirs, ours, remedy in _REFUSALS
+            if message.startswith(theirs)
+        ),
+        (f"MuJoCo refuses it: {message}", None),
+    )
+    notes.add("MJC008", element, message, hint, where=where)
 
 
 def robot_of(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:

@@ -101,7 +101,8 @@ def read_table(path: Path) -> MotionTable:
         if noun in stated_counts and stated_counts[noun] != count:
             message = f"states {stated_counts[noun]:g} {noun}, but has {count}"
             warning = Severity.WARNING
-            notices.append(Fault("MOF101", message, str(path), (), None, warning))
+            hint = f"all {noun} are read; correct the header"
+            notices.append(Fault("MOF101", message, str(path), (), hint, warning))
     times = values[:, 0].copy()
     check_times(path, times, numbers)
     cells = values[:, 1:].copy()

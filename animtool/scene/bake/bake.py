@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.errors import Fault, OptionError, refuse_warnings, with_notices
 from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.frames import BakedTake
@@ -136,10 +136,11 @@ def run_outputs(
             reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
             output_progress = part_progress(progress, 1, 2) if reads_takes else progress
             output_progress = part_progress(output_progress, i, len(plans))
-            if isinstance(plan, BakePlan):
-                reports.append(run_stage(plan, progress=output_progress))
-            else:
-                reports.append(plan.run(output_progress))
+            with with_notices(plan.notices):
+                if isinstance(plan, BakePlan):
+                    reports.append(run_stage(plan, progress=output_progress))
+                else:
+                    reports.append(plan.run(output_progress))
             if output_progress is not None:
                 output_progress(1.0)
     return reports

@@ -99,6 +99,11 @@ class FilePlan:
     others: tuple[TakePlan, ...] = ()  # further takes in the same file
     names: tuple[str, ...] = ()  # names of all takes; empty uses the file name
 
+    @property
+    def notices(self) -> list[Fault]:
+        """Warnings known before it is written."""
+        return self.take.notices
+
     def run(self, progress: Progress = None) -> ConvertReport:
         """Write the take on the output's own clock."""
         del progress  # the source's clock

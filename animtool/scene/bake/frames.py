@@ -19,6 +19,7 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
+from animtool.documents.document import positioned
 from animtool.edit.between import TakeSampler
 from animtool.edit.resample import (
     SampleTimes,
@@ -215,7 +216,9 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
             f"to {requested_frames[-1]}"
         )
         cut_key = None if shot.places_media else "shot.cut"
-        raise OptionError(Fault("SCN042", message, where, (), hint, where=cut_key))
+        hint += "; change cut, or start, the number of the take's first frame"
+        fault = Fault("SCN042", message, where, (), hint, where=cut_key)
+        raise OptionError(positioned(fault))
     cut = [n for n in missing_frames if shot.cut_in <= n <= shot.cut_out]
     handles = [n for n in missing_frames if n not in cut]
     notices = []
@@ -231,9 +234,9 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
             message += "; the nearest pose is held"
             warning = Severity.WARNING
             cut_key = None if shot.places_media else key
-            notices.append(
-                Fault(code, message, where, (), hint, warning, where=cut_key)
-            )
+            remedy = f"{hint}; change {key.partition('.')[2]}, or export longer media"
+            fault = Fault(code, message, where, (), remedy, warning, where=cut_key)
+            notices.append(positioned(fault))
     return notices
 
 

@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from animtool.clip.reduction.suspicions import tolerance_notices
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
@@ -168,6 +169,7 @@ def _planned_file(
     from animtool.scene.bake.files import FilePlan
 
     options, left_out = entry.options, []
+    notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
         left_out.append(f"simulated systems: {names}")
@@ -300,6 +302,8 @@ def plan_takes(
         options = replace(options, shot=replace(options.shot, fps=fps))
     notices += _rate_difference(target, fps)
     notices += _left_points(streams, options)
+    rig = streams[0].rig
+    notices += tolerance_notices(options.reduce, rig, str(sources[0]))
     notices += _no_namespace(streams, options)
     start = start_of(options, target, streams[0], sources[0])
     takes = tuple(

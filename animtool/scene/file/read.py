@@ -184,7 +184,8 @@ class _SceneReader:
     def _systems(self) -> tuple[SceneSystem, ...]:
         """Return the systems of the scene."""
         model = self.model
-        if model.source is None and not model.systems:
+        is_empty = model.source is None and not model.systems
+        if is_empty and not self.document.is_placeholder(("systems",)):
             hint = (
                 "it names the clip, BVH or USD file; a simulation has systems instead"
             )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from animtool.clip.clip import Clip
+from animtool.core.arguments import argument, flag
 from animtool.core.clock import Clock, FrameSpan
 from animtool.core.config import project_roots
 from animtool.core.errors import (
@@ -45,6 +46,8 @@ from animtool.ik.report import (
 )
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
+from animtool.ik.values import Keyed
+from animtool.maths.curves import Extrapolation
 from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
@@ -181,7 +184,7 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
     if job.start is None:
         clock = tracks.clock
         if job.pose and job.frame is not None:
-            notices += _outside_targets(job, clock)
+            notices += _outside_targets(job, tracks)
             clock = replace(clock, start=job.frame, count=1)
             tracks = tracks.placed(tracks.clock)
         take = rest_take(rig, clock)
@@ -192,17 +195,32 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
     return IkContext(tracks, take, False, only, notices)
 
 
-def _outside_targets(job: IkJob, clock: Clock) -> list[Fault]:
-    """Return the warning of a pose outside the frames of the targets (TGT107)."""
+def _outside_targets(job: IkJob, tracks: TargetTracks) -> list[Fault]:
+    """Return the warning of a pose outside the frames of the targets (TGT107).
+
+    Curves that continue there, by their ``pre`` or ``post``, need no warning.
+    """
     assert job.frame is not None
+    clock = tracks.clock
     last = clock.start + clock.step * (clock.count - 1)
+    is_later = job.frame > last
     if clock.count == 1 or clock.start <= job.frame <= last:
+        return []
+    curves = [
+        value.channel
+        for goal in tracks.goals
+        for value in goal.values.values()
+        if isinstance(value, Keyed)
+    ]
+    ends = [curve.post if is_later else curve.pre for curve in curves]
+    if ends and Extrapolation.HOLD not in ends:
         return []
     message = (
         f"frame {float(job.frame):g} is outside the targets, which run from frame "
         f"{float(clock.start):g} to {float(last):g}; their nearest values are used"
     )
-    return [Fault("TGT107", message, str(job.targets), severity=Severity.WARNING)]
+    hint = f"use a frame of the targets with {argument('command.pose')}, or add keys"
+    return [Fault("TGT107", message, str(job.targets), (), hint, Severity.WARNING)]
 
 
 def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
@@ -349,7 +367,7 @@ def open_start(
     take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return drive_take(replace(take, rig=rig))
-    motion, left_out = _map_motion(take, rig, path)
+    motion, left_out = _map_motion(take, rig, path, rig_path)
     return drive_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
 
 
@@ -368,12 +386,15 @@ def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
     return replace(take, clock=clock, motion=take.motion.select(kept_samples))
 
 
-def _map_motion(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
+def _map_motion(
+    take: Take, rig: Rig, path: Path, rig_path: Path
+) -> tuple[Motion, list[Fault]]:
     """Return the motion of common joints, and notices of the joints left out."""
     names = map_names(rig, take.rig)
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
-        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}"
+        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}; first move it to "
+        hint += f"this rig: animtool retarget {path.name} {flag('to')} {rig_path.name}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
     missing_joints = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]

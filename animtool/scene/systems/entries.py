@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 POSE_KEYS = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
 RecordT = TypeVar("RecordT", bound=Checked)
+# Shapes as other tools call them.
+_OTHER_SHAPES = {"ball": "sphere", "cube": "box", "cylinder": "capsule"}
 
 
 class EntryReader:
@@ -300,8 +302,8 @@ class EntryReader:
         """Return the record of an entry that names one of a table."""
         ((name, values),) = entry.items()
         if name not in table:
-            hint = nearest(name, list(table))
-            self.note((*at, name), Fault(code, f"no {what} is {name!r}", hint=hint))
+            hint = nearest(_OTHER_SHAPES.get(name, name), list(table))
+            self.note((*at, name), Fault(code, f"unknown {what} {name!r}", hint=hint))
             return None
         if table[name] is Mesh:
             return self._mesh((*at, name), values or {})

@@ -86,7 +86,11 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     kinds = [str(kind) for kind in AttachKind]
     faults = []
     for name in names:
-        hint = f"the rig has {', '.join(by_name)}" if by_name else "it has none"
+        hint = (
+            f"the rig has {', '.join(by_name)}"
+            if by_name
+            else "it has none; write its cloth, hair or chains under attach of the rig"
+        )
         if name not in by_name:
             message = f"unknown attachment {name!r} of {rig.name!r}"
             faults.append(Fault("SIM030", message, hint=hint))

@@ -186,6 +186,9 @@ class _SystemBuilder:
         if not rest.solved:
             message = f"no rest state was found: forces of {rest.residual:.2g} N remain"
             hint = "let it settle in a preroll, with drag"
+            if _stands_on_pins(system):
+                message = "it stands upright on its pins, and would fall over"
+                hint = "pin its other end, or let it settle in a preroll, with drag"
             self._notices.append(warning("SIM152", message, hint, "settle"))
         return system.starting_at(rest.positions)
 
@@ -194,6 +197,18 @@ class _SystemBuilder:
             message = f"{what} {length_text(gap)} from where they are built: springs "
             hint = "place them to match, or give pins an offset"
             self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))
+
+
+def _stands_on_pins(system: SpringSystem) -> bool:
+    """Return whether all that is free is above the pins, like a rope on its end."""
+    heights = -system.body.positions @ system.gravity
+    is_free = np.ones(len(heights), np.bool_)
+    is_free[system.pinned] = False
+    return bool(
+        is_free.any()
+        and not is_free.all()
+        and heights[is_free].min() > heights[~is_free].max()
+    )
 
 
 def _has_acting_faces(entry: SpringEntry) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -242,6 +243,11 @@ def _check_wind(entry: BodyEntry) -> None:
         return
     if any(after[0] <= before[0] for before, after in pairwise(wind.gusts)):
         entry.note("SIM044", "its times must ascend", "wind", "gusts")
+    speed, limit = math.hypot(*wind.velocity), entry.spec.speed_limit
+    if speed > limit:
+        message = f"a wind of {speed:g} m/s is faster than speed_limit, {limit:g} m/s"
+        hint = f"for mm/s write {speed / 1000:g}; else raise speed_limit"
+        entry.note("SIM050", message, "wind", "velocity", hint=hint)
     if isinstance(wind, FaceWindModel):
         for fault in range_faults(air_of(wind), ENTRY_RANGE_MESSAGE):
             entry.add(fault, "wind")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, warning
-from animtool.core.quantities import floor_to_two_digits, plain_number
+from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
 from animtool.sim.trajectory import Stats, Status
 from animtool.systems.springs.motion import TimeGrid, through_notices
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -48,7 +48,8 @@ def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     if simulation.grid.unresolved:
         particles = counted(simulation.grid.unresolved, "particle")
         message = f"{particles} could not be pushed out of colliders at once"
-        hint = "they start inside, or colliders close in on them from several sides"
+        hint = f"they keep {length_text(simulation.system.radius)} away (radius), and "
+        hint += "start inside, or colliders close in on them from several sides"
         notices.append(warning("SIM123", message, hint))
     if simulation.applied < 1:
         message = "what presses on a rigid body is heavier than the body: only "
@@ -70,6 +71,8 @@ def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
+        if simulation.grid.unresolved:
+            hint = "colliders push it from inside; see SIM123"
         notices.append(warning("SIM102", message, hint))
     elif stats.status is Status.NOT_SOLVED and simulation.strained:
         notices.append(_no_solver_warning(simulation, stats))

@@ -8,11 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, excerpt
+from animtool.core.names import most_similar
+from animtool.core.source_lines import SourceLineCache
 
 FIRST_LINE = "#usda 1.0"
 # File, line, column, what is wrong, the text there, and the prim or attribute.
 _LOCATED_FAULT = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
 _UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
+# A prim that begins with another word than USD's.
+_PRIM_LINE = re.compile(r'\s*([A-Za-z]+)\s+(?:[A-Z]\w*\s+)?"[A-Za-z_]\w*"\s*[({\s})]*$')
+_SPECIFIERS = ("def", "over", "class")
 _MAX_TEXT = 300
 
 # Message and hint, by what USD says; both are given its words and the text there.
@@ -32,7 +37,7 @@ _FAULT_PATTERNS: dict[str, _FaultText] = {
     ),
     r"Tuple dimensions error for attribute of type (\w+)": lambda words, there: (
         f"{there or 'a value'} does not have the numbers of a {words[1]}",
-        None,
+        f"write as many numbers as a {words[1]} has",
     ),
     r"Error parsing (?:simple|shaped|tuple) value": lambda _, there: (
         f"{there} is not a value of its type",
@@ -55,6 +60,22 @@ def _quoting_hint(context: str) -> str | None:
     if match is None:
         return None
     return f'put the name in quotes: {match[1]}{match[2] or ""} "{match[3]}"'
+
+
+def _specifier_fault(line: str) -> tuple[str, str] | None:
+    """Return message and hint for a prim with an unknown specifier; None for others.
+
+    >>> _specifier_fault('on Skeleton "Skel" (')
+    ("'on' does not begin a prim", "did you mean 'over'? a prim begins with def, over \
+or class")
+    """
+    match = _PRIM_LINE.match(line)
+    if match is None or match[1] in _SPECIFIERS:
+        return None
+    meant = most_similar(match[1], _SPECIFIERS, 0.5)
+    hint = "a prim begins with def, over or class"
+    hint = f"did you mean {meant!r}? {hint}" if meant else hint
+    return f"{match[1]!r} does not begin a prim", hint
 
 
 def layer_fault(text: str, path: Path) -> Fault:
@@ -86,5 +107,10 @@ def layer_fault(text: str, path: Path) -> Fault:
                 message, hint = describe(match, context)
                 if "first line" in message:
                     location = {"lines": (1,), "column": 1}
+                else:
+                    line = SourceLineCache().line(
+                        str(path), *location.get("lines", (0,))
+                    )
+                    message, hint = _specifier_fault(line or "") or (message, hint)
                 return Fault("USD001", message, str(path), hint=hint, **location)
     return Fault("USD001", text[:_MAX_TEXT], str(path), **location)

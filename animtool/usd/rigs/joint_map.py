@@ -197,7 +197,11 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
         f"{excerpt(rig_.names[0])} …" if rig_.joints else "none" for rig_ in (take, rig)
     )
     message = f"no joint of the take ({take_joint}) is in the rig ({rig_joint})"
-    hint = f"drop leading 'ns:' parts with {argument('strip_namespace')}"
+    hint = (
+        "move the motion to that rig with animtool retarget, or choose the take's rig"
+    )
+    if any(":" in name for name in take.names):
+        hint = f"drop leading 'ns:' parts with {argument('strip_namespace')}, or {hint}"
     if not (take.joints and rig.joints):
         message += ", and no mesh there has one of its shapes"
         hint = "choose the rig of the take"

@@ -143,11 +143,10 @@ def read_character(
         if animation is None:
             message = f"has no Skeleton and no SkelAnimation below {root_path}"
             characters = character_paths(stage)
-            hint = (
-                f"characters: {listed(characters, MAX_LISTED_PRIMS)}"
-                if characters
-                else None
-            )
+            hint = "a character is needed; props go under props of a scene"
+            if characters:
+                names = listed(characters, MAX_LISTED_PRIMS)
+                hint = f"choose one of {names} with {argument('source.prim_path')}"
             raise FormatError(Fault("USD008", message, str(path), (), hint))
         skeleton = rig_of_animation(animation, path, stage)
         prim = None
