@@ -25,7 +25,7 @@ MIGRATED = Template(
             "files",
             (
                 "{path}: {kind}, [{!needed}animtool/{version}, is the newest"
-                "|{?renames}keys [{?written}are|would be] renamed"
+                "|{?is_renames_only}keys [{?written}are|would be] renamed"
                 "|from animtool/{version} [{?written}is now|would become] "
                 "animtool/{newest}]",
             ),

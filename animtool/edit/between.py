@@ -54,7 +54,7 @@ class TakeSampler:
         >>> from animtool.rig.skeleton import Joint, Rig
         >>> clip = Clip("still", Fraction(24), Fraction(1), Fraction(9), ())
         >>> take = clip.sample(Rig("one", (Joint("a", -1),)))
-        >>> Between.of(take).curved["rotations"].tolist()
+        >>> TakeSampler.of(take).curved["rotations"].tolist()
         [True]
         """
         if take.curve is None:

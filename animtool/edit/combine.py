@@ -22,11 +22,11 @@ from animtool.edit.between import TakeSampler
 from animtool.edit.travel import even_positions
 from animtool.maths import additive, so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import place_motion
+from animtool.motion.reorient import placed_motion
 from animtool.motion.take import Take
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
-from animtool.rig.placed import place_rig
+from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -130,7 +130,7 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         if placement is None:
             return motion
         rotations = motion.rotations
-        motion = place_motion(motion, roots, placement)
+        motion = placed_motion(motion, roots, placement)
         return replace(motion, rotations=rotations) if is_additive else motion
 
     matched_rig, curve = other.rig, other.curve
@@ -142,7 +142,7 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
             matched_rig, controls=tuple(matched_rig.controls[i] for i in controls)
         )
     if placement is not None:
-        matched_rig = place_rig(matched_rig, placement, rig.up)
+        matched_rig = placed_rig(matched_rig, placement, rig.up)
     return replace(
         other,
         rig=matched_rig,

@@ -73,7 +73,8 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     >>> lower = Joint("lower", 0, JointType.PIN, translation=(1, 0, 0))
     >>> hand = Joint("hand", 1, JointType.BALL, translation=(0, 1, 0))
     >>> rig = Rig("arm", (upper, lower, hand))
-    >>> rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    >>> local = rig.rest_translations[None], rig.rest_rotations[None]
+    >>> rest = forward_kinematics(rig, *local)
     >>> found = match(rig, [IkChain("arm", "upper", "hand")], rest)
     >>> np.round(found.targets.poles, 3).tolist()
     [[[1.207, -0.207, 0.0]]]

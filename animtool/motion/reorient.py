@@ -14,8 +14,8 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.motion.transforms import place_track, rotate_track
-from animtool.rig.placed import at_origin, place_rig
+from animtool.motion.transforms import placed_track, rotate_track
+from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -30,7 +30,7 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if rotation is None:
         return stream
     quaternion = np.array(rotation)
-    result = _place_stream(stream, Placement.from_rotation(quaternion), up)
+    result = _with_placement(stream, Placement.from_rotation(quaternion), up)
     result.tracks = tuple(rotate_track(track, quaternion) for track in stream.tracks)
     return result
 
@@ -44,40 +44,42 @@ def unplace_take(stream: TakeStream) -> TakeStream:
     if stands is None:
         return stream
     inverse = stands.inverse()
-    result = _place_stream(stream, inverse, stream.rig.up)
+    result = _with_placement(stream, inverse, stream.rig.up)
     result.rig = at_origin(stream.rig)
     result.tracks = tuple(
-        place_track(track, lambda _: inverse) if track.follows_placement else track
+        placed_track(track, lambda _: inverse) if track.follows_placement else track
         for track in stream.tracks
     )
     return result
 
 
-def _place_stream(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
+def _with_placement(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
     roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
     placed_stream = replace(
         stream,
-        rig=place_rig(stream.rig, placement, up),
-        blocks=_place_blocks(stream.blocks, roots, placement),
+        rig=placed_rig(stream.rig, placement, up),
+        blocks=_placed_blocks(stream.blocks, roots, placement),
     )
     if curve is not None:
-        placed_stream.curve = lambda times: place_motion(curve(times), roots, placement)
+        placed_stream.curve = lambda times: placed_motion(
+            curve(times), roots, placement
+        )
     return placed_stream
 
 
-def _place_blocks(
+def _placed_blocks(
     blocks: Iterator[Motion], roots: IntArray, placement: Placement
 ) -> Iterator[Motion]:
     for block in blocks:
-        yield place_motion(block, roots, placement)
+        yield placed_motion(block, roots, placement)
 
 
 def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
     """Return a rig whose rest roots are rotated by a quaternion ``(4,)``."""
-    return place_rig(rig, Placement.from_rotation(rotation), up)
+    return placed_rig(rig, Placement.from_rotation(rotation), up)
 
 
-def place_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
+def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
     """Return a motion moved to a placement of as many frames or of one.
 
     ``roots``: joints without a parent ``(R,)``.
@@ -94,7 +96,7 @@ def place_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motio
         rotations=rotations,
         scales=_scale_roots(motion, roots, placement),
         points={
-            name: _place_points(channel, placement)
+            name: _placed_points(channel, placement)
             for name, channel in motion.points.items()
         },
     )
@@ -135,7 +137,7 @@ def _scale_roots(
     return scales.put(roots, scales.gather(roots) * extra_scale[:, None, None])
 
 
-def _place_points(channel: Channel, placement: Placement) -> Channel:
+def _placed_points(channel: Channel, placement: Placement) -> Channel:
     if placement.moves:
         all_points = np.arange(len(channel.rest))
         return channel.put(all_points, placement.points(channel.gather(all_points)))

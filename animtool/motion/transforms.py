@@ -118,7 +118,7 @@ class Track:
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
-def place_transforms(transforms: Transforms, placement: Placement) -> Transforms:
+def placed_transforms(transforms: Transforms, placement: Placement) -> Transforms:
     """Return transforms moved to a placement of as many frames or of one."""
     if transforms.matrices is not None:
         matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
@@ -139,13 +139,13 @@ def transform_by_matrices(transforms: Transforms, matrices: FloatArray) -> Trans
     return replace(transforms, matrices=matrices @ transforms.matrix())
 
 
-def place_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
+def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
     """Return a track moved to a placement that depends on its local times ``(F,)``."""
     if not track.placed:
         return track
 
     def sample(times: FloatArray) -> Transforms:
-        return place_transforms(track.sample(times), placement(times))
+        return placed_transforms(track.sample(times), placement(times))
 
     return replace(track, sample=sample)
 
@@ -153,4 +153,4 @@ def place_track(track: Track, placement: Callable[[FloatArray], Placement]) -> T
 def rotate_track(track: Track, rotation: FloatArray) -> Track:
     """Return a track rotated by a quaternion ``(4,)``."""
     placement = Placement.from_rotation(rotation)
-    return place_track(track, lambda _: placement)
+    return placed_track(track, lambda _: placement)

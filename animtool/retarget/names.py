@@ -132,9 +132,9 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
     """Return the parsed names of J joints.
 
     >>> parse_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
-    ReadName(side='l', key='upleg', kind='')
+    ParsedName(side='l', key='upleg', kind='')
     >>> parse_names(["lfemur", "rfemur"], [-1, -1])[1]
-    ReadName(side='r', key='femur', kind='')
+    ParsedName(side='r', key='femur', kind='')
     """
     names_without_prefix = bare_names(names)
     sides = pair_sides(names, parents)

@@ -25,7 +25,7 @@ from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
-def place_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
+def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     """Return a rig moved to a placement's first frame.
 
     Scale is applied to lengths; geometry bound to joints is moved and scaled with them.
@@ -46,7 +46,7 @@ def place_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     return replace(
         rig,
         joints=tuple(
-            _scale_joint(_place_joint(joint, placement), rig, scale)
+            _scale_joint(_placed_joint(joint, placement), rig, scale)
             for joint in rig.joints
         ),
         shapes=tuple(
@@ -56,15 +56,15 @@ def place_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         controls=tuple(_scale_control(control, scale) for control in rig.controls),
         up=rig.up if up is None else up,
         bind={
-            name: _place_pose(pose, placement, root=name in roots)
+            name: _placed_pose(pose, placement, root=name in roots)
             for name, pose in rig.bind.items()
         },
         meshes=tuple(
-            _place_mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
+            _placed_mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
         ),
         chains=tuple(_rotate_chain(chain, placement, roots) for chain in rig.chains),
         attach=tuple(
-            _place_strands(entry, placement, rig.meters_per_unit)
+            _placed_strands(entry, placement, rig.meters_per_unit)
             for entry in rig.attach
         ),
         colliders=tuple(_scale_collider(collider, scale) for collider in rig.colliders),
@@ -73,7 +73,7 @@ def place_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     )
 
 
-def _place_joint(joint: Joint, placement: Placement) -> Joint:
+def _placed_joint(joint: Joint, placement: Placement) -> Joint:
     if joint.parent < 0:
         x, y, z = placement.points(np.array(joint.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(joint.rotation)).tolist()
@@ -126,7 +126,7 @@ def _scale_control(control: Control, size: float) -> Control:
     return replace(control, drives=drives, driven=_scale_driver(control.driven, size))
 
 
-def _place_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
+def _placed_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
     if root:
         x, y, z = placement.points(np.array(pose.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(pose.rotation)).tolist()
@@ -146,14 +146,14 @@ def _rotate_chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkCh
     return replace(chain, pole_dir=(x, y, z))
 
 
-def _place_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
+def _placed_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
     """Return a mesh with its bind transform placed."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
     matrix = placement_matrix(placement, unit)
     return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 
-def _place_strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
+def _placed_strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
     """Return an attachment with its world-space strands placed."""
     if entry.points is None:
         return entry
@@ -195,4 +195,4 @@ def at_origin(rig: Rig) -> Rig:
     """Return a rig at the origin, scaled and upright."""
     if rig.stands is None:
         return rig
-    return replace(place_rig(rig, rig.stands.inverse()), stands=None)
+    return replace(placed_rig(rig, rig.stands.inverse()), stands=None)

@@ -75,7 +75,7 @@ def pair_sides(
 
     >>> pair_sides(["hips", "lfemur", "rfemur", "arm.L", "arm.R"]).partners.tolist()
     [0, 2, 1, 4, 3]
-    >>> pair_sides(["rib", "tail_l"]).strays
+    >>> pair_sides(["rib", "tail_l"]).unpaired
     (1,)
     """
     index = {name: i for i, name in enumerate(names)}

@@ -297,7 +297,7 @@ def test_runs_of_points_and_their_costs() -> None:
 
 
 def _path(labels: RunLabels, run: int) -> tuple[Any, int, int]:
-    begin, end, path = labels._span(run)
+    begin, end, path = labels._run_positions(run)
     return path, begin, end
 
 
@@ -354,14 +354,14 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
     own = np.stack([so3.multiply(above, one) for one in owners], axis=1)
     known = {
         "origins": np.repeat(origin[:, None], count, axis=1),
-        "parents": np.repeat(so3.to_matrix(above)[:, None], count, axis=1),
+        "parent_rotations": np.repeat(so3.to_matrix(above)[:, None], count, axis=1),
         "rotations": so3.to_matrix(own),
         "positions": true + 0.01 * np.sin(t)[:, None, None],
-        "above": lambda _: True,
+        "has_parent": lambda _: True,
     }
     found = [predict_from_markers(positions, seen, 0, gap, spread, 100.0)]
     for mates in ([], [1], [1, 3]):
-        bones: Any = SimpleNamespace(**known, mates=lambda *_, m=mates: m)
+        bones: Any = SimpleNamespace(**known, markers_on_joint=lambda *_, m=mates: m)
         found.append(predict_in_parent(bones, positions, seen, 0, gap, spread, 100.0))
         far = np.where(np.arange(count) < 4, np.nan, spread)
         found.append(predict_in_parent(bones, positions, seen, 0, gap, far, 100.0))

@@ -55,7 +55,7 @@ from animtool.capture.markers.fill import (
     _best_prediction,
     _polynomial_positions,
     _sorted_gaps,
-    _visible_frames_beside,
+    _visible_frames_near,
 )
 from animtool.capture.markers.geometry import (
     MarkerDistances,
@@ -619,8 +619,8 @@ def test_gaps_are_curves_through_frames_around_them() -> None:
     seen[8:11] = False
     found = _polynomial_positions(path, seen, slice(8, 11))
     assert_allclose(found, path[8:11], atol=1e-8)
-    assert _visible_frames_beside(seen, 7, -1) == [7, 6, 5, 4, 3, 2]
-    assert _visible_frames_beside(seen, 11, 1) == [11, 12, 13, 14, 15, 16]
+    assert _visible_frames_near(seen, 7, -1) == [7, 6, 5, 4, 3, 2]
+    assert _visible_frames_near(seen, 11, 1) == [11, 12, 13, 14, 15, 16]
     seen[13] = False
     assert _polynomial_positions(path, seen, slice(8, 11)) is None
     seen[13], seen[14] = True, False

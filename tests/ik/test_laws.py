@@ -612,7 +612,7 @@ def told(**keys: Any) -> Any:
         "misses": np.zeros((5, 1, 4)), "active": np.ones((5, 1, 4), bool),
         "away": [19.0], "size": 1.0, "moving_between": (), "jumps": (),
         "steadier": None,
-        "on_limits": {},
+        "on_limits": {}, "open_poles": None,
     }  # fmt: skip
     return SimpleNamespace(**{**given, **keys})
 

@@ -72,6 +72,11 @@ def _names(module: str) -> dict[str, Any]:
             for line in node.body:
                 if isinstance(line, ast.ImportFrom):
                     exec(ast.unparse(line), names)
+                    for alias in line.names:
+                        known = names[alias.asname or alias.name]
+                        if isinstance(known, str):
+                            value = _evaluated(known, _names(str(line.module)))
+                            names[alias.asname or alias.name] = value
     return names
 
 

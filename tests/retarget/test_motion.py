@@ -120,7 +120,7 @@ def test_frames_whose_goals_stay_are_not_solved_again(
         rows.append(len(given[-1]))
         return solved(self, *given)
 
-    monkeypatch.setattr(motion.Retargeting, "_solved", counted)
+    monkeypatch.setattr(motion.Retargeting, "_solve_ankles", counted)
     made = onto_rig(walk, scaled(walk.rig, 1.0, shin=0.9))
     assert made.standing.placed is not None
     assert sum(rows) == walk.clock.count

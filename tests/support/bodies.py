@@ -11,7 +11,7 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import deform
-from animtool.systems.attach.strands import depth
+from animtool.systems.attach.strands import capsule_distances
 
 from .skins import Array, of_world
 
@@ -50,7 +50,13 @@ def out_of_capsules(rig: Rig, motion: Motion, points: Array) -> Array:
     radii = capsules.radii.tolist()
     return np.array(
         [
-            np.min([depth(row, e, r)[0] for e, r in zip(ends, radii, strict=True)], 0)
+            np.min(
+                [
+                    capsule_distances(row, e, r)
+                    for e, r in zip(ends, radii, strict=True)
+                ],
+                0,
+            )
             for row, ends in zip(points, placed, strict=True)
         ]
     )

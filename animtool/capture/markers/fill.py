@@ -254,8 +254,8 @@ def _polynomial_positions(
     path: FloatArray, visible: BoolArray, gap: slice
 ) -> FloatArray | None:
     """Return a polynomial through the frames around a gap; None if too few."""
-    before = _visible_frames_beside(visible, gap.start - 1, -1)
-    after = _visible_frames_beside(visible, gap.stop, 1)
+    before = _visible_frames_near(visible, gap.start - 1, -1)
+    after = _visible_frames_near(visible, gap.stop, 1)
     if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
         return None
     frames = np.array([*before[::-1], *after])
@@ -269,7 +269,7 @@ def _polynomial_positions(
     return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 
 
-def _visible_frames_beside(visible: BoolArray, start: int, step: int) -> list[int]:
+def _visible_frames_near(visible: BoolArray, start: int, step: int) -> list[int]:
     """Return the visible frames next to a gap, up to a limit."""
     frames: list[int] = []
     frame = start

@@ -95,7 +95,7 @@ class GltfSampler:
             if has_scale:
                 values[chunk] *= factors
             if path is TargetPath.ROTATION:
-                _normalize_in_place(values[chunk])
+                _normalize_rows(values[chunk])
                 _align_signs(values[chunk], values[at - 1] if at else None)
         return Channel(rest, rows, values)
 
@@ -190,7 +190,7 @@ def segments(
     return np.minimum(key_indices, last_key - 1), snapped_times
 
 
-def _normalize_in_place(rotations: FloatArray) -> None:
+def _normalize_rows(rotations: FloatArray) -> None:
     """Normalise rotations ``(F, J, 4)`` in place."""
     squares = np.einsum("fjc,fjc->fj", rotations, rotations)
     np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)

@@ -201,13 +201,13 @@ def _row_frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     for interval in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
         regular = max(
             (positive_steps % interval == 0).mean(),
-            _is_whole_steps(exact, interval).mean(),
+            _is_step_multiple(exact, interval).mean(),
         )
         if regular >= REGULAR_FRACTION:
             step = interval
             break
     if (
-        _is_whole_steps(exact, step).mean() >= REGULAR_FRACTION
+        _is_step_multiple(exact, step).mean() >= REGULAR_FRACTION
         and np.ptp(fractions) > 0
     ):
         beats = np.round(exact / step)
@@ -217,7 +217,7 @@ def _row_frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     return step, np.concatenate([[0], np.cumsum(beats)]).astype(np.int64)
 
 
-def _is_whole_steps(exact: FloatArray, step: int) -> BoolArray:
+def _is_step_multiple(exact: FloatArray, step: int) -> BoolArray:
     """Return which rows are a whole number of steps after the previous row."""
     beats = exact / step
     return np.asarray(np.abs(beats - np.round(beats)) * step <= MAX_CLOCK_JITTER)

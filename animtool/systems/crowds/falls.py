@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
-from animtool.rig.placed import place_rig
+from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
@@ -233,7 +233,7 @@ class FallSimulator:
         key = agent, positions.tobytes()
         if key not in self._ragdolls:
             size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
-            rig = place_rig(self._rigs[agent], size)
+            rig = placed_rig(self._rigs[agent], size)
             count = len(rig.joints)
             rig = with_widened_limits(rig, _local_rotations(rig, rotations[:count]))
             pose = WorldTransforms(

@@ -119,7 +119,7 @@ def build_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         )
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
-    moments, axes = principal_moments(inertia)
+    moments, axes = principal_inertia(inertia)
     shows = parts.get("shows")
     meshes = tuple(shows()) if shows is not None else (_display_mesh(display_shapes),)
     return BodyKind(
@@ -228,7 +228,7 @@ def _mass_properties(
     return mass, centre, inertia
 
 
-def principal_moments(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
+def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return principal moments ``(3,)`` and axes, a quaternion ``(4,)``.
 
     Inertias that are diagonal up to rounding keep the axes of the frame.

@@ -12,7 +12,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import Mass
 from animtool.rig.skeleton import Rig
-from animtool.systems.rigid.kind import BodyKind, principal_moments
+from animtool.systems.rigid.kind import BodyKind, principal_inertia
 
 
 def with_rig_masses(
@@ -83,5 +83,5 @@ def _combined_body(
         inertia = inertia + weight * (
             (position @ position) * np.eye(3) - np.outer(position, position)
         )
-    moments, axes = principal_moments(inertia)
+    moments, axes = principal_inertia(inertia)
     return replace(kind, mass=total, centre=centre, moments=moments, axes=axes)

@@ -18,7 +18,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import place_motion
+from animtool.motion.reorient import placed_motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
@@ -192,7 +192,7 @@ def _animation_take(
         placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
     if not placement.full.is_identity:
         roots = np.array(of_rig.rig.roots, np.int64)
-        motion_ = place_motion(motion_, roots, placement.full).map(Channel.compact)
+        motion_ = placed_motion(motion_, roots, placement.full).map(Channel.compact)
     rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
     take = Take(rig, _build_clock(subject, codes), motion_)

@@ -65,9 +65,9 @@ def _quoting_hint(context: str) -> str | None:
 def _specifier_fault(line: str) -> tuple[str, str] | None:
     """Return message and hint for a prim with an unknown specifier; None for others.
 
-    >>> _specifier_fault('on Skeleton "Skel" (')
-    ("'on' does not begin a prim", "did you mean 'over'? a prim begins with def, over \
-or class")
+    >>> _specifier_fault('clas Skeleton "Skel" (')
+    ("'clas' does not begin a prim", "did you mean 'class'? a prim begins with def, \
+over or class")
     """
     match = _PRIM_LINE.match(line)
     if match is None or match[1] in _SPECIFIERS:

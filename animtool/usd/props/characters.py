@@ -228,7 +228,7 @@ class _CharacterGroup:
         size = track.size * float(track.scales.max(initial=0.0))
         report.error = max(report.error, JOINT_TOLERANCE * size)
         report.slide = max(report.slide, FOOT_TOLERANCE * size)
-        shares_standing = self._can_share()
+        shares_standing = self._is_reusable()
         for i, name in enumerate(names):
             path = f"{self.owner.path}/{name}"
             if shares_standing[i]:
@@ -263,7 +263,7 @@ class _CharacterGroup:
         box = Vt.Vec3fArray.FromNumpy(corners.astype(np.float32))
         attribute_spec(root, "extent", _TYPES.Float3Array, box)
 
-    def _can_share(self) -> BoolArray:
+    def _is_reusable(self) -> BoolArray:
         """Return which characters stand still and can share an animation ``(n,)``."""
         track = self.track
         static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)

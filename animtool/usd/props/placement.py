@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.motion.transforms import (
     Track,
     Transforms,
-    place_transforms,
+    placed_transforms,
     transform_by_matrices,
 )
 from animtool.rig.placement import IDENTITY_TOLERANCE, Placement
@@ -60,14 +60,14 @@ class PropPlacements:
             return transforms
         if is_within(path, self.model):
             if self.to_rig is not None:
-                transforms = place_transforms(transforms, self.to_rig(codes))
+                transforms = placed_transforms(transforms, self.to_rig(codes))
             parent_space = space_above(self.target, path, codes, inside=True)
         else:
             if track.follows_placement:
                 transforms = self._with_rig(transforms, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:
-                transforms = place_transforms(
+                transforms = placed_transforms(
                     transforms, Placement.from_rotation(np.array(up_rotation))
                 )
             parent_space = space_above(self.target, path, codes, inside=False)
@@ -91,7 +91,7 @@ class PropPlacements:
         return (
             transforms
             if placement_matrices.simplified().is_identity
-            else place_transforms(transforms, placement_matrices)
+            else placed_transforms(transforms, placement_matrices)
         )
 
 
@@ -194,7 +194,7 @@ def _premultiplied_transforms(
     unscaled[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
     unscaled[:, :3, 3] = translations
     if np.abs(unscaled - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
-        return place_transforms(transforms, Placement(translations, rotations, sizes))
+        return placed_transforms(transforms, Placement(translations, rotations, sizes))
     return transform_by_matrices(transforms, matrices)
 
 

@@ -13,10 +13,10 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, names_fault
 from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import place_motion
+from animtool.motion.reorient import placed_motion
 from animtool.rig.fit import RigFit, check_fit
 from animtool.rig.parts import Shape
-from animtool.rig.placed import at_origin, place_rig
+from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
@@ -54,7 +54,7 @@ class RigJointMap:
     def at(self, codes: FloatArray, motion: Motion) -> Motion:
         """Return the target's motion at time codes ``(F,)``; see `apply`."""
         if self.to_rig is not None:
-            motion = place_motion(motion, self.roots, self.to_rig(codes))
+            motion = placed_motion(motion, self.roots, self.to_rig(codes))
         return self.apply(motion)
 
     def apply(self, motion: Motion) -> Motion:
@@ -115,7 +115,7 @@ def map_joints(
         rig = (
             skeleton.rig
             if converted is None
-            else place_rig(skeleton.rig, converted.sized)
+            else placed_rig(skeleton.rig, converted.sized)
         )
         fit, differences = check_fit(
             at_origin(take),

@@ -23,7 +23,7 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
-from animtool.rig.placed import place_rig
+from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.usd.caches.reader import PointReader, transform_points
@@ -414,7 +414,7 @@ def _stage_meshes(
     bind = number_rows(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit
     if placement is not None and not placement.is_identity:
-        rig = place_rig(rig, placement)
+        rig = placed_rig(rig, placement)
         bind = placement_matrix(placement) @ bind
         # Joints cannot store this scale: it is in their lengths.
         bind[:, :3, :3] /= placement.size

@@ -22,7 +22,7 @@ from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3
-from animtool.rig.placed import place_rig
+from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -324,11 +324,11 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
 
     ``choice`` ``drop`` ignores the stage placement; None keeps it.
     """
-    sized_rig = place_rig(rig, placement.sized)
+    sized_rig = placed_rig(rig, placement.sized)
     if choice == DROP:
         return sized_rig
     stands = placement.stands
-    placed_rig_ = place_rig(rig, placement.rest)
+    placed_rig_ = placed_rig(rig, placement.rest)
     if sized_rig.stands is not None:
         # Its values also include a placement.
         stands = stands.after(sized_rig.stands)

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import ArraySource, Shape
-from animtool.rig.placed import place_rig
+from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.surfaces import Strands, strands_of
@@ -81,7 +81,7 @@ def with_recorded_rest(
             if rest_placement is None
             else stands.after(rest_placement[0].inverse())
         )
-        rig = place_rig(rig, relative_placement)
+        rig = placed_rig(rig, relative_placement)
     return replace(rig, stands=None if stands.is_identity else stands, rides=rides)
 
 

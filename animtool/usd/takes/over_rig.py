@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.motion.reorient import placement_notice, unplace_take
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
-from animtool.rig.placed import place_rig
+from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -145,7 +145,7 @@ def _rests_at_stage_placement(
     rests = rest_world(take).positions[0, take_joints]
     size = float(np.ptp(rests, axis=0).max())
     fits_placed, fits_unplaced = (
-        np.abs(rest_world(place_rig(raw, at)).positions[0, rig_joints] - rests).max(
+        np.abs(rest_world(placed_rig(raw, at)).positions[0, rig_joints] - rests).max(
             axis=1
         )
         for at in (rig_placement.rest, rig_placement.sized)

@@ -18,7 +18,7 @@ from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import place_motion, placement_notice, unplace_take
+from animtool.motion.reorient import placed_motion, placement_notice, unplace_take
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placement import Placement
@@ -205,7 +205,7 @@ def _placed_on_stage(
     if path.is_identity:
         return motion
     roots = np.array(rig.roots, np.int64)
-    return place_motion(motion, roots, path).map(Channel.compact)
+    return placed_motion(motion, roots, path).map(Channel.compact)
 
 
 def _without_placement(

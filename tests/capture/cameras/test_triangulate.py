@@ -224,7 +224,7 @@ def test_blocks_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = observed(cameras, POINTS)
     whole = triangulate(seen, cameras)
     module = importlib.import_module("animtool.capture.cameras.triangulate")
-    monkeypatch.setattr(module, "BLOCK", 7 * 4 * 12)
+    monkeypatch.setattr(module, "BLOCK_VALUES", 7 * 4 * 12)
     parts = triangulate(seen, cameras)
     for name in ("positions", "residuals", "cameras"):
         one, other = (getattr(t.markers, name) for t in (whole, parts))

@@ -62,9 +62,19 @@ def _sample(rng: Rng) -> dict[str, Any]:
     }
 
 
+def _distances(rng: Rng) -> dict[str, Any]:
+    made = mesh(rng)
+    return {
+        "self": _kernels.MeshSurface(**made),
+        "positions": made["points"] + rng.normal(size=made["points"].shape),
+        "points": rng.normal(size=(rng.integers(0, 9), 3)),
+    }
+
+
 CALLS: dict[str, Maker] = {
     "build_mesh_tree": mesh,
     "MeshSurface": mesh,
+    "MeshSurface.distances": _distances,
     "collide_particles": _collide,
     "sample_colliders": _sample,
 }

@@ -128,7 +128,7 @@ def test_forces(force: str, found: bool, tmp_path: Path) -> None:
         (BULLET.replace("R", "0.3"), True),
         (BULLET.replace("R", "0.01"), False),
         (f"{ROPE}    gravity: [0, 0, -9.81]\n", True),
-        (f"{ROPE}    wind: {{velocity: [600, 0, 0]}}\n", True),
+        (f"{ROPE}    wind: {{velocity: [600, 0, 0]}}\n    speed_limit: 900\n", True),
         (f"{ROPE}    wind: {{velocity: [20, 0, 0], gusts: [[0, 5, 0, 0]]}}\n", False),
     ],
 )

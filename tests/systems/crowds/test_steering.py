@@ -91,9 +91,9 @@ def test_a_goal_grows_with_the_ground_that_those_who_are_there_cover() -> None:
     own = steering(40)
     goal = np.zeros(40, np.int64)
     there = np.arange(40) < 32
-    assert_allclose(own._radius(goal, there), 2.4)
-    assert_allclose(own._radius(goal, np.arange(40) < 4), 1.0)
-    assert_allclose(own._radius(goal + 1, there), 2.4)
+    assert_allclose(own._arrival_radii(goal, there), 2.4)
+    assert_allclose(own._arrival_radii(goal, np.arange(40) < 4), 1.0)
+    assert_allclose(own._arrival_radii(goal + 1, there), 2.4)
 
 
 def test_places_in_a_queue_are_given_from_its_end_the_nearest_first() -> None:
