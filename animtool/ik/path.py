@@ -135,7 +135,7 @@ class FramePath:
             *chain.arrays,
             path=unwound(chain, poses),
             targets=self.targets,
-            sought=self.limbs.reachable,
+            reachable=self.limbs.reachable,
             stretches=self.limbs.scales,
             drifts=self.drifts,
             anchor=anchor,

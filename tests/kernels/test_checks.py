@@ -215,7 +215,7 @@ def problem(goals: int = 2) -> dict[str, Any]:
         "goal_numbers": goal_numbers,
         "starts": np.zeros((1, 2)),
         "targets": targets,
-        "sought": targets.copy(),
+        "reachable": targets.copy(),
         "stretches": np.ones((1, goals)),
         "rests": np.zeros((1, 2)),
         "rest_weight": 0.0,
@@ -266,7 +266,7 @@ GIVEN = problem()
         ("goal_numbers", changed(GIVEN["goal_numbers"], (0, 9), -1)),
         ("goal_numbers", changed(GIVEN["goal_numbers"], (0, 0), INF)),
         ("targets", changed(GIVEN["targets"], (0, 0, 13), -1)),
-        ("sought", changed(GIVEN["sought"], (0, 0, 13), NAN)),
+        ("reachable", changed(GIVEN["reachable"], (0, 0, 13), NAN)),
         ("stretches", np.ones((1, 3))),
         ("starts", np.ones((2, 2))),
     ],
@@ -286,7 +286,7 @@ def test_fabrik_has_no_slides() -> None:
 def test_targets_beyond_numbers_are_an_outcome() -> None:
     for bad in (NAN, INF, 1e300):
         targets = changed(GIVEN["targets"], (0, 0, 0), bad)
-        found = _kernels.solve_ik(**{**GIVEN, "targets": targets, "sought": targets})
+        found = _kernels.solve_ik(**{**GIVEN, "targets": targets, "reachable": targets})
         assert found[2][0, 0] == 3
         assert np.isfinite(found[0]).all()
 
@@ -296,7 +296,7 @@ def test_negative_weights_write_no_rows() -> None:
     given["goal_numbers"][:, 9:] = -1
     given["targets"][..., 13:] = -1
     with pytest.raises(ValueError, match=r"^goal_numbers: "):
-        _kernels.solve_ik(**{**given, "sought": given["targets"]})
+        _kernels.solve_ik(**{**given, "reachable": given["targets"]})
 
 
 def test_a_way_needs_a_path() -> None:
@@ -345,7 +345,7 @@ def test_fitting_needs_weights_and_frames(name: str, value: object) -> None:
 )
 def test_smoothing_needs_weights_and_frames(name: str, value: float) -> None:
     given = {key: GIVEN[key] for key in ("nodes", "numbers", "goals", "goal_numbers")}
-    given |= {key: GIVEN[key] for key in ("targets", "sought", "stretches")}
+    given |= {key: GIVEN[key] for key in ("targets", "reachable", "stretches")}
     given |= {"path": np.zeros((1, 2)), "drifts": np.zeros((0, 2)), "anchor": 1.0}
     given |= {"speed": 1.0, "acceleration": 1.0, "first": 0, "end": 1, "rounds": 1}
     given |= {"length_tolerance": 1e-6, "angle_tolerance": 1e-6, "damping": 1e-6}

@@ -99,7 +99,7 @@ def solved(arrays: dict[str, Any], goals: np.ndarray, method: int) -> Any:
     count = len(arrays["nodes"])
     none = np.zeros((1, count))
     return _kernels.solve_ik(
-        **arrays, starts=none, targets=goals, sought=goals, stretches=np.ones((1, 1)),
+        **arrays, starts=none, targets=goals, reachable=goals, stretches=np.ones((1, 1)),
         rests=none, rest_weight=0.0, length_tolerance=1e-6, angle_tolerance=1e-6,
         damping=1e-3, iterations=50, restarts=0, seed=1, seconds=0.0, ordered=False,
         warm=False, method=method,
@@ -139,7 +139,7 @@ def smoothed(
     frames = len(path)
     goals = np.tile(target(), (frames, 1, 1))
     return _kernels.smooth_ik(
-        **arrays, path=path, targets=goals, sought=goals,
+        **arrays, path=path, targets=goals, reachable=goals,
         stretches=np.ones((frames, 1)), drifts=drifts, length_tolerance=1e-4,
         angle_tolerance=1e-4, damping=1e-9, **given,
     )  # fmt: skip

@@ -23,9 +23,9 @@ constexpr std::size_t MAX_ROWS = std::numeric_limits<std::int32_t>::max() / 12;
 
 // All types of numbers are formatted as one of these three.
 template <class T>
-using Shown = std::conditional_t<
-    std::is_floating_point_v<T>, double,
-    std::conditional_t<std::is_signed_v<T>, std::int64_t, std::uint64_t>>;
+using Shown =
+    std::conditional_t<std::is_floating_point_v<T>, double,
+                       std::conditional_t<std::is_signed_v<T>, std::int64_t, std::uint64_t>>;
 
 std::string shown(double value);
 std::string shown(std::int64_t value);
@@ -42,8 +42,7 @@ void shape(const char* name, const std::size_t* actual, std::size_t axes, const 
 
 template <class Array>
 void shape(const char* name, const Array& array, std::initializer_list<std::size_t> sizes) {
-  shape(name, array.lengths(), array.ndim(), array.data(), alignof(decltype(*array.data())),
-        sizes);
+  shape(name, array.lengths(), array.ndim(), array.data(), alignof(decltype(*array.data())), sizes);
 }
 
 template <class T>
@@ -51,8 +50,7 @@ template <class T>
 
 // Checks that a number or a count is in a closed range; NaN is in none.
 template <class T>
-void between(const char* name, T value, std::type_identity_t<T> low,
-             std::type_identity_t<T> high) {
+void between(const char* name, T value, std::type_identity_t<T> low, std::type_identity_t<T> high) {
   if (value >= low && value <= high) return;
   refuse_range<Shown<T>>(name, value, low, high);
 }

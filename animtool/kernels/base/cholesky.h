@@ -34,8 +34,10 @@ bool factor(double* a, std::size_t n, std::size_t stride, double* column, MinPiv
   for (std::size_t j = 0; j < n; ++j) {
     double stored = Form::IGNORED;
     const double pivot = a[j * stride + j];
-    if (pivot > min_pivot(j)) stored = Form::of(pivot);
-    else if (SMALL == Small::FAIL) return false;
+    if (pivot > min_pivot(j))
+      stored = Form::of(pivot);
+    else if (SMALL == Small::FAIL)
+      return false;
     a[j * stride + j] = stored;
     for (std::size_t i = j + 1; i < n; ++i)
       column[i] = a[i * stride + j] = Form::divide(a[i * stride + j], stored);

@@ -6,10 +6,10 @@
 
 namespace animtool::collide {
 
-using animtool::Vec;
 using animtool::length;
 using animtool::load;
 using animtool::store;
+using animtool::Vec;
 
 // A normalised vector; the fallback for zero length.
 inline Vec direction(Vec a, Vec fallback) {
@@ -79,7 +79,8 @@ class Motion {
     Pose pose = unrotated_;
     pose.origin = origin_ + travel_ * fraction;
     if (rotates_) {
-      const double vector[3] = {rotation_.x * fraction, rotation_.y * fraction, rotation_.z * fraction};
+      const double vector[3] = {rotation_.x * fraction, rotation_.y * fraction,
+                                rotation_.z * fraction};
       double step[4], full[4];
       ik::exponential(vector, step);
       ik::product(step, first_, full);

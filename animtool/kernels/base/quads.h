@@ -58,9 +58,7 @@ struct Registers<double, 4, Quads> {
   static Row select(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
   static Row masked(Row where, Row a) { return _mm256_and_pd(where, a); }
   static Row mask_or(Row a, Row b) { return _mm256_or_pd(a, b); }
-  static unsigned mask_bits(Row where) {
-    return static_cast<unsigned>(_mm256_movemask_pd(where));
-  }
+  static unsigned mask_bits(Row where) { return static_cast<unsigned>(_mm256_movemask_pd(where)); }
   static double largest(Row a) {
     const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
     return _mm_cvtsd_f64(_mm_max_sd(two, _mm_unpackhi_pd(two, two)));
@@ -71,8 +69,7 @@ struct Registers<double, 4, Quads> {
   }
   static Row totals(const Row* rows) {
     const Row low = _mm256_hadd_pd(rows[0], rows[1]), high = _mm256_hadd_pd(rows[2], rows[3]);
-    return _mm256_add_pd(_mm256_blend_pd(low, high, 0xC),
-                         _mm256_permute2f128_pd(low, high, 0x21));
+    return _mm256_add_pd(_mm256_blend_pd(low, high, 0xC), _mm256_permute2f128_pd(low, high, 0x21));
   }
   static void transpose(Row* rows) {
     const Row a = _mm256_unpacklo_pd(rows[0], rows[1]), b = _mm256_unpackhi_pd(rows[0], rows[1]);

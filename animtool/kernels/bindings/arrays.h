@@ -24,7 +24,7 @@ using Unlocked = nb::call_guard<nb::gil_scoped_release>;
 template <class Struct, class Member>
 struct Field {
   const char* name;
-  Member Struct::*member;
+  Member Struct::* member;
 
   nb::arg arg() const { return nb::arg(name); }
 };
@@ -58,7 +58,7 @@ namespace nanobind::detail {
 template <typename T>
 bool holds(const Py_buffer& buffer) {
   if (buffer.itemsize != sizeof(T) || !buffer.format || buffer.format[1]) return false;
-  const char* letters = std::is_same_v<T, bool>        ? "?"
+  const char* letters = std::is_same_v<T, bool>       ? "?"
                         : std::is_floating_point_v<T> ? "fd"
                         : std::is_signed_v<T>         ? "bhilq"
                                                       : "BHILQ";
@@ -116,8 +116,7 @@ struct type_caster<animtool::Out<T, N>> {
   static handle from_cpp(Value&& out, rv_policy policy, cleanup_list* cleanup) noexcept {
     T* data = out.release();
     capsule owner(data, [](void* memory) noexcept { animtool::FreeDeleter()(memory); });
-    return make_caster<Array>::from_cpp(Array(data, N, out.shape().data(), owner), policy,
-                                        cleanup);
+    return make_caster<Array>::from_cpp(Array(data, N, out.shape().data(), owner), policy, cleanup);
   }
 };
 

@@ -1,13 +1,12 @@
 // Python bindings of capture.
+#include "capture/capture.h"
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
-#include "capture/capture.h"
 
 namespace animtool {
 
 void bind_capture(nb::module_& m) {
-  m.def("parse_bvh_rows", &parse_bvh_rows, Unlocked(), "text"_a, "columns"_a, "limit"_a,
-        "final"_a,
+  m.def("parse_bvh_rows", &parse_bvh_rows, Unlocked(), "text"_a, "columns"_a, "limit"_a, "final"_a,
         R"(Read rows of numbers from the text of a BVH MOTION block.
 
 Reads complete lines until ``limit`` rows are read, a line is faulty, or the rest
@@ -25,9 +24,9 @@ it and the word that is not a number.)");
 
 Column c is rounded to ``decimals[c]`` decimals (0 to 9), without trailing zeros.)");
 
-  m.def("fit_face", &fit_face, Unlocked(), "neutral"_a, "deltas"_a, "observed"_a,
-        "camera"_a.none(), "poses"_a, "weights"_a, "threshold"_a, "smooth"_a, "rest"_a,
-        "tolerance"_a, "max_iterations"_a, "warm"_a,
+  m.def("fit_face", &fit_face, Unlocked(), "neutral"_a, "deltas"_a, "observed"_a, "camera"_a.none(),
+        "poses"_a, "weights"_a, "threshold"_a, "smooth"_a, "rest"_a, "tolerance"_a,
+        "max_iterations"_a, "warm"_a,
         R"(Fit blend-shape weights and the head's pose to landmarks over frames.
 
 Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
@@ -43,8 +42,7 @@ weight in the last iteration. Iterations end where it is below ten times ``toler
 near the solution: outliers are known at once.)");
 
   m.def("triangulate_points", &triangulate_points, Unlocked(), "pixels"_a, "confidences"_a.none(),
-        "cameras"_a, "active"_a, "noise"_a, "gate"_a, "condition"_a,
-        "detailed"_a,
+        "cameras"_a, "active"_a, "noise"_a, "gate"_a, "condition"_a, "detailed"_a,
         R"(Find points from the pixels ``(F, C, M, 2)`` at which C cameras see them.
 
 A pixel of NaN is not seen; ``confidences`` ``(F, C, M)`` weight pixels, and 0 is not seen.

@@ -15,29 +15,31 @@ order of the tree, what tells inside from outside at corners ``(P, 3)`` and edge
 ``(T, 3, 3)``, zero on the rim of an open mesh, and the nodes: boxes ``(M, 6)``, and two
 children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
 
-  nb::class_<MeshSurface>(m, "MeshSurface",
-                          R"(Triangles ``(T, 3)`` whose points move, from where they are ``(P, 3)``.
+  nb::class_<MeshSurface>(
+      m, "MeshSurface",
+      R"(Triangles ``(T, 3)`` whose points move from their initial positions ``(P, 3)``.
 
-Its tree is built once, and its boxes are fitted to where the points are.)")
+Its tree is built once, and its boxes are refitted to the points.)")
       .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), Unlocked(), "points"_a, "triangles"_a)
       .def("distances", &MeshSurface::distances, Unlocked(), "positions"_a, "points"_a,
            R"(Signed distances ``(N,)`` of points ``(N, 3)``, negative inside.
 
-Its own points are at the positions ``(P, 3)``.)");
+The points of the mesh are at ``positions`` ``(P, 3)``.)");
 
   m.def("collide_particles", &collide_particles, Unlocked(), "colliders"_a, "before"_a, "after"_a,
         "radii"_a, "begins"_a, "step"_a,
-        R"(End a step of N particles where colliders let it end.
+        R"(Resolve the collisions of N particles in a step.
 
 ``colliders``: ``kinds`` ``(C, 3)`` (0 plane, 1 sphere, 2 capsule, 3 box, 4 mesh; whether it
 is a container; a mesh's node), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
 friction, margin, depenetration speed), ``poses`` ``(C, 2, 7)`` at both ends of the step
-(origin, quaternion), then points and what `build_mesh_tree` gives of all meshes together.
-States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``, or from
-where the particle is there on, ``begins`` ``(N,)`` of the step.
+(origin, quaternion), then the points and the arrays of `build_mesh_tree` of all meshes.
+States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``; particles exist
+from the time ``begins`` ``(N,)`` in the step.
 
-Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider touched or -1, and
-how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``.)");
+Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider in contact or -1, and
+the kind of contact (0 none, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; outward directions
+``(N, 3)``.)");
 
   m.def("sample_colliders", &sample_colliders, Unlocked(), "colliders"_a, "points"_a, "share"_a,
         "step"_a,

@@ -1,15 +1,15 @@
 // Python bindings of crowds and flocks.
+#include "crowds/crowds.h"
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
-#include "crowds/crowds.h"
 
 namespace animtool {
 
 void bind_crowds(nb::module_& m) {
   using S = CrowdStep;
   m.def("flock_accelerations", &flock_accelerations, Unlocked(), "points"_a, "velocities"_a,
-        "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a,
-        "attraction"_a, "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "max_tests"_a,
+        "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a, "attraction"_a,
+        "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "max_tests"_a,
         R"(Accelerations of M flock members from others in sight ``(M, 3)`` [m/s²].
 
 ``members`` and ``others`` index ``points`` ``(N, 3)``; None is all. A member sees others within
@@ -21,8 +21,8 @@ origin and length of each axis ``(2, 3)``, length 0 if not periodic.
 Returns ``(accelerations, counts, pairs)``: numbers of visible others ``(M,)``, and the number of
 tested pairs; if that exceeds ``max_tests``, the result is incomplete.)");
 
-  m.def("flock_braking", &flock_braking, Unlocked(), "points"_a, "velocities"_a, "min_distances"_a, "sight"_a,
-        "min_gap"_a, "period"_a, "max_tests"_a,
+  m.def("flock_braking", &flock_braking, Unlocked(), "points"_a, "velocities"_a, "min_distances"_a,
+        "sight"_a, "min_gap"_a, "period"_a, "max_tests"_a,
         R"(Braking accelerations of N members ahead of others ``(N, 3)`` [m/s²].
 
 The minimum distance of a pair is the mean of their ``min_distances`` ``(N,)`` [m], 0 for none. Within
@@ -33,9 +33,10 @@ weighted by proximity; the gap is at least ``min_gap`` times the distance. ``per
 Returns ``(accelerations, pairs)``: the number of tested pairs; if it exceeds ``max_tests``, the result
 is incomplete.)");
 
-  m.def("flock_separate", &flock_separate, Unlocked(), "points"_a, "min_distances"_a, "max_passes"_a, "relaxation"_a, "clearance"_a,
-        "period"_a, "max_tests"_a,
-        R"(Separate N members that are closer than the mean of their ``min_distances`` ``(N, 3)`` [m].
+  m.def(
+      "flock_separate", &flock_separate, Unlocked(), "points"_a, "min_distances"_a, "max_passes"_a,
+      "relaxation"_a, "clearance"_a, "period"_a, "max_tests"_a,
+      R"(Separate N members that are closer than the mean of their ``min_distances`` ``(N, 3)`` [m].
 
 Each of at most ``max_passes`` passes moves them by ``relaxation`` of the missing distance, plus ``clearance``
 times the minimum. ``period`` is as in `flock_accelerations`.
@@ -62,17 +63,18 @@ most ``max_passes`` passes, until the largest overlap is ``tolerance`` [m].
 Returns ``(points, velocities, overlap, pressed)``: target shoulder yaws, positive for others on
 the left and negative on the right, -1 to 1 ``(N,)``.)",
          Field{"points", &S::points}, Field{"velocities", &S::velocities},
-         Field{"preferred", &S::preferred}, Field{"radii", &S::radii}, Field{"max_speeds", &S::max_speeds},
-         Field{"yielding", &S::yielding}, Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth},
-         Field{"groups", &S::groups}, Field{"modes", &S::modes}, Field{"starts", &S::starts},
-         Field{"walls", &S::walls}, Field{"sight", &S::sight}, Field{"nearest", &S::nearest},
-         Field{"horizon", &S::horizon}, Field{"space", &S::space}, Field{"push", &S::push},
-         Field{"headway", &S::headway}, Field{"side", &S::side}, Field{"step", &S::step},
-         Field{"max_passes", &S::max_passes}, Field{"tolerance", &S::tolerance});
+         Field{"preferred", &S::preferred}, Field{"radii", &S::radii},
+         Field{"max_speeds", &S::max_speeds}, Field{"yielding", &S::yielding},
+         Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth}, Field{"groups", &S::groups},
+         Field{"modes", &S::modes}, Field{"starts", &S::starts}, Field{"walls", &S::walls},
+         Field{"sight", &S::sight}, Field{"nearest", &S::nearest}, Field{"horizon", &S::horizon},
+         Field{"space", &S::space}, Field{"push", &S::push}, Field{"headway", &S::headway},
+         Field{"side", &S::side}, Field{"step", &S::step}, Field{"max_passes", &S::max_passes},
+         Field{"tolerance", &S::tolerance});
 
-  m.def("travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a,
-        "starts"_a,
-        R"(Distances of grid nodes from seeds along free nodes ``(R, C)`` [m]; infinite if unreachable.
+  m.def(
+      "travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a, "starts"_a,
+      R"(Distances of grid nodes from seeds along free nodes ``(R, C)`` [m]; infinite if unreachable.
 
 ``seeds`` are node numbers, and ``starts`` their distances from the end of the path.)");
 }

@@ -1,7 +1,7 @@
 // Python bindings of curves.
+#include "curves/curves.h"
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
-#include "curves/curves.h"
 
 namespace animtool {
 

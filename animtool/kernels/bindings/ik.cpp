@@ -17,8 +17,8 @@ void bind_ik(nb::module_& m) {
   m.def("to_chain_targets", &to_chain_targets, Unlocked(), "targets"_a, "frames"_a, "length"_a,
         R"(Convert targets ``(B, E, W)`` to the units and frames of a chain, in place.
 
-Lengths are divided by ``length``, rotations brought to length 1, one without length to
-the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint.)");
+Lengths are divided by ``length``. Rotations are normalised, or the identity without length, and
+transformed to the frames of nodes: ``frames`` ``(E, 4)`` are node_from_joint.)");
 
   define(m, "solve_ik", &solve_ik,
          R"(Solve B inverse kinematics problems of one chain.
@@ -29,20 +29,20 @@ gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin tu
 its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 4)``: node, root and
 middle of its limb, or -1; level, of which 0 comes first. ``goal_numbers``
 ``(E, 9 + K)``: offset in two parts, of which the first is a bone of its limb, aim axis,
-weights of the kinds. ``targets`` ``(B, E, W)``, which misses are told of: as of
-``IK_GOAL_KINDS`` position, quaternion, point to aim at, pole, and what the weights are
-multiplied by; ``sought``, the same or nearer by. ``stretches`` ``(B, E)`` scale the bones
-on the way to a goal. Lengths are shares of the chain's. ``warm`` starts each problem where
-the one before it ended. ``method``: 0 damped least squares, 1 gradient descent, 2 Newton, 3
-CCD, 4 FABRIK, without slides; only the first heeds levels, the last two no rest.
+weights of the kinds. ``targets`` ``(B, E, W)``, to which errors refer, in the order of ``IK_GOAL_KINDS``:
+position, quaternion, point to aim at, pole, and factors of the weights; ``reachable`` are the
+same, or closer ones within reach. ``stretches`` ``(B, E)`` scale the bones of limbs. Lengths are
+fractions of the chain's. ``warm`` starts each problem at the previous solution. ``method``: 0
+damped least squares, 1 gradient descent, 2 Newton, 3 CCD, 4 FABRIK, without slides; only the
+first supports levels, the last two ignore the rest preference.
 
-Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
-``(B, E, K)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
-goals or the rest, 5 goals that contradict each other, 6 a method without headway),
-iterations and descents ``(B, 3)``; time of each ``(B,)``.)",
+Returns ``(coordinates, errors, reports, seconds)``: ``(B, Q)``; errors of goals ``(B, E, K)``;
+status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 softened for harder goals or the rest
+preference, 5 conflicting goals, 6 stalled), iterations and descents ``(B, 3)``; time of each
+problem ``(B,)``.)",
          Field{"nodes", &P::nodes}, Field{"numbers", &P::numbers}, Field{"goals", &P::goals},
          Field{"goal_numbers", &P::goal_numbers}, Field{"starts", &P::starts},
-         Field{"targets", &P::targets}, Field{"sought", &P::sought},
+         Field{"targets", &P::targets}, Field{"reachable", &P::reachable},
          Field{"stretches", &P::stretches}, Field{"rests", &P::rests},
          Field{"rest_weight", &P::rest_weight}, Field{"length_tolerance", &P::length_tolerance},
          Field{"angle_tolerance", &P::angle_tolerance}, Field{"damping", &P::damping},
@@ -50,15 +50,14 @@ iterations and descents ``(B, 3)``; time of each ``(B,)``.)",
          Field{"seed", &P::seed}, Field{"seconds", &P::seconds}, Field{"ordered", &P::ordered},
          Field{"warm", &P::warm}, Field{"method", &P::method});
 
-  m.def("extend_ik_limbs", &extend_ik_limbs, Unlocked(), "limbs"_a, "limb_numbers"_a,
-        "targets"_a,
+  m.def("extend_ik_limbs", &extend_ik_limbs, Unlocked(), "limbs"_a, "limb_numbers"_a, "targets"_a,
         R"(Return targets ``(B, E, W)`` within the limbs' extension, arrays as for `solve_ik`.
 
-``limbs`` ``(L,)`` are their goals; ``limb_numbers`` ``(L, 7)``: root, reach, growth of that
-with the bones, share of the reach over which it eases out, most that the bones grow by.
+``limbs`` ``(L,)`` are their goals; ``limb_numbers`` ``(L, 7)``: root, reach, growth of the reach
+with the bones, fraction of the reach over which it is softened, and largest stretch of the bones.
 
-Returns ``(sought, scales, eased)``: such targets; what the bones are multiplied by
-``(B, E)``; where ease alone keeps one from its target ``(B, E)``.)");
+Returns ``(reachable, scales, softened)``: these targets; scales of the bones ``(B, E)``; whether
+softening alone keeps a goal from its target ``(B, E)``.)");
 
   m.def("arm_kind", &arm_kind, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
         "rest_weight"_a,
@@ -71,85 +70,85 @@ Returns ``(sought, scales, eased)``: such targets; what the bones are multiplied
                                    R"(Solver of problems of one rig, arrays as for `solve_ik`.
 
 ``goal_frames`` ``(E, 4)`` and ``length`` are those of `to_chain_targets`. The chain's
-coordinates are ``columns`` ``(C,)`` of the rig's over ``scales``; those that turn all the way
-round stay in ``periods`` ``(C, 2)``; from ``balls`` ``(T,)`` on they are quaternions in
-``ball_frames``. ``mimics`` ``(M, 2)`` are columns and those of their leaders,
-``mimic_numbers`` gain and offset. ``limbs`` and ``limb_numbers`` as of `extend_ik_limbs`,
-``limb_joints``: a joint of one's bones, and its goal. The rest as of `coordinates_to_local`.
+coordinates are ``columns`` ``(C,)`` of the rig's over ``scales``; periodic ones stay in
+``periods`` ``(C, 2)``; from ``balls`` ``(T,)`` on they are quaternions in ``ball_frames``.
+``mimics`` ``(M, 2)`` are columns and those of their leaders, ``mimic_numbers`` gain and offset.
+``limbs`` and ``limb_numbers`` are those of `extend_ik_limbs`; ``limb_joints`` are joints of their
+bones, and the goals. The others are those of `coordinates_to_local`.
 ``closed``: 0 none, 1 a limb of two bones, 2 an arm of six pins.)");
   define_class(rig_solver, Field{"nodes", &R::nodes}, Field{"numbers", &R::numbers},
-              Field{"goals", &R::goals}, Field{"goal_numbers", &R::goal_numbers},
-              Field{"rest_weight", &R::rest_weight}, Field{"goal_frames", &R::goal_frames},
-              Field{"length", &R::length}, Field{"columns", &R::columns},
-              Field{"scales", &R::scales}, Field{"periods", &R::periods},
-              Field{"balls", &R::balls}, Field{"ball_frames", &R::ball_frames},
-              Field{"mimics", &R::mimics}, Field{"mimic_numbers", &R::mimic_numbers},
-              Field{"limbs", &R::limbs}, Field{"limb_numbers", &R::limb_numbers},
-              Field{"limb_joints", &R::limb_joints}, Field{"parents", &R::parents},
-              Field{"types", &R::types}, Field{"joint_columns", &R::joint_columns},
-              Field{"axes", &R::axes}, Field{"rest_translations", &R::rest_translations},
-              Field{"rest_rotations", &R::rest_rotations}, Field{"closed", &R::closed},
-              Field{"length_tolerance", &R::length_tolerance},
-              Field{"angle_tolerance", &R::angle_tolerance}, Field{"damping", &R::damping},
-              Field{"iterations", &R::iterations}, Field{"restarts", &R::restarts},
-              Field{"seed", &R::seed}, Field{"seconds", &R::seconds},
-              Field{"ordered", &R::ordered}, Field{"warm", &R::warm},
-              Field{"method", &R::method});
+               Field{"goals", &R::goals}, Field{"goal_numbers", &R::goal_numbers},
+               Field{"rest_weight", &R::rest_weight}, Field{"goal_frames", &R::goal_frames},
+               Field{"length", &R::length}, Field{"columns", &R::columns},
+               Field{"scales", &R::scales}, Field{"periods", &R::periods},
+               Field{"balls", &R::balls}, Field{"ball_frames", &R::ball_frames},
+               Field{"mimics", &R::mimics}, Field{"mimic_numbers", &R::mimic_numbers},
+               Field{"limbs", &R::limbs}, Field{"limb_numbers", &R::limb_numbers},
+               Field{"limb_joints", &R::limb_joints}, Field{"parents", &R::parents},
+               Field{"types", &R::types}, Field{"joint_columns", &R::joint_columns},
+               Field{"axes", &R::axes}, Field{"rest_translations", &R::rest_translations},
+               Field{"rest_rotations", &R::rest_rotations}, Field{"closed", &R::closed},
+               Field{"length_tolerance", &R::length_tolerance},
+               Field{"angle_tolerance", &R::angle_tolerance}, Field{"damping", &R::damping},
+               Field{"iterations", &R::iterations}, Field{"restarts", &R::restarts},
+               Field{"seed", &R::seed}, Field{"seconds", &R::seconds},
+               Field{"ordered", &R::ordered}, Field{"warm", &R::warm}, Field{"method", &R::method});
   rig_solver
-      .def("solve", &RigSolver::solve, Unlocked(), "starts"_a, "targets"_a,
-           "preferred"_a.none(), "placed"_a,
+      .def("solve", &RigSolver::solve, Unlocked(), "starts"_a, "targets"_a, "preferred"_a.none(),
+           "placed"_a,
            R"(Solve problems from poses ``(B, Q)`` and targets in the world ``(B, E, W)``.
 
 ``preferred`` ``(B, Q)``; None is the starts.
 
-Returns ``(coordinates, misses, reports, seconds, reached, scales, positions, linear)``, the
-first four as of `solve_ik` in the rig's terms; which goals are reached ``(B, E)``; what bones
-are multiplied by ``(B, E)``; if ``placed`` where the joints are ``(B, J, 3)``, with linear
-parts ``(B, J, 3, 3)``, else none.)")
-      .def("branches", &RigSolver::branches, Unlocked(), "start"_a, "targets"_a,
-           R"(Return all poses of an arm ``(N, Q)`` that reach targets ``(E, W)``, nearest first.)");
+Returns ``(coordinates, errors, reports, seconds, reached, scales, positions, linear)``: the first
+four are those of `solve_ik`, in the rig's units; whether goals are reached ``(B, E)``; scales of
+the bones ``(B, E)``; if ``placed``, world positions ``(B, J, 3)`` and linear parts of the joints
+``(B, J, 3, 3)``, else empty.)")
+      .def(
+          "branches", &RigSolver::branches, Unlocked(), "start"_a, "targets"_a,
+          R"(Return all poses of an arm ``(N, Q)`` that reach targets ``(E, W)``, nearest first.)");
 
   m.def("linearize_ik", &linearize_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a,
         "goal_numbers"_a, "starts"_a, "targets"_a, "steps"_a,
         R"(Return costs after steps ``(B, D)``, arrays as for `solve_ik`.
 
-Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; what is missing,
-weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
-squared residual there, times the step ``(B, D)``.)");
+Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; weighted residuals
+``(B, M)``; minus their derivatives ``(B, M, D)``; and the Hessian of half the squared residual,
+times the step ``(B, D)``.)");
 
   define(m, "smooth_ik", &smooth_ik,
          R"(Smooth a path ``(F, Q)`` of one chain, arrays as for `solve_ik`.
 
-Frames from ``first`` to ``end`` move, in at most ``rounds`` steps of all at once, so that
-``anchor |q - path|^2 + speed |v|^2 + acceleration |a|^2`` summed over the frames goes
-down: v is the motion to the next frame less ``drifts`` ``(F - 1, D)``, a its change.
-Goals that are reached stay so; where one is missed, all stay where the frame has them.
+Frames from ``first`` to ``end`` move, in at most ``rounds`` Gauss-Newton iterations over all of
+them, which reduce the sum of ``anchor |q - path|^2 + speed |v|^2 + acceleration |a|^2``: v is the
+motion to the next frame less ``drifts`` ``(F - 1, D)``, a its change. Reached goals stay reached;
+in a frame that misses one, all goals keep their current values.
 
-Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, K)``, steps
-taken, and half the sum before and after them.)",
+Returns ``(coordinates, errors, rounds, before, after)``: ``(F, Q)``, ``(F, E, K)``, iterations,
+and half the sum before and after.)",
          Field{"nodes", &S::nodes}, Field{"numbers", &S::numbers}, Field{"goals", &S::goals},
          Field{"goal_numbers", &S::goal_numbers}, Field{"path", &S::path},
-         Field{"targets", &S::targets}, Field{"sought", &S::sought},
+         Field{"targets", &S::targets}, Field{"reachable", &S::reachable},
          Field{"stretches", &S::stretches}, Field{"drifts", &S::drifts},
          Field{"anchor", &S::anchor}, Field{"speed", &S::speed},
-         Field{"acceleration", &S::acceleration}, Field{"first", &S::first},
-         Field{"end", &S::end}, Field{"length_tolerance", &S::length_tolerance},
+         Field{"acceleration", &S::acceleration}, Field{"first", &S::first}, Field{"end", &S::end},
+         Field{"length_tolerance", &S::length_tolerance},
          Field{"angle_tolerance", &S::angle_tolerance}, Field{"damping", &S::damping},
          Field{"rounds", &S::rounds});
 
   define(m, "fit_ik", &fit_ik,
          R"(Fit a path ``(F, Q)`` of one chain to weighted goals, arrays as for `solve_ik`.
 
-Frames from ``first`` to ``end`` move. If ``tracked``, each is first looked for from where
-those before it lead to, which draws it with ``rest_weight``; joints without a goal go the
-share ``homing`` of the way to their rest. Where too little fits, it is looked for from
-``starts`` ``(F, Q)``; goals whose positions were mixed up exchange them. Then, in at most ``rounds`` steps of all at once, the sum over the frames of
-``r^2 / (1 + r^2 / robust^2)`` of each goal's weighted miss r and of
-``anchor |q - tracked|^2 + speed |v|^2 + acceleration |a|^2`` is brought down.
+Frames from ``first`` to ``end`` move. If ``tracked``, each is first solved from the pose that the
+previous frames predict, which attracts it with ``rest_weight``; joints without a goal return by
+the fraction ``homing`` towards their rest. If few goals fit, a frame is solved from ``starts``
+``(F, Q)``; goals with swapped positions exchange them. Then at most ``rounds`` Gauss-Newton
+iterations over all frames reduce the sum of ``r^2 / (1 + r^2 / robust^2)`` of the weighted error r
+of each goal and of ``anchor |q - tracked|^2 + speed |v|^2 + acceleration |a|^2``.
 
-Returns ``(coordinates, misses, searched, taken, rounds, before, after)``: ``(F, Q)``;
-``(F, E, K)``; which frames begin at a start of their own ``(F,)``; whose target each goal has
-``(F, E)``, -1 for none; steps taken, and half the sum before and after them.)",
+Returns ``(coordinates, errors, searched, taken, rounds, before, after)``: ``(F, Q)``;
+``(F, E, K)``; whether a frame was solved from its own start ``(F,)``; the target of each goal
+``(F, E)``, -1 for none; iterations, and half the sum before and after.)",
          Field{"nodes", &F::nodes}, Field{"numbers", &F::numbers}, Field{"goals", &F::goals},
          Field{"goal_numbers", &F::goal_numbers}, Field{"path", &F::path},
          Field{"targets", &F::targets}, Field{"starts", &F::starts}, Field{"anchor", &F::anchor},

@@ -1,13 +1,13 @@
 // Python bindings of kinematics.
+#include "kinematics/kinematics.h"
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
-#include "kinematics/kinematics.h"
 
 namespace animtool {
 
 void bind_kinematics(nb::module_& m) {
-  m.def("euler_to_quaternion", &euler_to_quaternion, Unlocked(), "values"_a, "columns"_a,
-        "axes"_a, "previous"_a,
+  m.def("euler_to_quaternion", &euler_to_quaternion, Unlocked(), "values"_a, "columns"_a, "axes"_a,
+        "previous"_a,
         R"(Convert Euler angles in degrees to quaternions ``(F, R, 4)``, x y z w.
 
 Rotation r multiplies turns about ``axes[r]`` (0 X, 1 Y, 2 Z) left to right by
@@ -20,8 +20,8 @@ the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
 ``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
 takes the one nearest to the frame before; the first, the one nearest to zero.)");
 
-  m.def("coordinates_to_local", &coordinates_to_local, Unlocked(), "types"_a, "columns"_a,
-        "axes"_a, "rest_translations"_a, "rest_rotations"_a, "coordinates"_a,
+  m.def("coordinates_to_local", &coordinates_to_local, Unlocked(), "types"_a, "columns"_a, "axes"_a,
+        "rest_translations"_a, "rest_rotations"_a, "coordinates"_a,
         R"(Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of coordinates ``(F, Q)``.
 
 ``types`` ``(J,)``: 0 fixed, 1 pin, 2 prismatic, 3 ball, 4 free; ``columns`` ``(J,)``: the
@@ -40,8 +40,12 @@ first coordinate of each. Quaternions are brought to length 1.)");
                             Values t_values, Rest r_rest, Moving r_moving, Values r_values,
                             std::optional<std::tuple<Rest, Moving, Values>> scales,
                             Filled<double, 3> positions, Filled<double, 4> linear) {
-    MotionArrays arrays{parents, {t_rest, t_moving, t_values}, {r_rest, r_moving, r_values},
-                       std::nullopt, positions, linear};
+    MotionArrays arrays{parents,
+                        {t_rest, t_moving, t_values},
+                        {r_rest, r_moving, r_values},
+                        std::nullopt,
+                        positions,
+                        linear};
     if (scales) {
       const auto& [rest, moving, values] = *scales;
       arrays.scales = MotionChannel{rest, moving, values};
@@ -64,8 +68,8 @@ first coordinate of each. Quaternions are brought to length 1.)");
 Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
 world position in float64 and in the values written, and where it is.)");
 
-  m.def("point_errors", &point_errors, Unlocked(), "points"_a, "true_positions"_a,
-        "true_linear"_a, "positions"_a, "linear"_a,
+  m.def("point_errors", &point_errors, Unlocked(), "points"_a, "true_positions"_a, "true_linear"_a,
+        "positions"_a, "linear"_a,
         R"(Return the largest displacement ``(F, J)`` of the points of each joint.
 
 Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear

@@ -1,7 +1,7 @@
 // Python bindings of particles.
+#include "particles/particles.h"
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
-#include "particles/particles.h"
 
 namespace animtool {
 
@@ -19,7 +19,8 @@ Returns ``(accelerations, potentials, rates)``: ``(N, 3)`` [m/s²], ``(N,)`` [m�
 largest ``constant * (masses[i] + masses[j]) / (d² + softening²)^1.5`` of each body with
 another ``(N,)`` [1/s²], with a tree only among near ones.)");
 
-  m.def("molecule_pairs", &molecule_pairs, Unlocked(), "points"_a, "box"_a, "reach"_a, "max_pairs"_a,
+  m.def("molecule_pairs", &molecule_pairs, Unlocked(), "points"_a, "box"_a, "reach"_a,
+        "max_pairs"_a,
         R"(Neighbour list of N molecules within a reach, in a periodic box.
 
 Points are finite, anywhere; no side of ``box`` ``(3,)`` is below twice the reach.

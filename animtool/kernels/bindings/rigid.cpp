@@ -24,14 +24,13 @@ ball's its rotation; its stiffness, damping, and largest force or torque (negati
 Bodies of a joint do not collide, nor do the pairs ``excluded`` ``(P, 2)``.)")
       .def(nb::init<In<double, 2>, In<std::int64_t, 1>, In<double, 2>, In<double, 2>,
                     In<std::int64_t, 1>, In<std::int64_t, 1>, In<std::int64_t, 1>,
-                    In<std::int64_t, 1>, In<std::int64_t, 2>, In<double, 2>,
-                    In<std::int64_t, 2>>(),
+                    In<std::int64_t, 1>, In<std::int64_t, 2>, In<double, 2>, In<std::int64_t, 2>>(),
            "inertias"_a, "bodies"_a, "numbers"_a, "points"_a, "point_starts"_a, "face_starts"_a,
            "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a, "excluded"_a);
 
   m.def("step_rigid", &step_rigid, Unlocked(), "bodies"_a, "state"_a, "pairs"_a, "contacts"_a,
-        "joint_impulses"_a, "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a, "substeps"_a,
-        "max_iterations"_a, "tolerance"_a, "sleep_speed"_a, "sleep_time"_a,
+        "joint_impulses"_a, "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a,
+        "substeps"_a, "max_iterations"_a, "tolerance"_a, "sleep_speed"_a, "sleep_time"_a,
         R"(Take a step of rigid bodies, in substeps.
 
 ``state`` ``(N, 14)``: centre of mass, quaternion x y z w, velocity, angular momentum, and the time

@@ -1,7 +1,7 @@
 // Python bindings of skin.
+#include "skin/skin.h"
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
-#include "skin/skin.h"
 
 namespace animtool {
 

@@ -18,18 +18,17 @@ Inverse masses ``(N,)`` are 0 for pinned particles; ``drags`` ``(N,)`` are [1/s]
 of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times of ``knots``
 ``(K,)``: positions of ``pinned`` particles ``(K or 1, P, 3)``; target points of
 ``anchors`` ``(K or 1, A, 3)``; the wind ``(K or 1, 1, 3)``.)");
-  define_class(network,
-         Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
-         Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
-         Field{"damping", &A::damping}, Field{"limit", &A::limit},
-         Field{"triangles", &A::triangles}, Field{"gravity", &A::gravity},
-         Field{"air_drag", &A::air_drag}, Field{"air_lift", &A::air_lift},
-         Field{"knots", &A::knots}, Field{"pinned", &A::pinned}, Field{"pinned_path", &A::pinned_path},
-         Field{"anchors", &A::anchors}, Field{"anchor_stiffness", &A::anchor_stiffness},
-         Field{"anchor_damping", &A::anchor_damping}, Field{"anchor_path", &A::anchor_path},
-         Field{"winds", &A::winds});
+  define_class(
+      network, Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
+      Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
+      Field{"damping", &A::damping}, Field{"limit", &A::limit}, Field{"triangles", &A::triangles},
+      Field{"gravity", &A::gravity}, Field{"air_drag", &A::air_drag},
+      Field{"air_lift", &A::air_lift}, Field{"knots", &A::knots}, Field{"pinned", &A::pinned},
+      Field{"pinned_path", &A::pinned_path}, Field{"anchors", &A::anchors},
+      Field{"anchor_stiffness", &A::anchor_stiffness}, Field{"anchor_damping", &A::anchor_damping},
+      Field{"anchor_path", &A::anchor_path}, Field{"winds", &A::winds});
   network.def("set_paths", &SpringNetwork::set_paths, "pinned_path"_a, "anchor_path"_a,
-           "Replace the paths of pinned particles and anchors over the same knots.");
+              "Replace the paths of pinned particles and anchors over the same knots.");
 
   nb::class_<SpringLayers>(m, "SpringLayers",
                            R"(Self-contact of a spring surface.
@@ -37,8 +36,8 @@ of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times o
 Particles keep the ``thickness`` from triangles, and edges three quarters of it from edges, or
 less: their distance at ``rest`` ``(N, 3)``, and two thirds of that along the surface. With
 Coulomb's coefficient of ``friction``, and the ``speed`` of separating closer parts.)")
-      .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(),
-           "network"_a, "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
+      .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(), "network"_a,
+           "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
       .def("distance", &SpringLayers::checked_distance, "triangle"_a, "particle"_a,
            R"(Return the distance that a particle keeps; 0 for its triangles.)")
       .def("edge_distance", &SpringLayers::checked_edge_distance, "first"_a, "second"_a,
@@ -46,8 +45,8 @@ Coulomb's coefficient of ``friction``, and the ``speed`` of separating closer pa
 
 Edges are pairs of particles, the lower first, in order.)");
 
-  m.def("part_springs", &part_springs, Unlocked(), "network"_a, "layers"_a, "before"_a,
-        "after"_a, "h"_a,
+  m.def("part_springs", &part_springs, Unlocked(), "network"_a, "layers"_a, "before"_a, "after"_a,
+        "h"_a,
         R"(Resolve self-contact in a step of h.
 
 From positions ``(N, 3)``; returns the state ``(2, N, 3)``. No contact history is used.)");
@@ -94,8 +93,9 @@ Returns ``(state, torn, unresolved, impulses)``: particles left inside colliders
 impulses on colliders.)");
 
   m.def("project_springs", &project_springs, Unlocked(), "network"_a, "state"_a, "torn"_a,
-        "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "min_substeps"_a, "max_substeps"_a,
-        "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a, "limit"_a = 0.0,
+        "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "min_substeps"_a,
+        "max_substeps"_a, "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a,
+        "limit"_a = 0.0,
         R"(Take steps of extended position based dynamics, each spring once per step, in order.
 
 Cells are those of `step_springs`. If a spring is strained beyond ``stretch`` and its compliance
@@ -141,8 +141,8 @@ with segments too. The number of ``threads`` does not change the result.
 Returns ``(state, touched, unresolved, stretch)``: most particles in contact in a step;
 particles left inside at the end; the largest strain along strands at the end.)");
 
-  m.def("solve_springs", &solve_springs, Unlocked(), "network"_a, "state"_a, "before"_a.none(), "torn"_a,
-        "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
+  m.def("solve_springs", &solve_springs, Unlocked(), "network"_a, "state"_a, "before"_a.none(),
+        "torn"_a, "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
         "tolerance"_a, "colliders"_a.none(), "pulls"_a.none() = nb::none(),
         R"(Take implicit steps: of Euler, or backward differences of ``two_steps``.
 

@@ -17,12 +17,12 @@ BvhRows parse_bvh_rows(Text text, std::size_t columns, std::size_t limit, bool f
 Bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
 
 // weights, poses, residuals, shares, rounds, change
-using FittedFace = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 2>, Out<double, 2>, int,
-                              double>;
+using FittedFace =
+    std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 2>, Out<double, 2>, int, double>;
 FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
-                    std::optional<In<double, 1>> camera, In<double, 2> poses,
-                    In<double, 2> weights, double threshold, double smooth, double rest,
-                    double enough, int rounds, bool warm);
+                    std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
+                    double threshold, double smooth, double rest, double enough, int rounds,
+                    bool warm);
 
 // points, numbers, tallies, residuals, states
 using Triangulated =

@@ -39,12 +39,11 @@ void rotate(double* q, const double* v) {
   const double angle = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]), half = angle / 2;
   const double s = half < 1e-4 ? 0.5 - half * half / 12 : std::sin(half) / angle;
   const double x = s * v[0], y = s * v[1], z = s * v[2], w = std::cos(half);
-  double product[4] = {q[3] * x + q[0] * w + q[1] * z - q[2] * y,
-                    q[3] * y - q[0] * z + q[1] * w + q[2] * x,
-                    q[3] * z + q[0] * y - q[1] * x + q[2] * w,
-                    q[3] * w - q[0] * x - q[1] * y - q[2] * z};
-  const double size = std::sqrt(product[0] * product[0] + product[1] * product[1] + product[2] * product[2] +
-                                product[3] * product[3]);
+  double product[4] = {
+      q[3] * x + q[0] * w + q[1] * z - q[2] * y, q[3] * y - q[0] * z + q[1] * w + q[2] * x,
+      q[3] * z + q[0] * y - q[1] * x + q[2] * w, q[3] * w - q[0] * x - q[1] * y - q[2] * z};
+  const double size = std::sqrt(product[0] * product[0] + product[1] * product[1] +
+                                product[2] * product[2] + product[3] * product[3]);
   for (int i = 0; i < 4; ++i) q[i] = product[i] / size;
 }
 
@@ -52,8 +51,7 @@ void rotate(double* q, const double* v) {
 // zero. `column` has n.
 void factor(double* a, std::size_t n, std::size_t stride, double floor, double* column) {
   using namespace cholesky;
-  cholesky::factor<Roots, Small::IGNORE>(a, n, stride, column,
-                                                     [&](std::size_t) { return floor; });
+  cholesky::factor<Roots, Small::IGNORE>(a, n, stride, column, [&](std::size_t) { return floor; });
 }
 
 void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x,
@@ -64,13 +62,22 @@ void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x
 // Cost of a frame's weights: half of w' H w - g' w, 0 to 1.
 struct Quadratics {
   std::size_t frames, shapes;
-  double smooth;              // of the squares of differences
-  std::vector<double> h, g;   // (F, S, S), (F, S)
+  double smooth;             // of the squares of differences
+  std::vector<double> h, g;  // (F, S, S), (F, S)
   std::vector<double> low, top;
 
   Quadratics(std::size_t f, std::size_t s, double smoothing)
-      : frames(f), shapes(s), smooth(smoothing), h(f * s * s), g(f * s), factors_(f * s * s),
-        step_(f * s), free_(f * s), counts_(f), kept_(f * s), columns_(s * s) {}
+      : frames(f),
+        shapes(s),
+        smooth(smoothing),
+        h(f * s * s),
+        g(f * s),
+        factors_(f * s * s),
+        step_(f * s),
+        free_(f * s),
+        counts_(f),
+        kept_(f * s),
+        columns_(s * s) {}
 
   double neighbours(std::size_t f) const {
     return smooth * static_cast<double>((f > 0) + (f + 1 < frames));
@@ -159,7 +166,8 @@ struct Quadratics {
       counts_[f] = n;
       double trace = 0;
       for (std::size_t i = 0; i < n; ++i) {
-        for (std::size_t j = 0; j <= i; ++j) l[i * shapes + j] = hf[unbound[i] * shapes + unbound[j]];
+        for (std::size_t j = 0; j <= i; ++j)
+          l[i * shapes + j] = hf[unbound[i] * shapes + unbound[j]];
         l[i * shapes + i] += neighbours(f);
         trace = std::max(trace, l[i * shapes + i]);
         right[i] = -slopes[unbound[i]];
@@ -203,7 +211,8 @@ struct Quadratics {
       double* x = kept_.data() + f * shapes;
       if (f + 1 < frames && smooth > 0) {
         std::fill(right.begin(), right.end(), 0.0);
-        for (std::size_t i = 0; i < n; ++i) right[i] = smooth * step_[(f + 1) * shapes + unbound[i]];
+        for (std::size_t i = 0; i < n; ++i)
+          right[i] = smooth * step_[(f + 1) * shapes + unbound[i]];
         solve_forward(l, n, shapes, right.data());
         for (std::size_t i = 0; i < n; ++i) x[i] += right[i];
       }
@@ -270,10 +279,10 @@ struct Quadratics {
 
 struct Face {
   std::size_t landmarks, shapes;
-  const double *neutral, *deltas;  // (N, 3), (S, N, 3)
-  const double* camera;            // fx, fy, cx, cy; null for landmarks in three dimensions
-  std::vector<double> deltas_of_rows;         // (N, 3, S): of a landmark its three rows
-  std::vector<double> gram;       // (S, S): the sum of all, for weights of one
+  const double *neutral, *deltas;      // (N, 3), (S, N, 3)
+  const double* camera;                // fx, fy, cx, cy; null for landmarks in three dimensions
+  std::vector<double> deltas_of_rows;  // (N, 3, S): of a landmark its three rows
+  std::vector<double> gram;            // (S, S): the sum of all, for weights of one
 
   void prepare() {
     deltas_of_rows.resize(landmarks * 3 * shapes);
@@ -281,7 +290,8 @@ struct Face {
       for (std::size_t i = 0; i < 3 * landmarks; ++i)
         deltas_of_rows[i * shapes + s] = deltas[s * 3 * landmarks + i];
     gram.assign(shapes * shapes, 0.0);
-    for (std::size_t i = 0; i < 3 * landmarks; ++i) add(gram.data(), 1, &deltas_of_rows[i * shapes], &deltas_of_rows[i * shapes]);
+    for (std::size_t i = 0; i < 3 * landmarks; ++i)
+      add(gram.data(), 1, &deltas_of_rows[i * shapes], &deltas_of_rows[i * shapes]);
   }
 
   void add(double* h, double by, const double* a, const double* b) const {
@@ -310,8 +320,8 @@ class LinearizedFrame {
       : face_(face), points_(3 * face.landmarks), cross_(face.shapes * POSE) {}
 
   // Residuals (N,) and robust weights of observed landmarks; returns the loss.
-  double residuals(const double* observed, const double* w, const double* pose,
-                   double threshold, double power, double* length, double* weight) {
+  double residuals(const double* observed, const double* w, const double* pose, double threshold,
+                   double power, double* length, double* weight) {
     face_.deformed(w, points_.data());
     const Mat3 r = matrix(pose);
     const std::size_t width = face_.camera ? 2 : 3;
@@ -333,8 +343,8 @@ class LinearizedFrame {
   }
 
   // The quadratic of the weights, the pose eliminated.
-  void linearize(const double* observed, const double* w, const double* pose,
-                 const double* weight, double* h, double* g) {
+  void linearize(const double* observed, const double* w, const double* pose, const double* weight,
+                 double* h, double* g) {
     const std::size_t shapes = face_.shapes, landmarks = face_.landmarks;
     const Mat3 r = matrix(pose);
     face_.deformed(w, points_.data());
@@ -436,8 +446,8 @@ class LinearizedFrame {
   }
 
   // Residual of an observation, and its derivatives along the face's axes (2, 3).
-  bool residual_of(const double* pixel, const double* p, const Mat3& r, const double* t, double* residual,
-              double* slopes = nullptr) const {
+  bool residual_of(const double* pixel, const double* p, const Mat3& r, const double* t,
+                   double* residual, double* slopes = nullptr) const {
     double x[3];
     for (int i = 0; i < 3; ++i)
       x[i] = r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i];
@@ -457,12 +467,16 @@ class LinearizedFrame {
   }
 
   // One row: the residual along a direction of the face's frame.
-  void row(double by, double z, const double* axis, const double* p, const double* rows,
-           double* h, double* g) {
+  void row(double by, double z, const double* axis, const double* p, const double* rows, double* h,
+           double* g) {
     const std::size_t shapes = face_.shapes;
     // axis · (rotate × p) = rotate · (p × axis)
-    const double pose[POSE] = {p[1] * axis[2] - p[2] * axis[1], p[2] * axis[0] - p[0] * axis[2],
-                               p[0] * axis[1] - p[1] * axis[0], axis[0], axis[1], axis[2]};
+    const double pose[POSE] = {p[1] * axis[2] - p[2] * axis[1],
+                               p[2] * axis[0] - p[0] * axis[2],
+                               p[0] * axis[1] - p[1] * axis[0],
+                               axis[0],
+                               axis[1],
+                               axis[2]};
     line_.resize(shapes);
     for (std::size_t s = 0; s < shapes; ++s)
       line_[s] = axis[0] * rows[s] + axis[1] * rows[shapes + s] + axis[2] * rows[2 * shapes + s];
@@ -485,9 +499,9 @@ class LinearizedFrame {
 }  // namespace
 
 FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
-                    std::optional<In<double, 1>> camera, In<double, 2> poses,
-                    In<double, 2> weights, double threshold, double smooth, double rest,
-                    double tolerance, int max_iterations, bool warm) {
+                    std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
+                    double threshold, double smooth, double rest, double tolerance,
+                    int max_iterations, bool warm) {
   const std::size_t landmarks = neutral.shape(1), shapes = deltas.shape(0),
                     frames = observed.shape(0);
   const std::size_t width = camera ? 2 : 3;
@@ -513,17 +527,19 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }
-  Out<double, 2> result(frames, shapes), fitted_poses(frames, 7), lengths(frames, landmarks), robust_weights(frames, landmarks);
+  Out<double, 2> result(frames, shapes), fitted_poses(frames, 7), lengths(frames, landmarks),
+      robust_weights(frames, landmarks);
   int iteration = 0;
   double change = 0;
-  Face face{landmarks, shapes, neutral.data(), deltas.data(),
-            camera ? camera->data() : nullptr, {}, {}};
+  Face face{landmarks, shapes, neutral.data(), deltas.data(), camera ? camera->data() : nullptr,
+            {},        {}};
   face.prepare();
   LinearizedFrame linear(face);
   Quadratics problem(frames, shapes, smooth);
   std::copy(weights.data(), weights.data() + frames * shapes, result.get());
   std::copy(poses.data(), poses.data() + frames * 7, fitted_poses.get());
-  std::vector<double> before(frames * shapes), stored(frames * LinearizedFrame::stored_size(shapes));
+  std::vector<double> before(frames * shapes),
+      stored(frames * LinearizedFrame::stored_size(shapes));
   double* w = result.get();
   for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
   const std::size_t each = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
@@ -562,8 +578,9 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
     }
   }
   for (std::size_t f = 0; f < frames; ++f) update_residuals(f, threshold, 2);
-  return {std::move(result), std::move(fitted_poses), std::move(lengths), std::move(robust_weights), iteration,
-          change};
+  return {std::move(result),  std::move(fitted_poses),
+          std::move(lengths), std::move(robust_weights),
+          iteration,          change};
 }
 
 }  // namespace animtool

@@ -37,8 +37,7 @@ inline bool is_not_finite(const char* p, const char* end) {
   if (p != end && (*p == '-' || *p == '+')) ++p;
   if (end - p >= 3 && p[0] == '1' && p[1] == '.' && p[2] == '#') return true;
   return equals_ignoring_case(p, end, "nan") || equals_ignoring_case(p, end, "inf") ||
-         equals_ignoring_case(p, end, "infinity") ||
-         equals_ignoring_case(p, end, "nan(ind)") ||
+         equals_ignoring_case(p, end, "infinity") || equals_ignoring_case(p, end, "nan(ind)") ||
          equals_ignoring_case(p, end, "nan(snan)");
 }
 
@@ -89,8 +88,8 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
     value = negative ? -0.0 : 0.0;
     return NumberKind::finite;
   }
-  value = negative ? -std::numeric_limits<double>::infinity()
-                   : std::numeric_limits<double>::infinity();
+  value =
+      negative ? -std::numeric_limits<double>::infinity() : std::numeric_limits<double>::infinity();
   return NumberKind::overflow;
 }
 

@@ -114,9 +114,12 @@ struct Camera {
   Distorted distort(double x, double y) const {
     const auto [k1, k2, p1, p2, k3, k4, k5, k6] = k;
     const double s = x * x + y * y;
-    const double numerator = 1 + s * (k1 + s * (k2 + s * k3)), denominator = 1 + s * (k4 + s * (k5 + s * k6));
-    const double numerator_s = k1 + s * (2 * k2 + 3 * s * k3), denominator_s = k4 + s * (2 * k5 + 3 * s * k6);
-    const double g = numerator / denominator, g_s = 2 * (numerator_s - g * denominator_s) / denominator;
+    const double numerator = 1 + s * (k1 + s * (k2 + s * k3)),
+                 denominator = 1 + s * (k4 + s * (k5 + s * k6));
+    const double numerator_s = k1 + s * (2 * k2 + 3 * s * k3),
+                 denominator_s = k4 + s * (2 * k5 + 3 * s * k6);
+    const double g = numerator / denominator,
+                 g_s = 2 * (numerator_s - g * denominator_s) / denominator;
     return {x * g + 2 * p1 * x * y + p2 * (s + 2 * x * x),
             y * g + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
             g + x * x * g_s + 2 * p1 * y + 6 * p2 * x,
@@ -155,7 +158,7 @@ struct CameraView {
   double u, v, x, y;  // pixel; direction
   double weight;      // information of each axis [1/px^2]
   bool used;
-  double ru, rv;          // residual [px]
+  double ru, rv;                  // residual [px]
   double au, bu, cu, av, bv, cv;  // its slopes by the point
   double depth;
 
@@ -168,10 +171,8 @@ struct CameraView {
     const double i = 1 / z;
     const double a = (r[0] * p.x + r[1] * p.y + r[2] * p.z + t[0]) * i;
     const double b = (r[3] * p.x + r[4] * p.y + r[5] * p.z + t[1]) * i;
-    const double ax = (r[0] - a * r[6]) * i, ay = (r[1] - a * r[7]) * i,
-                 az = (r[2] - a * r[8]) * i;
-    const double bx = (r[3] - b * r[6]) * i, by = (r[4] - b * r[7]) * i,
-                 bz = (r[5] - b * r[8]) * i;
+    const double ax = (r[0] - a * r[6]) * i, ay = (r[1] - a * r[7]) * i, az = (r[2] - a * r[8]) * i;
+    const double bx = (r[3] - b * r[6]) * i, by = (r[4] - b * r[7]) * i, bz = (r[5] - b * r[8]) * i;
     const double fx = camera->fx, fy = camera->fy, skew = camera->skew;
     depth = z;
     if (camera->plain) {
@@ -180,8 +181,8 @@ struct CameraView {
       av = fy * bx, bv = fy * by, cv = fy * bz;
     } else {
       const Distorted l = camera->distort(a, b);
-      const double p0 = fx * l.xx + skew * l.yx, p1 = fx * l.xy + skew * l.yy,
-                   q0 = fy * l.yx, q1 = fy * l.yy;
+      const double p0 = fx * l.xx + skew * l.yx, p1 = fx * l.xy + skew * l.yy, q0 = fy * l.yx,
+                   q1 = fy * l.yy;
       ru = fx * l.x + skew * l.y + camera->cx - u, rv = fy * l.y + camera->cy - v;
       au = p0 * ax + p1 * bx, bu = p0 * ay + p1 * by, cu = p0 * az + p1 * bz;
       av = q0 * ax + q1 * bx, bv = q0 * ay + q1 * by, cv = q0 * az + q1 * bz;
@@ -204,9 +205,7 @@ struct Solution {
   bool converged = false;
 };
 
-bool finite(const Vec& p) {
-  return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
-}
+bool finite(const Vec& p) { return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z); }
 
 // A point and the cameras that observe it.
 class Point {
@@ -269,7 +268,8 @@ class Point {
   double studentised(const CameraView& s, const Solution& solution) const {
     if (!s.used) return s.squared();
     const double w = s.weight;
-    const Vec u = solution.factor.half(s.au, s.bu, s.cu), v = solution.factor.half(s.av, s.bv, s.cv);
+    const Vec u = solution.factor.half(s.au, s.bu, s.cu),
+              v = solution.factor.half(s.av, s.bv, s.cv);
     const double a = 1 - w * (u.x * u.x + u.y * u.y + u.z * u.z),
                  b = -w * (u.x * v.x + u.y * v.y + u.z * v.z),
                  c = 1 - w * (v.x * v.x + v.y * v.y + v.z * v.z);
@@ -337,8 +337,10 @@ class Point {
     agree = 0;
     for (std::size_t i = 0; i < count; ++i) {
       const double at = views[i].project(p) ? views[i].squared() : gate;
-      if (at < gate) sum += at, ++agree;
-      else sum += gate;
+      if (at < gate)
+        sum += at, ++agree;
+      else
+        sum += gate;
     }
     return sum;
   }
@@ -401,7 +403,7 @@ class Point {
         if (!pair(i, j, p)) continue;
         for (std::size_t k = 0; k < count; ++k)
           at[k] = views[k].project(p) ? views[k].ru * views[k].ru + views[k].rv * views[k].rv
-                                  : std::numeric_limits<double>::max();
+                                      : std::numeric_limits<double>::max();
         const auto middle = at.begin() + static_cast<std::ptrdiff_t>(count / 2);
         std::nth_element(at.begin(), middle, at.end());
         if (!(*middle >= best)) best = *middle;
@@ -455,17 +457,14 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
   for (std::size_t f = 0; f < F; ++f)
     for (std::size_t m = 0; m < M; ++m) {
       double* const sums = tallies.get() + f * C * TALLIES;
-      const auto pixel = [&](std::size_t c) {
-        return pixels.data() + 2 * ((f * C + c) * M + m);
-      };
+      const auto pixel = [&](std::size_t c) { return pixels.data() + 2 * ((f * C + c) * M + m); };
       point.count = 0;
       std::size_t visible = 0;
       for (std::size_t c = 0; c < C; ++c) {
         const double u = pixel(c)[0], v = pixel(c)[1];
         const double confidence = trust ? trust[(f * C + c) * M + m] : 1;
         state[c] = UNSEEN;
-        if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 &&
-              std::isfinite(confidence)))
+        if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 && std::isfinite(confidence)))
           continue;
         CameraView& s = point.views[point.count];
         sums[c * TALLIES] += 1, sums[c * TALLIES + 7] += views[c].outside(u, v);
@@ -493,7 +492,8 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
       double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
       to[0] = solution.point.x, to[1] = solution.point.y, to[2] = solution.point.z;
       more[0] = more[1] = more[2] = NAN_VALUE;
-      more[3] = solution.converged ? static_cast<double>(used) : 0, more[4] = static_cast<double>(visible);
+      more[3] = solution.converged ? static_cast<double>(used) : 0,
+      more[4] = static_cast<double>(visible);
       if (solution.converged) {
         double pixel_squares = 0, squares = 0;
         const auto judge = [&](CameraView& s, bool known, std::uint8_t as) {
@@ -527,8 +527,7 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
         more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
         more[2] = std::sqrt(trace);
       }
-      for (std::size_t c = 0; detailed && c < C; ++c)
-        states.get()[(f * C + c) * M + m] = state[c];
+      for (std::size_t c = 0; detailed && c < C; ++c) states.get()[(f * C + c) * M + m] = state[c];
     }
   return {std::move(points), std::move(numbers), std::move(tallies), std::move(residuals),
           std::move(states)};

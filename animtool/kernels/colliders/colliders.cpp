@@ -12,9 +12,9 @@ namespace animtool {
 namespace {
 
 using collide::Collider;
-using collide::Vec;
 using collide::load;
 using collide::store;
+using collide::Vec;
 
 constexpr std::size_t SIZES = 7, MATERIALS = 4, POSE = 7;
 // From which sides a collider is hit; only meshes can be hit from both.
@@ -39,14 +39,15 @@ void check_nodes(const In<std::int32_t, 2>& nodes, std::size_t triangles) {
         check::refuse("nodes", "node " + check::text(n) + " has no child " + check::text(child));
       depths[child] = static_cast<std::uint8_t>(depths[n] + 1);
       if (depths[child] >= collide::MAX_TREE_DEPTH)
-        check::refuse("nodes", "the tree is deeper than " + check::text(collide::MAX_TREE_DEPTH - 1));
+        check::refuse("nodes",
+                      "the tree is deeper than " + check::text(collide::MAX_TREE_DEPTH - 1));
     }
   }
 }
 
 void check_arrays(const ColliderArrays& in) {
-  const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals,
-               edge_normals, bounds, nodes] = in;
+  const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals, edge_normals,
+               bounds, nodes] = in;
   const std::size_t count = kinds.shape(0);
   check::shape("kinds", kinds, {check::ANY, 3});
   check::shape("sizes", sizes, {count, SIZES});
@@ -81,8 +82,8 @@ void check_arrays(const ColliderArrays& in) {
 
 // Builds the colliders from arrays with one row each.
 std::vector<Collider> read_colliders(const ColliderArrays& in) {
-  const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals,
-               edge_normals, bounds, nodes] = in;
+  const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals, edge_normals,
+               bounds, nodes] = in;
   check_arrays(in);
   const std::size_t count = kinds.shape(0);
   const collide::Mesh mesh{points.data(),       triangles.data(), corner_normals.data(),
@@ -106,9 +107,8 @@ std::vector<Collider> read_colliders(const ColliderArrays& in) {
   return built;
 }
 
-Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
-                           In<double, 3> after, In<double, 1> radii,
-                           In<double, 1> begins, double step) {
+Collided collide_particles(ColliderArrays colliders, In<double, 3> before, In<double, 3> after,
+                           In<double, 1> radii, In<double, 1> begins, double step) {
   const std::size_t count = before.shape(1);
   check::shape("before", before, {2, check::ANY, 3});
   check::shape("after", after, {2, count, 3});
@@ -125,7 +125,7 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
     const collide::Particle start{load(from + x), load(from + v)};
     collide::Particle end{load(to + x), load(to + v)};
     collide::ParticleContacts contacts(built.data(), built.size(), step, radii.data()[i],
-                               begins.data()[i]);
+                                       begins.data()[i]);
     const collide::Contact contact = contacts.resolve(start, end);
     store(end.position, state.get() + x);
     store(end.velocity, state.get() + v);
@@ -136,8 +136,8 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
   return {std::move(state), std::move(touches), std::move(normals)};
 }
 
-ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
-                                 double fraction, double step) {
+ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double fraction,
+                                 double step) {
   const std::size_t count = points.shape(0);
   check::shape("points", points, {check::ANY, 3});
   check::between("share", fraction, 0, 1);

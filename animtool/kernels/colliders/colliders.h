@@ -65,21 +65,27 @@ inline double contact_distance(const Collider& c, double radius) {
 
 // Distance from a collider, minus its margin and the particle's radius, and the direction out of
 // it. Looks no farther than a reach.
-inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radius,
-                     double reach) {
+inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radius, double reach) {
   const Vec p = pose.to_local(point);
   const double* size = c.size;
   Sample nearest_hit{};
   switch (c.shape) {
-    case Shape::PLANE: nearest_hit = sample_plane(load(size), size[3], p); break;
-    case Shape::SPHERE: nearest_hit = sample_sphere(load(size), size[3], p); break;
+    case Shape::PLANE:
+      nearest_hit = sample_plane(load(size), size[3], p);
+      break;
+    case Shape::SPHERE:
+      nearest_hit = sample_sphere(load(size), size[3], p);
+      break;
     case Shape::CAPSULE:
       nearest_hit = sample_capsule(load(size), load(size + 3), size[6], p);
       break;
-    case Shape::BOX: nearest_hit = sample_box(load(size), p); break;
+    case Shape::BOX:
+      nearest_hit = sample_box(load(size), p);
+      break;
     case Shape::MESH:
       // Beyond the reach it is unknown whether the particle is inside.
-      nearest_hit = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + contact_distance(c, radius));
+      nearest_hit =
+          sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + contact_distance(c, radius));
       if (c.two_sided) nearest_hit = unsided(nearest_hit);
       break;
   }
@@ -91,8 +97,8 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
 
 // The same for a particle whose earlier position in the collider's frame is given: if it has
 // crossed a two-sided mesh since, it is inside.
-inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec point,
-                           double radius, double reach) {
+inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec point, double radius,
+                           double reach) {
   if (!c.two_sided || !crosses_mesh(c.mesh, c.root, from, pose.to_local(point)))
     return sample(c, pose, point, radius, reach);
   const Sample nearest_hit = sample(c, pose, point, radius, FAR);
@@ -116,7 +122,7 @@ class ParticleContacts {
  public:
   // The particle exists from a time within the step; 0 if it existed before.
   ParticleContacts(const Collider* colliders, std::size_t count, double step, double radius,
-           double begin = 0)
+                   double begin = 0)
       : colliders_(colliders), count_(count), step_(step), begin_(begin), radius_(radius) {}
 
   // Moves the end of the path to where contacts allow. Without contacts it stays the same to the
@@ -162,7 +168,9 @@ class ParticleContacts {
     const double remaining = step_ - begin_;
     const Vec acceleration = (after.velocity - before.velocity) * (1 / remaining);
     const Vec chord = (after.position - before.position) * (1 / remaining);
-    return {before.position, chord - acceleration * (remaining / 2), before.velocity, acceleration, begin_, remaining};
+    return {before.position, chord - acceleration * (remaining / 2),
+            before.velocity, acceleration,
+            begin_,          remaining};
   }
 
   Pose pose_at(const Collider& c, double s) const {
@@ -215,8 +223,10 @@ class ParticleContacts {
       pose = pose_at(c, s);
       const Vec point = path_.at(s);
       nearest_hit = sample(c, pose, point, radius_, reach);
-      if (nearest_hit.distance <= TOUCH && approaches(c, point, pose, nearest_hit.normal, s)) return s;
-      const double min_advance = advance < MAX_ADVANCES ? TOUCH / 2 / speed : path_.remaining / MAX_ADVANCES;
+      if (nearest_hit.distance <= TOUCH && approaches(c, point, pose, nearest_hit.normal, s))
+        return s;
+      const double min_advance =
+          advance < MAX_ADVANCES ? TOUCH / 2 / speed : path_.remaining / MAX_ADVANCES;
       const double safe = nearest_hit.distance / speed;
       if (c.two_sided && min_advance > safe && crosses(c, s, std::min(s + min_advance, until)))
         return time_before_crossing(c, s, std::min(s + min_advance, until));
@@ -225,9 +235,7 @@ class ParticleContacts {
     return ends_inside(c, until) ? until : -1;
   }
 
-  Vec local_at(const Collider& c, double s) const {
-    return pose_at(c, s).to_local(path_.at(s));
-  }
+  Vec local_at(const Collider& c, double s) const { return pose_at(c, s).to_local(path_.at(s)); }
 
   bool crosses(const Collider& c, double from, double to) const {
     return crosses_mesh(c.mesh, c.root, local_at(c, from), local_at(c, to));
@@ -265,11 +273,14 @@ class ParticleContacts {
     const Vec surface = surface_velocity(c, point, pose);
     const Vec relative = path_.velocity_at(s) - surface;
     const double normal_speed = dot(relative, nearest_hit.normal);
-    const double normal_acceleration = dot(path_.acceleration, nearest_hit.normal), remaining = path_.remaining - s;
+    const double normal_acceleration = dot(path_.acceleration, nearest_hit.normal),
+                 remaining = path_.remaining - s;
     const double out = normal_speed < 0 ? -c.restitution * normal_speed : normal_speed;
     const bool bounces = !last && out > -normal_acceleration * remaining / 2;
-    const double normal_impulse = normal_speed < 0 ? (bounces ? out - normal_speed : -normal_speed) : 0.0;
-    const Vec along = with_friction(relative - nearest_hit.normal * normal_speed, c.friction * normal_impulse);
+    const double normal_impulse =
+        normal_speed < 0 ? (bounces ? out - normal_speed : -normal_speed) : 0.0;
+    const Vec along =
+        with_friction(relative - nearest_hit.normal * normal_speed, c.friction * normal_impulse);
     contact_ = {index, Touch::BOUNCED, nearest_hit.normal};
     if (bounces) {
       const Vec velocity = surface + along + nearest_hit.normal * out;
@@ -288,7 +299,8 @@ class ParticleContacts {
   // Stays on a surface until the end of the step, sliding with friction.
   void slide(std::int64_t index, const Pose& pose, Vec point, Vec along, Vec normal, double s) {
     const Collider& c = colliders_[index];
-    const double remaining = path_.remaining - s, normal_acceleration = dot(path_.acceleration, normal);
+    const double remaining = path_.remaining - s,
+                 normal_acceleration = dot(path_.acceleration, normal);
     const Vec pull = path_.acceleration - normal * normal_acceleration;
     const Vec free = along + pull * remaining;
     const double friction_speed = c.friction * std::max(-normal_acceleration, 0.0) * remaining;
@@ -325,7 +337,8 @@ class ParticleContacts {
     const Sample nearest_hit =
         sample_since(c, tested_position(i), end, after.position, radius_, reach_inside(c));
     if (nearest_hit.distance >= -TOUCH) return false;
-    const Sample start = sample(c, c.motion.at(begin_ / step_), before.position, radius_, reach_inside(c));
+    const Sample start =
+        sample(c, c.motion.at(begin_ / step_), before.position, radius_, reach_inside(c));
     const double goal = start.distance < -INSIDE
                             ? std::min(start.distance + c.depenetration * (step_ - begin_), 0.0)
                             : 0.0;
@@ -348,9 +361,7 @@ class ParticleContacts {
   }
 
   // Only meshes use the reach; inside a mesh every depth counts.
-  static double reach_inside(const Collider& c) {
-    return c.shape == Shape::MESH ? FAR : 2 * TOUCH;
-  }
+  static double reach_inside(const Collider& c) { return c.shape == Shape::MESH ? FAR : 2 * TOUCH; }
 
   // A particle held by colliders from several sides moves with them.
   void move_with_colliders(Particle& after) {
@@ -366,7 +377,8 @@ class ParticleContacts {
       if (sample(c, end, after.position, radius_, reach_inside(c)).distance < -INSIDE)
         contact_.touch = Touch::UNRESOLVED;
     }
-    if (contact_.touch == Touch::UNRESOLVED && friction_speed > 0) after.velocity = sum * (1.0 / friction_speed);
+    if (contact_.touch == Touch::UNRESOLVED && friction_speed > 0)
+      after.velocity = sum * (1.0 / friction_speed);
   }
 
   const Collider* colliders_;

@@ -12,9 +12,9 @@ namespace animtool {
 
 namespace {
 
-using collide::MeshAdjacency;
 using collide::corner_normal;
 using collide::edge_normal;
+using collide::MeshAdjacency;
 using collide::store;
 
 constexpr std::int32_t LEAF = 4;
@@ -117,8 +117,9 @@ void note_edges(const std::int32_t* corners, std::int32_t count, MeshAdjacency& 
     const Edge& first = edges[i];
     const auto number = static_cast<std::int32_t>(sides.edge_starts.size());
     sides.edge_starts.push_back(static_cast<std::int32_t>(i));
-    for (end = i; end < edges.size() && edges[end].low == first.low &&
-                  edges[end].high == first.high; ++end) {
+    for (end = i;
+         end < edges.size() && edges[end].low == first.low && edges[end].high == first.high;
+         ++end) {
       sides.edges[3 * edges[end].triangle + edges[end].side] = number;
       sides.edge_triangles.push_back(edges[end].triangle);
     }
@@ -177,8 +178,7 @@ collide::Mesh MeshSurface::mesh(const double* points, const double* shifts,
   return built;
 }
 
-void MeshSurface::fit(const double* begin, const double* end,
-                      std::vector<double>& bounds) const {
+void MeshSurface::fit(const double* begin, const double* end, std::vector<double>& bounds) const {
   bounds.resize(3 * nodes_.size());
   // Children follow their parents.
   for (std::size_t node = nodes_.size() / 2; node-- > 0;) {
@@ -229,8 +229,7 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
     const MeshAdjacency sides = sides_of(sorted.get(), rows, point_count);
     const collide::Mesh mesh{points.data(), sorted.get(), nullptr, nullptr, nullptr, nullptr};
     for (std::size_t p = 0; p < point_count; ++p)
-      store(corner_normal(mesh, sides, static_cast<std::int32_t>(p)),
-            corner_normals.get() + 3 * p);
+      store(corner_normal(mesh, sides, static_cast<std::int32_t>(p)), corner_normals.get() + 3 * p);
     for (std::int32_t t = 0; t < rows; ++t)
       for (int side = 0; side < 3; ++side)
         store(edge_normal(mesh, sides, t, side), edge_normals.get() + 9 * t + 3 * side);
@@ -240,8 +239,8 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
   Out<std::int32_t, 2> nodes(tree.nodes.size() / 2, 2);
   std::copy(tree.bounds.begin(), tree.bounds.end(), bounds.get());
   std::copy(tree.nodes.begin(), tree.nodes.end(), nodes.get());
-  return {std::move(sorted), std::move(corner_normals),
-          std::move(edge_normals), std::move(bounds), std::move(nodes)};
+  return {std::move(sorted), std::move(corner_normals), std::move(edge_normals), std::move(bounds),
+          std::move(nodes)};
 }
 
 }  // namespace animtool

@@ -19,7 +19,7 @@ struct MeshAdjacency {
   std::vector<std::int32_t> edge_triangles;  // (3 T,)
   std::vector<std::int32_t> corner_starts;   // likewise of each corner (P + 1,)
   std::vector<std::int32_t> corner_sides;    // 3 times a triangle, and which of its corners
-  std::vector<bool> boundary;                     // whether a corner is on the rim (P,)
+  std::vector<bool> boundary;                // whether a corner is on the rim (P,)
 };
 
 // Arrays that `build_mesh_tree` returns. A node is an inner node with two children, or a leaf: -1
@@ -86,13 +86,20 @@ inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
   const Barycentric hit = barycentric_of_nearest(p, a, b, c);
   feature = hit.feature;
   switch (feature) {
-    case 0: return a;
-    case 1: return b;
-    case 2: return c;
-    case 3: return a + (b - a) * hit.b;
-    case 4: return b + (c - b) * hit.c;
-    case 5: return a + (c - a) * hit.c;
-    default: return a + (b - a) * hit.b + (c - a) * hit.c;
+    case 0:
+      return a;
+    case 1:
+      return b;
+    case 2:
+      return c;
+    case 3:
+      return a + (b - a) * hit.b;
+    case 4:
+      return b + (c - b) * hit.c;
+    case 5:
+      return a + (c - a) * hit.c;
+    default:
+      return a + (b - a) * hit.b + (c - a) * hit.c;
   }
 }
 
@@ -108,7 +115,7 @@ inline Nearest nearest_of_triangle(const Mesh& mesh, std::int32_t triangle, Vec 
   Nearest hit;
   hit.triangle = triangle;
   hit.point = nearest_on_triangle(p, mesh.point(corner[0]), mesh.point(corner[1]),
-                                    mesh.point(corner[2]), hit.feature);
+                                  mesh.point(corner[2]), hit.feature);
   hit.squared = dot(p - hit.point, p - hit.point);
   return hit;
 }
@@ -123,7 +130,8 @@ inline bool nearer(const Nearest& one, const Nearest& best) {
 // boxes first. The function returns the new squared distance; another one gives the distance of
 // a node's box.
 template <class Squared, class Visitor>
-void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared, Visitor visitor) {
+void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared,
+                 Visitor visitor) {
   struct QueuedNode {
     std::int32_t node;
     double squared;
@@ -265,8 +273,8 @@ void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, V
   while (depth > 0) {
     const std::int32_t node = stack[--depth];
     const double* box = mesh.bounds + 6 * node;
-    if (box[0] > high.x || box[1] > high.y || box[2] > high.z || box[3] < low.x ||
-        box[4] < low.y || box[5] < low.z)
+    if (box[0] > high.x || box[1] > high.y || box[2] > high.z || box[3] < low.x || box[4] < low.y ||
+        box[5] < low.z)
       continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left >= 0)

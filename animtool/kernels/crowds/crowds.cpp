@@ -77,7 +77,7 @@ class VelocityProgram {
 
   // Returns the number of satisfied half-planes: all, or those before the first infeasible one.
   std::size_t solve(const HalfPlane* planes, std::size_t count, const Vec2& desired, bool direction,
-                     Vec2& v) const {
+                    Vec2& v) const {
     v = desired;
     const double size = desired.length();
     if (direction || size > max_speed_) v = desired * (size > TINY ? max_speed_ / size : 0.0);
@@ -90,7 +90,7 @@ class VelocityProgram {
 
  private:
   bool solve_on_line(const HalfPlane* planes, std::size_t i, const Vec2& desired, bool direction,
-               Vec2& v) const {
+                     Vec2& v) const {
     const Vec2 normal = planes[i].normal, along{-normal.y, normal.x};
     const double squared_half_chord = max_speed_ * max_speed_ - planes[i].limit * planes[i].limit;
     if (squared_half_chord < 0) return false;
@@ -108,7 +108,8 @@ class VelocityProgram {
     }
     if (low > high) return false;
     const double t = desired.dot(along);
-    v = normal * planes[i].limit + along * (direction ? (t > 0 ? high : low) : std::clamp(t, low, high));
+    v = normal * planes[i].limit +
+        along * (direction ? (t > 0 ? high : low) : std::clamp(t, low, high));
     return true;
   }
 
@@ -118,7 +119,8 @@ class VelocityProgram {
 // If no velocity satisfies all half-planes: the one that violates those after the first `hard` the
 // least, and satisfies these.
 void least_violation(const VelocityProgram& program, const std::vector<HalfPlane>& planes,
-                   std::size_t hard, std::size_t first, std::vector<HalfPlane>& bisectors, Vec2& v) {
+                     std::size_t hard, std::size_t first, std::vector<HalfPlane>& bisectors,
+                     Vec2& v) {
   double violation = 0;
   for (std::size_t i = std::max(first, hard); i < planes.size(); ++i) {
     if (planes[i].limit - planes[i].normal.dot(v) <= violation) continue;
@@ -157,7 +159,8 @@ struct Agents {
     const double amount = line.length();
     if (amount < TINY) return radii[i];
     const double along = line.dot(direction) / amount, square = std::min(along * along, 1.0);
-    return radii[i] * (1 - std::min(amount, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
+    return radii[i] *
+           (1 - std::min(amount, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
   }
 
   bool turned(std::size_t i) const { return shoulders[2 * i] != 0 || shoulders[2 * i + 1] != 0; }
@@ -186,13 +189,15 @@ class Walker {
     // Blocked agents look less far ahead: all would stop if each avoided the others.
     const double preferred_speed = std::max(vec2(agents_.preferred + 2 * self).length(), TINY);
     const double least = blended(1, SHORTEST);
-    horizon_ = std::max(rules_.horizon * std::clamp(velocity.length() / preferred_speed, least, 1.0), rules_.step);
+    horizon_ = std::max(
+        rules_.horizon * std::clamp(velocity.length() / preferred_speed, least, 1.0), rules_.step);
     for (const Neighbour& one : neighbours_) avoid(self, velocity, one);
     const VelocityProgram program(agents_.max_speeds[self]);
     Vec2 v;
     const Vec2 desired = steered(self);
     const std::size_t satisfied = program.solve(planes_.data(), planes_.size(), desired, false, v);
-    if (satisfied < planes_.size()) least_violation(program, planes_, hard, satisfied, bisectors_, v);
+    if (satisfied < planes_.size())
+      least_violation(program, planes_, hard, satisfied, bisectors_, v);
     pressed_ = pressed(self, velocity);
     const double speed = v.length();
     const double min_speed = blended(STUCK, PRESSED) * desired.length();
@@ -214,7 +219,8 @@ class Walker {
   // allow stays turned.
   double pressed(std::size_t self, const Vec2& velocity) const {
     const Vec2 desired = vec2(agents_.preferred + 2 * self);
-    const double preferred_speed = desired.length(), yaw = vec2(agents_.shoulders + 2 * self).length();
+    const double preferred_speed = desired.length(),
+                 yaw = vec2(agents_.shoulders + 2 * self).length();
     if (preferred_speed < TINY && yaw < TINY) return 0;
     const Vec2 forward = desired * (preferred_speed > TINY ? 1 / preferred_speed : 0.0);
     const double slow = 1 - velocity.dot(forward) / (BLOCKED * std::max(preferred_speed, TINY));
@@ -234,7 +240,9 @@ class Walker {
   }
 
   // A value without oncoming agents, and with many.
-  double blended(double alone, double crowded) const { return alone + (crowded - alone) * crossing_; }
+  double blended(double alone, double crowded) const {
+    return alone + (crowded - alone) * crossing_;
+  }
 
   void find_neighbours(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
     neighbours_.clear();
@@ -285,10 +293,12 @@ class Walker {
     const double slot = sideways + (LANES + 1);
     if (!(slot >= 0 && slot < 2 * LANES + 2)) return;
     const double preferred_speed = vec2(agents_.preferred + 2 * which).dot(fast);
-    const double mean_speed = 0.5 * (preferred_speed + vec2(agents_.velocities + 2 * which).dot(fast));
+    const double mean_speed =
+        0.5 * (preferred_speed + vec2(agents_.velocities + 2 * which).dot(fast));
     const double cost = near * std::clamp(1 - mean_speed, 0.0, 2.0);
     // A standing agent is no stream.
-    if (preferred_speed < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY) crossing_ += near;
+    if (preferred_speed < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY)
+      crossing_ += near;
     const int lane = static_cast<int>(slot);
     const double second = cost * (slot - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - second;
@@ -304,7 +314,8 @@ class Walker {
     for (const int direction : {-1, 1}) {
       double across = 0;
       for (int k = 1; k <= LANES; ++k) {
-        const double off = direction * k, lane_cost = costs_[static_cast<std::size_t>(LANES + 1 + direction * k)];
+        const double off = direction * k,
+                     lane_cost = costs_[static_cast<std::size_t>(LANES + 1 + direction * k)];
         if (!open(self, here + left * (off * wide))) break;
         const double cost = lane_cost + STRAY * k + across - rules_.side * crossing_ * off;
         if (cost < least - SAME_COST) least = cost, best = off;
@@ -396,8 +407,8 @@ struct Pair {
   std::int32_t one, other;
 };
 
-// Moves agents apart, and out of walls, until none overlaps another by more than `tolerance`. Returns
-// the largest remaining overlap.
+// Moves agents apart, and out of walls, until none overlaps another by more than `tolerance`.
+// Returns the largest remaining overlap.
 double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pairs,
                 std::size_t count, std::int64_t max_passes, double tolerance) {
   double worst = 0;
@@ -436,9 +447,9 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
 }  // namespace
 
 CrowdStepped crowd_step(const CrowdStep& options) {
-  const auto& [points, velocities, preferred, radii, max_speeds, yielding, shoulders, depth, groups, modes,
-               starts, walls,
-               sight, nearest, horizon, space, push, headway, side, step, max_passes, tolerance] = options;
+  const auto& [points, velocities, preferred, radii, max_speeds, yielding, shoulders, depth, groups,
+               modes, starts, walls, sight, nearest, horizon, space, push, headway, side, step,
+               max_passes, tolerance] = options;
   const std::size_t count = points.shape(0);
   check::at_most("points", count, check::MAX_ROWS);
   check::shape("points", points, {check::ANY, 2});
@@ -482,30 +493,30 @@ CrowdStepped crowd_step(const CrowdStep& options) {
   }
   const double anyone = std::numeric_limits<double>::infinity();
   const Block<Vec2> moved = block<Vec2>(count);
-  const Rules rules{sight, horizon, space, push, headway, side, step,
-                    static_cast<std::size_t>(nearest)};
+  const Rules rules{sight,   horizon, space, push,
+                    headway, side,    step,  static_cast<std::size_t>(nearest)};
   const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
-  const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),
-                      radii.data(), max_speeds.data(), yielding.data(), shoulders.data(), depth,
-                      groups.data(), starts.data(), walls.data(), modes.data()};
+  const Agents agents{grid,         points.data(),     velocities.data(), preferred.data(),
+                      radii.data(), max_speeds.data(), yielding.data(),   shoulders.data(),
+                      depth,        groups.data(),     starts.data(),     walls.data(),
+                      modes.data()};
   Walker walker(rules, agents);
-  grid.visit_all<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
-                                       const std::int32_t* end) {
-    const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-    const bool walks = agents.modes[which] == WALKS;
-    const Vec2 v = walks ? walker.velocity(which, hit, end) : Vec2();
-    pressed.get()[which] = walks ? walker.pressed() : 0.0;
-    moved[which] = vec2(agents.points + 2 * which) + v * step;
-  });
-  for (std::size_t i = 0; i < count; ++i)
-    flat[3 * i] = moved[i].x, flat[3 * i + 2] = moved[i].y;
+  grid.visit_all<false>(
+      anyone, [&](std::size_t i, const double*, const std::int32_t* hit, const std::int32_t* end) {
+        const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
+        const bool walks = agents.modes[which] == WALKS;
+        const Vec2 v = walks ? walker.velocity(which, hit, end) : Vec2();
+        pressed.get()[which] = walks ? walker.pressed() : 0.0;
+        moved[which] = vec2(agents.points + 2 * which) + v * step;
+      });
+  for (std::size_t i = 0; i < count; ++i) flat[3 * i] = moved[i].x, flat[3 * i + 2] = moved[i].y;
   // Pushed agents collide with others that were near.
   const double near = 2 * widest * 1.25;
   std::vector<Pair> pairs;
   if (near > 0) {
     const Neighbours close(flat.get(), nullptr, count, near, open, open);
     close.visit_all<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
-                                         const std::int32_t* end) {
+                                      const std::int32_t* end) {
       const std::int32_t* index = close.index();
       if (modes.data()[index[i]] == GONE) return;
       for (; hit < end; ++hit)
@@ -558,7 +569,8 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
   for (std::size_t k = 0; k < seeds.shape(0); ++k)
     reach(static_cast<std::size_t>(seeds.data()[k]), starts.data()[k]);
   const auto at = [&](std::size_t row, std::size_t column, int down, int right) {
-    const std::size_t r = row + static_cast<std::size_t>(down), c = column + static_cast<std::size_t>(right);
+    const std::size_t r = row + static_cast<std::size_t>(down),
+                      c = column + static_cast<std::size_t>(right);
     return r < rows && c < columns && done[r * columns + c] ? distances[r * columns + c] : never;
   };
   // From the nearer neighbour of each axis: |grad d| = 1.

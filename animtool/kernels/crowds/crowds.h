@@ -34,15 +34,17 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
 
 std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,
-    std::optional<In<std::int32_t, 1>> others, double radius, double cosine,
-    std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
-    In<double, 1> repulsion, double softening, In<double, 2> period, double max_tests);
+    std::optional<In<std::int32_t, 1>> others, double radius, double cosine, std::int64_t nearest,
+    In<double, 1> attraction, In<double, 1> alignment, In<double, 1> repulsion, double softening,
+    In<double, 2> period, double max_tests);
 std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
-                                                 In<double, 1> min_distances, double sight, double min_gap,
-                                                 In<double, 2> period, double max_tests);
-std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, In<double, 1> min_distances,
-                                                       std::int64_t max_passes, double relaxation,
-                                                       double clearance, In<double, 2> period,
-                                                       double max_tests);
+                                                 In<double, 1> min_distances, double sight,
+                                                 double min_gap, In<double, 2> period,
+                                                 double max_tests);
+std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points,
+                                                          In<double, 1> min_distances,
+                                                          std::int64_t max_passes,
+                                                          double relaxation, double clearance,
+                                                          In<double, 2> period, double max_tests);
 
 }  // namespace animtool

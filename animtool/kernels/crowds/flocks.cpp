@@ -22,8 +22,7 @@ struct FlockRule {
 
   // Whether pairs in sight interact symmetrically.
   bool mutual() const {
-    return !(cosine > -1) && !nearest && attraction.radius >= radius &&
-           alignment.radius >= radius;
+    return !(cosine > -1) && !nearest && attraction.radius >= radius && alignment.radius >= radius;
   }
 };
 
@@ -34,8 +33,8 @@ Vec repulsion(const FlockRule& rule, const Vec& off, double squared) {
 }
 
 // Symmetric interactions: each pair is visited once.
-double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velocities, double max_tests,
-                double* out, std::int32_t* counts) {
+double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velocities,
+                  double max_tests, double* out, std::int32_t* counts) {
   struct Sums {
     Vec pull, away;
   };
@@ -45,7 +44,8 @@ double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velo
   std::fill_n(sight_counts.get(), grid.size(), 0);
   const double *x = grid.x(), *y = grid.y(), *z = grid.z();
   const double tested = grid.visit_all<true>(
-      max_tests, [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
+      max_tests,
+      [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
         const Vec here = load(at), velocity = velocities[i];
         Sums sum_i;
         sight_counts[i] += static_cast<std::int32_t>(end - hit);
@@ -80,8 +80,8 @@ class NeighbourForces {
   NeighbourForces(const FlockRule& rule, const Neighbours& grid, const Vec* velocities)
       : rule_(rule), grid_(grid), velocities_(velocities) {}
 
-  std::size_t add(std::size_t self, const Vec& here, const Vec& velocity,
-                  const std::int32_t* hit, const std::int32_t* end, double* out) {
+  std::size_t add(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
+                  const std::int32_t* end, double* out) {
     find_visible(self, here, velocity, hit, end);
     const double follow = rule_.attraction.radius * rule_.attraction.radius;
     const double align = rule_.alignment.radius * rule_.alignment.radius;
@@ -107,7 +107,7 @@ class NeighbourForces {
   };
 
   void find_visible(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
-            const std::int32_t* end) {
+                    const std::int32_t* end) {
     const double min_projection = rule_.cosine * std::sqrt(dot(velocity, velocity));
     const std::int32_t* index = grid_.index();
     neighbours_.clear();
@@ -145,12 +145,11 @@ Interaction interaction(const char* name, const In<double, 1>& pair) {
 
 }  // namespace
 
-std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<double, 2> points, In<double, 2> velocities,
-                              std::optional<In<std::int32_t, 1>> members,
-                              std::optional<In<std::int32_t, 1>> others, double radius,
-                              double cosine, std::int64_t nearest, In<double, 1> attraction,
-                              In<double, 1> alignment, In<double, 1> repulsion, double softening,
-                              In<double, 2> period, double max_tests) {
+std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
+    In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,
+    std::optional<In<std::int32_t, 1>> others, double radius, double cosine, std::int64_t nearest,
+    In<double, 1> attraction, In<double, 1> alignment, In<double, 1> repulsion, double softening,
+    In<double, 2> period, double max_tests) {
   const std::size_t count = check::points("points", points);
   check::shape("velocities", velocities, {count, 3});
   check::positive("radius", radius);
@@ -167,12 +166,12 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
       check::indices(which == &members ? "members" : "others", **which, 0,
                      static_cast<std::int64_t>(count));
   const FlockRule rule{radius,
-                  cosine,
-                  static_cast<std::size_t>(nearest),
-                  interaction("attraction", attraction),
-                  interaction("alignment", alignment),
-                  interaction("repulsion", repulsion),
-                  softening};
+                       cosine,
+                       static_cast<std::size_t>(nearest),
+                       interaction("attraction", attraction),
+                       interaction("alignment", alignment),
+                       interaction("repulsion", repulsion),
+                       softening};
   const std::size_t size = members ? members->shape(0) : count;
   Out<double, 2> result(size, 3);
   Out<std::int32_t, 1> counts(size);
@@ -195,19 +194,19 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
   if (all && rule.mutual())
     tested = add_mutual(rule, grid, sorted.get(), max_tests, result.get(), counts.get());
   else if (all)
-    tested = grid.visit_all<false>(max_tests, [&](std::size_t i, const double* at,
-                                                const std::int32_t* hit,
-                                                const std::int32_t* end) {
-      const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-      add(which, which, load(at), sorted[i], hit, end);
-    });
+    tested = grid.visit_all<false>(
+        max_tests,
+        [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
+          const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
+          add(which, which, load(at), sorted[i], hit, end);
+        });
   else
-    tested = grid.visit(points.data(), members ? members->data() : nullptr, size, max_tests,
-                        [&](std::size_t number, std::size_t which, const double* at,
-                            const std::int32_t* hit, const std::int32_t* end) {
-                          add(number, which, load(at), load(velocities.data() + 3 * which), hit,
-                              end);
-                        });
+    tested =
+        grid.visit(points.data(), members ? members->data() : nullptr, size, max_tests,
+                   [&](std::size_t number, std::size_t which, const double* at,
+                       const std::int32_t* hit, const std::int32_t* end) {
+                     add(number, which, load(at), load(velocities.data() + 3 * which), hit, end);
+                   });
   return {std::move(result), std::move(counts), tested};
 }
 

@@ -16,7 +16,8 @@ constexpr double TINY = 1e-300;
 // Members with minimum distances, and the periods of periodic axes.
 class SpacedMembers {
  public:
-  SpacedMembers(const double* min_distances, std::size_t count, const double* low, const double* period)
+  SpacedMembers(const double* min_distances, std::size_t count, const double* low,
+                const double* period)
       : min_distances_(min_distances), low_(low), period_(period) {
     for (std::size_t i = 0; i < count; ++i) {
       if (!(min_distances[i] > 0)) continue;
@@ -29,7 +30,8 @@ class SpacedMembers {
   // Visits each pair within a multiple of the largest distance; returns the number of tested pairs,
   // and stops above `most`.
   template <class Function>
-  double visit_pairs(const double* points, double multiple, double max_tests, Function function) const {
+  double visit_pairs(const double* points, double multiple, double max_tests,
+                     Function function) const {
     if (members_.size() < 2) return 0;
     double radius = multiple * max_distance_;
     for (std::size_t k = 0; k < 3; ++k)
@@ -43,7 +45,7 @@ class SpacedMembers {
     };
     if (open_)
       return grid.visit_all<true>(max_tests, [&](std::size_t i, const double*,
-                                               const std::int32_t* hit, const std::int32_t* end) {
+                                                 const std::int32_t* hit, const std::int32_t* end) {
         all(static_cast<std::size_t>(grid.index()[i]), hit, end);
       });
     return grid.visit(points, members_.data(), members_.size(), max_tests,
@@ -80,7 +82,8 @@ struct Pair {
   std::size_t one, other;
 };
 
-void check_spaced(const In<double, 1>& min_distances, std::size_t count, const In<double, 2>& period) {
+void check_spaced(const In<double, 1>& min_distances, std::size_t count,
+                  const In<double, 2>& period) {
   check::numbers("min_distances", min_distances, {count});
   check::numbers("period", period, {2, 3});
 }
@@ -95,8 +98,9 @@ void push(double* values, const Pair& pair, const SpacedMembers::Gap& gap, doubl
 }  // namespace
 
 std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
-                                                 In<double, 1> min_distances, double sight, double min_gap,
-                                                 In<double, 2> period, double max_tests) {
+                                                 In<double, 1> min_distances, double sight,
+                                                 double min_gap, In<double, 2> period,
+                                                 double max_tests) {
   const std::size_t count = check::points("points", points);
   check::shape("velocities", velocities, {count, 3});
   check_spaced(min_distances, count, period);
@@ -113,17 +117,19 @@ std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double
     for (std::size_t k = 0; k < 3; ++k) closing -= (v[3 * j + k] - v[3 * i + k]) * gap.direction[k];
     if (!(closing > 0)) return;
     const double remaining = std::max(gap.distance - gap.min_distance, min_gap * gap.min_distance);
-    const double proximity = 1 - (gap.distance - gap.min_distance) / ((sight - 1) * gap.min_distance);
+    const double proximity =
+        1 - (gap.distance - gap.min_distance) / ((sight - 1) * gap.min_distance);
     const double size = std::clamp(proximity, 0.0, 1.0) * closing * closing / (4 * remaining);
     push(result.get(), {i, j}, gap, size);
   });
   return {std::move(result), tested};
 }
 
-std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, In<double, 1> min_distances,
-                                                       std::int64_t max_passes, double relaxation,
-                                                       double clearance, In<double, 2> period,
-                                                       double max_tests) {
+std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points,
+                                                          In<double, 1> min_distances,
+                                                          std::int64_t max_passes,
+                                                          double relaxation, double clearance,
+                                                          In<double, 2> period, double max_tests) {
   // Pairs are searched again after this many passes, within a multiple of the largest distance.
   constexpr std::int64_t REFRESH = 8;
   constexpr double REACH = 1.5;
@@ -142,9 +148,8 @@ std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, 
   for (std::int64_t k = 0; k <= max_passes; ++k) {
     if (k % REFRESH == 0) {
       pairs.clear();
-      tested = spaced.visit_pairs(x, REACH, max_tests, [&](std::size_t i, std::size_t j) {
-        pairs.push_back({i, j});
-      });
+      tested = spaced.visit_pairs(x, REACH, max_tests,
+                                  [&](std::size_t i, std::size_t j) { pairs.push_back({i, j}); });
       if (tested > max_tests) break;
     }
     overlap = 0;

@@ -10,14 +10,15 @@
 namespace animtool {
 
 // The values, unless there is an array to fill.
-std::optional<Out<double, 2>> evaluate_curves(
-    In<std::int64_t, 1> first, In<double, 1> times, In<double, 1> values,
-    In<std::int64_t, 1> kinds, In<double, 2> ins, In<double, 2> outs, In<double, 2> at,
-    std::optional<Filled<double, 2>> out);
+std::optional<Out<double, 2>> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
+                                              In<double, 1> values, In<std::int64_t, 1> kinds,
+                                              In<double, 2> ins, In<double, 2> outs,
+                                              In<double, 2> at,
+                                              std::optional<Filled<double, 2>> out);
 
 Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
-                                  In<std::int64_t, 1> kinds, In<double, 1> at,
-                                  In<double, 1> beyond, In<double, 1> cycles);
+                                  In<std::int64_t, 1> kinds, In<double, 1> at, In<double, 1> beyond,
+                                  In<double, 1> cycles);
 
 // Of F frames, from each to the next.
 Out<double, 3> rotation_steps(In<double, 3> rotations);
@@ -26,14 +27,13 @@ Out<double, 2> slerp(In<double, 2> starts, In<double, 2> ends, In<double, 1> sha
 
 // frames, ins, outs
 using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
-FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
-                        In<std::int64_t, 1> anchors, In<double, 1> low, In<double, 1> high,
-                        In<std::int64_t, 1> straight);
+FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t, 1> anchors,
+                        In<double, 1> low, In<double, 1> high, In<std::int64_t, 1> straight);
 
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
     In<double, 3> joint_rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
     In<double, 2> positions, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
-    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
-    double standing, double hips);
+    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near, double standing,
+    double hips);
 
 }  // namespace animtool

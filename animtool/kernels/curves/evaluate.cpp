@@ -26,9 +26,9 @@ struct Cubic {
 struct Half {
   double key, span;  // time of the key; signed time to the other one
   double value;
-  bool solve;   // whether u has to be solved for, or is the time itself
-  Cubic time;   // of the span
-  Cubic rise;   // from the value
+  bool solve;  // whether u has to be solved for, or is the time itself
+  Cubic time;  // of the span
+  Cubic rise;  // from the value
 };
 
 // The Bezier polynomial from 0 by control values near and far to end.
@@ -172,8 +172,8 @@ struct Keys {
   std::size_t count;
 
   Keys part(std::size_t begin, std::size_t end) const {
-    return {times + begin, values + begin, kinds + begin, ins + 2 * begin, outs + 2 * begin,
-            end - begin};
+    return {times + begin,   values + begin,   kinds + begin,
+            ins + 2 * begin, outs + 2 * begin, end - begin};
   }
 };
 
@@ -265,8 +265,8 @@ void evaluate_curve(const Keys& keys, const Walk& walk, const double* at, double
       const double signed_rise = run->nearer == k ? rise : -rise;
       for (std::size_t i = f; i < f + n; ++i) out[i] = value + walk.fractions()[i] * signed_rise;
     } else {
-      const Segment segment = make_segment(keys.times + k, keys.values + k, kind,
-                                           keys.outs + 2 * k, keys.ins + 2 * (k + 1));
+      const Segment segment = make_segment(keys.times + k, keys.values + k, kind, keys.outs + 2 * k,
+                                           keys.ins + 2 * (k + 1));
       if (kind == kCubic) {
         evaluate_half(segment.halves[run->nearer != k], walk.fractions() + f, out + f, n);
         continue;
@@ -320,10 +320,11 @@ constexpr std::size_t TOGETHER = 8;
 
 }  // namespace
 
-std::optional<Out<double, 2>> evaluate_curves(
-    In<std::int64_t, 1> first, In<double, 1> times, In<double, 1> values,
-    In<std::int64_t, 1> kinds, In<double, 2> ins, In<double, 2> outs, In<double, 2> at,
-    std::optional<Filled<double, 2>> out) {
+std::optional<Out<double, 2>> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
+                                              In<double, 1> values, In<std::int64_t, 1> kinds,
+                                              In<double, 2> ins, In<double, 2> outs,
+                                              In<double, 2> at,
+                                              std::optional<Filled<double, 2>> out) {
   const std::size_t count = times.shape(0), rows = at.shape(0), frames = at.shape(1);
   check::shape("first", first, {check::ANY});
   check::shape("times", times, {check::ANY});

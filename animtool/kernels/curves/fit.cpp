@@ -32,7 +32,11 @@ class Fitter {
   // leads to the next.
   Fitter(const double* values, const double* bounds, const double* low, const double* high,
          const std::vector<std::size_t>& straight, std::size_t width)
-      : values_(values), bounds_(bounds), low_(low), high_(high), straight_(straight),
+      : values_(values),
+        bounds_(bounds),
+        low_(low),
+        high_(high),
+        straight_(straight),
         width_(width) {
     normal_.at_first.resize(width);
     normal_.at_second.resize(width);
@@ -115,8 +119,7 @@ class Fitter {
         p.second[d] = chord - slope * before;
         n.first[d] = slope * behind;
         if (!keep_end)
-          p.first[d] = l.first > 0 ? (l.at_first[d] - l.mixed * p.second[d]) / l.first
-                                   : chord / 3;
+          p.first[d] = l.first > 0 ? (l.at_first[d] - l.mixed * p.second[d]) / l.first : chord / 3;
         n.second[d] = r.second > 0 ? (r.at_second[d] - r.mixed * n.first[d]) / r.second
                                    : (to[d] - at[d]) * (2.0 / 3);
       }
@@ -263,8 +266,8 @@ class Fitter {
     const double *from = row(s.a), *to = row(s.b), *at = row(i);
     double sum = 0;
     for (std::size_t d = 0; d < width_; ++d) {
-      const double e = (at[d] - from[d]) - b3 * (to[d] - from[d]) - b1 * s.first[d] -
-                       b2 * s.second[d];
+      const double e =
+          (at[d] - from[d]) - b3 * (to[d] - from[d]) - b1 * s.first[d] - b2 * s.second[d];
       sum += e * e;
     }
     return sum / (bounds_[i] * bounds_[i]);
@@ -312,9 +315,8 @@ class Fitter {
 
 }  // namespace
 
-FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
-                        In<std::int64_t, 1> anchors, In<double, 1> low, In<double, 1> high,
-                        In<std::int64_t, 1> straight) {
+FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t, 1> anchors,
+                        In<double, 1> low, In<double, 1> high, In<std::int64_t, 1> straight) {
   const std::size_t frames = values.shape(0), width = values.shape(1);
   check::shape("values", values, {check::ANY, check::ANY});
   check::shape("bounds", bounds, {frames});

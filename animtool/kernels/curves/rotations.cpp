@@ -87,7 +87,8 @@ struct Arc {
     }
     for (int i = 0; i < 4; ++i) q[i] = first * start[i] + second * end[i];
     const double size = std::sqrt(dot4(q, q));
-    if (size == 0) q[3] = 1;
+    if (size == 0)
+      q[3] = 1;
     else
       for (int i = 0; i < 4; ++i) q[i] /= size;
   }
@@ -116,7 +117,8 @@ struct RotationArc {
   // q times a share of it.
   void on(const double* q, double fraction, double* out) const {
     const double sine = std::sin(fraction * half);
-    const double by[4] = {sine * axis[0], sine * axis[1], sine * axis[2], std::cos(fraction * half)};
+    const double by[4] = {sine * axis[0], sine * axis[1], sine * axis[2],
+                          std::cos(fraction * half)};
     product(q, by, out);
   }
 };
@@ -375,8 +377,8 @@ class Beyond {
 }  // namespace
 
 Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
-                                  In<std::int64_t, 1> kinds, In<double, 1> at,
-                                  In<double, 1> beyond, In<double, 1> cycles) {
+                                  In<std::int64_t, 1> kinds, In<double, 1> at, In<double, 1> beyond,
+                                  In<double, 1> cycles) {
   const std::size_t count = times.shape(0), curves = keys.shape(1), frames = at.shape(0);
   check::shape("keys", keys, {count, check::ANY, 4});
   check::shape("kinds", kinds, {count});
@@ -413,8 +415,9 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
       if (k + 1 < count && t >= read.times[k + 1] && (k + 2 == count || t < read.times[k + 2]))
         ++k;
       else
-        k = static_cast<std::size_t>(
-                std::upper_bound(read.times, read.times + count, t) - read.times) - 1;
+        k = static_cast<std::size_t>(std::upper_bound(read.times, read.times + count, t) -
+                                     read.times) -
+            1;
     }
     if (t == read.times[k]) {
       std::copy_n(read.key(k, 0), 4 * curves, q);

@@ -73,8 +73,8 @@ class Between {
         p = std::sin((1 - fraction) * angles_[m]) / sines_[m];
         q = std::sin(fraction * angles_[m]) / sines_[m];
       }
-      out[m] = {p * a_[m].x + q * b_[m].x, p * a_[m].y + q * b_[m].y,
-                p * a_[m].z + q * b_[m].z, p * a_[m].w + q * b_[m].w};
+      out[m] = {p * a_[m].x + q * b_[m].x, p * a_[m].y + q * b_[m].y, p * a_[m].z + q * b_[m].z,
+                p * a_[m].w + q * b_[m].w};
     }
   }
 
@@ -89,9 +89,10 @@ class Between {
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
     In<double, 3> rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
     In<double, 2> offsets, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
-    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
-    double standing, double hips) {
-  const std::size_t frames = rotations.shape(0), moving = rotations.shape(1), count = parents.shape(0);
+    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near, double standing,
+    double hips) {
+  const std::size_t frames = rotations.shape(0), moving = rotations.shape(1),
+                    count = parents.shape(0);
   check::at_most("turns", frames * moving, check::MAX_ROWS);
   check::numbers("turns", rotations, {check::ANY, check::ANY, 4});
   check::shape("numbers", numbers, {count});

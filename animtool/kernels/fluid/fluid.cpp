@@ -16,10 +16,10 @@ namespace animtool {
 namespace fluid {
 
 using collide::Collider;
+using collide::load;
 using collide::Pose;
 using collide::Sample;
 using collide::Shape;
-using collide::load;
 using collide::store;
 
 namespace {
@@ -32,17 +32,20 @@ struct alignas(32) Row {
 
 // A body that the fluid pushes, with its displacement from free motion.
 struct Body {
-  double inverse_mass = 0;      // 1 over its mass
-  double inverse_inertia[6];    // its inverse inertia: xx, yy, zz, xy, xz, yz
-  Vec begin, end;       // its centre of mass
-  Vec shift, rotation;    // displacement from that, so far
-  Vec velocity, spin;   // likewise
+  double inverse_mass = 0;                  // 1 over its mass
+  double inverse_inertia[6];                // its inverse inertia: xx, yy, zz, xy, xz, yz
+  Vec begin, end;                           // its centre of mass
+  Vec shift, rotation;                      // displacement from that, so far
+  Vec velocity, spin;                       // likewise
   double impulse[6] = {}, delayed[6] = {};  // impulses and angular impulses about the origin
 
   Vec angular_change(Vec moment) const {
-    return {inverse_inertia[0] * moment.x + inverse_inertia[3] * moment.y + inverse_inertia[4] * moment.z,
-            inverse_inertia[3] * moment.x + inverse_inertia[1] * moment.y + inverse_inertia[5] * moment.z,
-            inverse_inertia[4] * moment.x + inverse_inertia[5] * moment.y + inverse_inertia[2] * moment.z};
+    return {inverse_inertia[0] * moment.x + inverse_inertia[3] * moment.y +
+                inverse_inertia[4] * moment.z,
+            inverse_inertia[3] * moment.x + inverse_inertia[1] * moment.y +
+                inverse_inertia[5] * moment.z,
+            inverse_inertia[4] * moment.x + inverse_inertia[5] * moment.y +
+                inverse_inertia[2] * moment.z};
   }
 };
 
@@ -199,7 +202,8 @@ class Steps {
   template <class T>
   void reorder(std::vector<T>& values, const std::vector<std::int32_t>& by) {
     std::vector<T> reordered(values.size());
-    for (std::size_t i = 0; i < by.size(); ++i) reordered[i] = values[static_cast<std::size_t>(by[i])];
+    for (std::size_t i = 0; i < by.size(); ++i)
+      reordered[i] = values[static_cast<std::size_t>(by[i])];
     values.swap(reordered);
   }
 
@@ -222,13 +226,13 @@ class Steps {
     reorder(accelerations_, by), reorder(pressure_, by);
     neighbour_starts_.assign(count_ + 1, 0);
     partners_.clear();
-    grid.visit_all<true>(std::numeric_limits<double>::infinity(),
-                            [&](std::size_t i, const double*, const std::int32_t* hit,
-                                const std::int32_t* end) {
-                              partners_.insert(partners_.end(), hit, end);
-                              while (partners_.size() % WIDE) partners_.push_back(by.back());
-                              neighbour_starts_[i + 1] = partners_.size();
-                            });
+    grid.visit_all<true>(
+        std::numeric_limits<double>::infinity(),
+        [&](std::size_t i, const double*, const std::int32_t* hit, const std::int32_t* end) {
+          partners_.insert(partners_.end(), hit, end);
+          while (partners_.size() % WIDE) partners_.push_back(by.back());
+          neighbour_starts_[i + 1] = partners_.size();
+        });
     for (std::size_t i = grid.size(); i < count_; ++i) neighbour_starts_[i + 1] = partners_.size();
     factor_.resize(partners_.size());
     listed_at_ = point_;
@@ -269,15 +273,25 @@ class Steps {
     const double inverse = 1 / radius_;
     // Second derivative factor of the weight, over the distance.
     const double steep = -3 * inverse * inverse / lattice_;
-    return {count_,          neighbour_starts_.data(),    partners_.data(),     &point_.data()->x,
-            &velocity_.data()->x, factor_.data(), &sums_.data()->x, &corrections_.data()->x,
-            squares_.data(), inverse,          steep,            0,
+    return {count_,
+            neighbour_starts_.data(),
+            partners_.data(),
+            &point_.data()->x,
+            &velocity_.data()->x,
+            factor_.data(),
+            &sums_.data()->x,
+            &corrections_.data()->x,
+            squares_.data(),
+            inverse,
+            steep,
+            0,
             0};
   }
 
   // The density of each, and its gradient.
   void measure_density() {
-    sums_.assign(count_ + 1, {}), corrections_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
+    sums_.assign(count_ + 1, {}), corrections_.assign(count_ + 1, {}),
+        squares_.assign(count_ + 1, 0);
     loops_.measure_density(pairs());
     const double scale = 1 / lattice_, steep = Walls::steepness() / (radius_ * radius_);
     const double per_wall = Walls::virial();
@@ -290,9 +304,9 @@ class Steps {
       excess_densities_[i] = dense;
       const double excess = std::max(dense, 0.0);
       sum += excess;
-      const double steepness =
-          slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
-      point_[i].w = excess > 0 ? -relaxation_ * excess / std::max(GRADIENT_DAMPING * steepness, steep) : 0.0;
+      const double steepness = slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
+      point_[i].w =
+          excess > 0 ? -relaxation_ * excess / std::max(GRADIENT_DAMPING * steepness, steep) : 0.0;
       // A wall presses as the lattice layers it replaces would.
       virial_[i] = -per_wall * beyond * point_[i].w;
     }
@@ -303,7 +317,8 @@ class Steps {
   void apply_tension(double h, std::size_t substep, std::size_t substeps) {
     if (!(rule_.tension > 0)) return;
     const double period = std::sqrt(rule_.mass() / rule_.tension);
-    const double max_substeps = std::min(CAPILLARY_LIMIT * period / h, static_cast<double>(substeps));
+    const double max_substeps =
+        std::min(CAPILLARY_LIMIT * period / h, static_cast<double>(substeps));
     const std::size_t combined = std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1);
     if (substep % combined != 0) return;
     const double duration = h * static_cast<double>(std::min(combined, substeps - substep));
@@ -316,7 +331,8 @@ class Steps {
   // overshoot.
   void apply_damping(double h, std::size_t substep, std::size_t substeps) {
     std::fill(corrections_.begin(), corrections_.end(), Row());
-    const bool is_viscous = apply_viscosity(h, substep, substeps), is_damped = damp_noise(h, substep, substeps);
+    const bool is_viscous = apply_viscosity(h, substep, substeps),
+               is_damped = damp_noise(h, substep, substeps);
     if (!is_viscous && !is_damped) return;
     for (std::size_t i = 0; i < count_; ++i) {
       velocity_[i].x += corrections_[i].x, velocity_[i].y += corrections_[i].y;
@@ -326,13 +342,16 @@ class Steps {
 
   // Viscosity. One evaluation covers as many substeps as are stable together.
   bool apply_viscosity(double h, std::size_t substep, std::size_t substeps) {
-    const double max_substeps = VISCOUS_LIMIT * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
-    const std::size_t combined = max_substeps < static_cast<double>(substeps)
-                                     ? std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1)
-                                     : substeps;
+    const double max_substeps =
+        VISCOUS_LIMIT * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
+    const std::size_t combined =
+        max_substeps < static_cast<double>(substeps)
+            ? std::max<std::size_t>(static_cast<std::size_t>(max_substeps), 1)
+            : substeps;
     if (!(rule_.viscosity > 0) || substep % combined != 0) return false;
     FluidPairs layout = pairs();
-    layout.damping = -2 * rule_.viscosity * h * static_cast<double>(std::min(combined, substeps - substep));
+    layout.damping =
+        -2 * rule_.viscosity * h * static_cast<double>(std::min(combined, substeps - substep));
     loops_.apply_viscosity(layout);
     return true;
   }
@@ -346,7 +365,8 @@ class Steps {
     const double fraction = std::min(sound_ * h / rule_.spacing, 1.0);
     FluidPairs layout = pairs();
     layout.noise = NOISE * sound_;
-    layout.damping = -NOISE_DECAY * strength * fraction * static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
+    layout.damping = -NOISE_DECAY * strength * fraction *
+                     static_cast<double>(std::min(NOISE_SUBSTEPS, substeps - substep));
     loops_.damp_noise(layout);
     return true;
   }
@@ -357,7 +377,8 @@ class Steps {
     double open_fraction = 1;
     for (std::size_t k = first; k < last; ++k) {
       const std::size_t c = static_cast<std::size_t>(contacts_[k].collider);
-      contacts_[k].contribution = wall_contribution(colliders_[c], poses_[c], point_[i].vec(), radius_);
+      contacts_[k].contribution =
+          wall_contribution(colliders_[c], poses_[c], point_[i].vec(), radius_);
       open_fraction *= 1 - contacts_[k].contribution.fraction;
     }
     const double full = walls().full() * scale;
@@ -419,7 +440,8 @@ class Steps {
         double deepest = 0;
         for (std::size_t k = contact_starts_[i]; k < contact_starts_[i + 1]; ++k) {
           const Vec old = v;
-          deepest = std::max(deepest, resolve_contact(contacts_[k], before_[i].vec(), rate, 0, x, v));
+          deepest =
+              std::max(deepest, resolve_contact(contacts_[k], before_[i].vec(), rate, 0, x, v));
           contacts_[k].correction = contacts_[k].correction + (v - old);
         }
         if (deepest <= CONTACT_TOLERANCE * size) break;
@@ -430,7 +452,8 @@ class Steps {
   }
 
   // Moves a position and velocity out of a collider with an impulse; returns the penetration depth.
-  double resolve_contact(ColliderContact& contact, Vec before, double rate, double normal_impulse, Vec& x, Vec& v) {
+  double resolve_contact(ColliderContact& contact, Vec before, double rate, double normal_impulse,
+                         Vec& x, Vec& v) {
     const double size = rule_.spacing / 2;
     const std::size_t c = static_cast<std::size_t>(contact.collider);
     const Collider& collider = colliders_[c];
@@ -481,7 +504,7 @@ class Steps {
     for (std::size_t b = 0; b < bodies_.size(); ++b) {
       Body& body = bodies_[b];
       const double all[6] = {impulses[b].x, impulses[b].y, impulses[b].z,
-                             twists[b].x,  twists[b].y,  twists[b].z};
+                             twists[b].x,   twists[b].y,   twists[b].z};
       for (int k = 0; k < 6; ++k)
         body.impulse[k] += all[k], body.delayed[k] += all[k] * remaining_fraction * step_;
       const Vec centre = body.begin + (body.end - body.begin) * fraction + body.shift;
@@ -538,11 +561,10 @@ fluid::FluidRule rule_of(double spacing, double density, double viscosity, doubl
 
 }  // namespace
 
-FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
-                         In<double, 2> bodies, In<double, 3> state,
-                         In<double, 2> accelerations, double spacing, double density,
-                         double viscosity, double tension, double sound, double step,
-                         std::int64_t substeps) {
+FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners, In<double, 2> bodies,
+                         In<double, 3> state, In<double, 2> accelerations, double spacing,
+                         double density, double viscosity, double tension, double sound,
+                         double step, std::int64_t substeps) {
   const std::size_t count = state.shape(1), pushed = bodies.shape(0);
   std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("owners", owners, {shapes.size()});

@@ -26,8 +26,8 @@ constexpr double WALL_GAP = 0.02, BODY_GAP = 0.12;
 // stiff, by this fraction of their squared gradients.
 constexpr double RELAXATION = 0.45, GRADIENT_DAMPING = 0.6;
 // Pairs that separate or approach by less than this over the speed of sound are noise, which decays
-// by NOISE_DECAY each time sound travels one spacing; faster ones hardly decay. This many substeps are
-// combined.
+// by NOISE_DECAY each time sound travels one spacing; faster ones hardly decay. This many substeps
+// are combined.
 constexpr double NOISE = 1.6e-3, NOISE_DECAY = 0.1;
 // Its equivalent viscosity, over the speed of sound and the spacing, from how it slows shear slower
 // than noise.
@@ -91,6 +91,7 @@ struct WallContribution {
   Vec normal;  // outward direction of the collider
 };
 
-WallContribution wall_contribution(const collide::Collider& c, const collide::Pose& pose, Vec point, double radius);
+WallContribution wall_contribution(const collide::Collider& c, const collide::Pose& pose, Vec point,
+                                   double radius);
 
 }  // namespace animtool::fluid

@@ -14,19 +14,19 @@ struct FluidPairs {
   const std::size_t* starts;
   const std::int32_t* partners;
   const double *points, *velocities;  // positions with multipliers
-  double* factors;        // of each pair: kernel derivative over the distance
-  double *sums, *corrections;   // slopes and weights; displacements and virials
-  double* squares;        // of slopes
-  double inverse, steep;  // 1 over the radius; the scale of slopes
-  double damping;            // of velocities
-  double noise;           // speed of particles that counts as rest
+  double* factors;                    // of each pair: kernel derivative over the distance
+  double *sums, *corrections;         // slopes and weights; displacements and virials
+  double* squares;                    // of slopes
+  double inverse, steep;              // 1 over the radius; the scale of slopes
+  double damping;                     // of velocities
+  double noise;                       // speed of particles that counts as rest
 };
 
 struct FluidFunctions {
-  void (*measure_density)(const FluidPairs&);   // computes factors, adds to sums and squares
-  void (*apply_viscosity)(const FluidPairs&);   // adds to displacements: viscosity
-  void (*damp_noise)(const FluidPairs&);   // adds to displacements: noise damping
-  void (*apply_pressure)(const FluidPairs&);  // adds to displacements: pressure multipliers
+  void (*measure_density)(const FluidPairs&);  // computes factors, adds to sums and squares
+  void (*apply_viscosity)(const FluidPairs&);  // adds to displacements: viscosity
+  void (*damp_noise)(const FluidPairs&);       // adds to displacements: noise damping
+  void (*apply_pressure)(const FluidPairs&);   // adds to displacements: pressure multipliers
 };
 const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
 
@@ -91,29 +91,32 @@ struct FluidLoops {
   // conserved.
   static void damp_noise(const FluidPairs& pairs) {
     const D scale = pairs.damping, noise = pairs.noise * pairs.noise, none = 1e-300;
-    for_each_pair(pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
-      D there[4];
-      gather(pairs.velocities, pairs.partners + k, there);
-      D along = 0.0;
-      for (std::size_t c = 0; c < 3; ++c)
-        along = along + off[c] * (there[c] - pairs.velocities[4 * i + c]);
-      const D slow = squares_of(off) * noise;
-      along = scale * D::of(pairs.factors + k) * along * slow / (slow + along * along + none);
-      for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
-      parts[3] = 0.0;
-    });
+    for_each_pair(
+        pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+          D there[4];
+          gather(pairs.velocities, pairs.partners + k, there);
+          D along = 0.0;
+          for (std::size_t c = 0; c < 3; ++c)
+            along = along + off[c] * (there[c] - pairs.velocities[4 * i + c]);
+          const D slow = squares_of(off) * noise;
+          along = scale * D::of(pairs.factors + k) * along * slow / (slow + along * along + none);
+          for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
+          parts[3] = 0.0;
+        });
   }
 
   // Half of a pair's pressure times its offset is the virial of each.
   static void apply_pressure(const FluidPairs& pairs) {
-    for_each_pair(pairs, pairs.corrections, [&](std::size_t, std::size_t k, const D* off, D* parts) {
-      const D push = off[3] * D::of(pairs.factors + k);
-      for (std::size_t c = 0; c < 3; ++c) parts[c] = push * off[c];
-      parts[3] = 0.0 - push * squares_of(off) * (0.5 / 3);
-    });
+    for_each_pair(pairs, pairs.corrections,
+                  [&](std::size_t, std::size_t k, const D* off, D* parts) {
+                    const D push = off[3] * D::of(pairs.factors + k);
+                    for (std::size_t c = 0; c < 3; ++c) parts[c] = push * off[c];
+                    parts[3] = 0.0 - push * squares_of(off) * (0.5 / 3);
+                  });
   }
 
-  static constexpr FluidFunctions functions{measure_density, apply_viscosity, damp_noise, apply_pressure};
+  static constexpr FluidFunctions functions{measure_density, apply_viscosity, damp_noise,
+                                            apply_pressure};
 };
 
 }  // namespace animtool

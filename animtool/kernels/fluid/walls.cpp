@@ -84,13 +84,13 @@ Walls::Walls() {
     integral(0.5 / REACH, 0, value, slope);
     (value > wall / full_ ? low : high) = scale_;
   }
-  for (int i = 0; i < KNOTS; ++i)
-    integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
+  for (int i = 0; i < KNOTS; ++i) integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
 }
 
 // Integrates over shells around the particle: the surface cuts each in a circle.
 void Walls::integral(double distance, double curved, double& value, double& slope) const {
-  const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
+  const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_,
+               from = std::fabs(d), span = 1 - from;
   // 1 / integral of the weight over the ball.
   const double norm = 210.0 / 23;
   value = slope = 0;
@@ -148,13 +148,14 @@ double layer_gap(const Collider& c) {
 }
 
 // A box presses through the nearest face; changes of the fraction along a face would make it wider.
-void box_contribution(const Collider& c, const Pose& pose, Vec point, double radius, WallContribution& out) {
+void box_contribution(const Collider& c, const Pose& pose, Vec point, double radius,
+                      WallContribution& out) {
   const Vec local = pose.to_local(point);
   const double at[3] = {local.x, local.y, local.z};
   double inside[3], slopes[3];
   for (int k = 0; k < 3; ++k) {
-    const double half = std::max(
-        c.size[k] + (layer_gap(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
+    const double half =
+        std::max(c.size[k] + (layer_gap(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
     double high, low, falls, rises;
     walls().fraction((half - at[k]) / radius, 0, high, falls);
     walls().fraction((half + at[k]) / radius, 0, low, rises);
@@ -183,7 +184,8 @@ WallContribution wall_contribution(const Collider& c, const Pose& pose, Vec poin
     return out;
   }
   double slope;
-  walls().fraction(sample.distance / radius + layer_gap(c), curvature(c) * radius, out.fraction, slope);
+  walls().fraction(sample.distance / radius + layer_gap(c), curvature(c) * radius, out.fraction,
+                   slope);
   out.slope = out.push = sample.normal * (slope / radius);
   return out;
 }

@@ -35,13 +35,9 @@ constexpr double ARM_PIVOT = 1e-11;
 
 using Triple = std::array<double, 3>;
 
-Triple minus(const Triple& a, const Triple& b) {
-  return {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
-}
+Triple minus(const Triple& a, const Triple& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
 
-Triple plus(const Triple& a, const Triple& b) {
-  return {a[0] + b[0], a[1] + b[1], a[2] + b[2]};
-}
+Triple plus(const Triple& a, const Triple& b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
 
 Triple times(double scale, const Triple& a) { return {scale * a[0], scale * a[1], scale * a[2]}; }
 
@@ -80,7 +76,7 @@ double angle_between(const Triple& axis, const Triple& p, const Triple& q, doubl
 // Subproblem 4: rotations of p about an axis after which its component along h is d. A d that is
 // out of range by up to `slack` is clamped.
 Angles angles_along(const Triple& axis, const Triple& p, const Triple& h, double d, double slack,
-                   double open) {
+                    double open) {
   const double along = inner(h, axis) * inner(axis, p);
   const double even = inner(h, p) - along, sine_part = inner(h, crossed(axis, p)), rest = d - along;
   const double most = std::hypot(even, sine_part);
@@ -94,15 +90,15 @@ Angles angles_along(const Triple& axis, const Triple& p, const Triple& h, double
 
 // Subproblem 3: rotations of p about an axis after which it has a given distance from q.
 Angles angles_at_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
-                double slack, double open) {
+                          double slack, double open) {
   return angles_along(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2, slack,
-                     open);
+                      open);
 }
 
 // Subproblem 2: rotations of p and q about two axes that take them to the same vector.
 template <class Use>
 void angles_to_common(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
-                    double slack, double open_first, double open_second, Use&& use) {
+                      double slack, double open_first, double open_second, Use&& use) {
   const double mixed = inner(first, second), sine = 1 - mixed * mixed;
   const double along = inner(first, p), other = inner(second, q);
   const double a = (along - mixed * other) / sine, b = (other - mixed * along) / sine;
@@ -113,7 +109,8 @@ void angles_to_common(const Triple& first, const Triple& p, const Triple& second
   const double height = std::sqrt(std::max(left, 0.0) / sine);
   for (const double sign : {1.0, -1.0}) {
     const Triple crossing = plus(flat, times(sign * height, normal));
-    use(angle_between(first, p, crossing, open_first), angle_between(second, q, crossing, open_second));
+    use(angle_between(first, p, crossing, open_first),
+        angle_between(second, q, crossing, open_second));
   }
 }
 
@@ -176,7 +173,8 @@ Approach approach_of(Anatomy& arm) {
   } else if (out_of_parallel(lines[1], lines[2]) > ARM_NEARLY) {
     return Approach::EARLIER_PARALLEL;
   }
-  return crossing(lines[1], lines[2], arm.joint) < ARM_NEARLY ? Approach::LATER_MEET : Approach::NONE;
+  return crossing(lines[1], lines[2], arm.joint) < ARM_NEARLY ? Approach::LATER_MEET
+                                                              : Approach::NONE;
 }
 
 Anatomy look(const Task& task) {
@@ -201,7 +199,8 @@ Anatomy look(const Task& task) {
     arm.kind = ArmKind::PARALLEL;
     return arm;
   }
-  const bool wrist = on_line(arm.wrist, lines[3]) && out_of_parallel(lines[3], lines[4]) > ARM_NEARLY;
+  const bool wrist =
+      on_line(arm.wrist, lines[3]) && out_of_parallel(lines[3], lines[4]) > ARM_NEARLY;
   arm.reach = wrist ? approach_of(arm) : Approach::NONE;
   if (arm.reach != Approach::NONE) arm.kind = ArmKind::WRIST;
   return arm;
@@ -210,18 +209,21 @@ Anatomy look(const Task& task) {
 class SixPins : public Arm {
  public:
   SixPins(const Task& task, const Anatomy& arm, double length_tolerance, double angle_tolerance)
-      : task_(task), arm_(arm), tolerances_{length_tolerance, angle_tolerance}, state_(task),
+      : task_(task),
+        arm_(arm),
+        tolerances_{length_tolerance, angle_tolerance},
+        state_(task),
         linear_(task) {}
 
   bool follows() const override { return true; }
 
   bool solve(const double* start, const double* target, const double*, double, double* q,
-             double* misses) override {
+             double* errors) override {
     const std::size_t count = find(start, target);
     for (std::size_t i = 0; i < count; ++i) {
       if (!finish(branches_[order_[i]].angles, target)) continue;
       std::copy(state_.q.begin(), state_.q.end(), q);
-      std::copy(state_.misses.begin(), state_.misses.end(), misses);
+      std::copy(state_.errors.begin(), state_.errors.end(), errors);
       return true;
     }
     return false;
@@ -297,7 +299,8 @@ class SixPins : public Arm {
 
   Triple goal_undone(const Triple& v) const {
     Triple out;
-    for (int i = 0; i < 3; ++i) out[i] = goal_[i] * v[0] + goal_[3 + i] * v[1] + goal_[6 + i] * v[2];
+    for (int i = 0; i < 3; ++i)
+      out[i] = goal_[i] * v[0] + goal_[3 + i] * v[1] + goal_[6 + i] * v[2];
     return out;
   }
 
@@ -330,7 +333,8 @@ class SixPins : public Arm {
   // Second and third angle, from the sides of a triangle.
   void in_plane(double first, const Triple& goal, const Triple& point) {
     const double far = size(minus(goal, at(1)));
-    each(angles_at_distance(axis(2), minus(point, at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
+    each(angles_at_distance(axis(2), minus(point, at(2)), minus(at(1), at(2)), far, SLACK,
+                            start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, point);
            const double second =
@@ -346,20 +350,21 @@ class SixPins : public Arm {
     each(angles_at_distance(back, minus(wrist_, at(0)), minus(joint, at(0)), far, SLACK, start_[0]),
          [&](double first) {
            angles_to_common(times(-1, axis(1)), minus(before_first(first), joint), axis(2),
-                          minus(arm_.wrist, joint), SLACK, start_[1], start_[2],
-                          [&](double second, double third) { wrist(first, second, third); });
+                            minus(arm_.wrist, joint), SLACK, start_[1], start_[2],
+                            [&](double second, double third) { wrist(first, second, third); });
          });
   }
 
   void earlier_meet() {
     const Triple& joint = arm_.joint;
     const double far = size(minus(wrist_, joint));
-    each(angles_at_distance(axis(2), minus(arm_.wrist, at(2)), minus(joint, at(2)), far, SLACK, start_[2]),
+    each(angles_at_distance(axis(2), minus(arm_.wrist, at(2)), minus(joint, at(2)), far, SLACK,
+                            start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, arm_.wrist);
            angles_to_common(times(-1, axis(0)), minus(wrist_, joint), axis(1), minus(placed, joint),
-                          SLACK, start_[0], start_[1],
-                          [&](double first, double second) { wrist(first, second, third); });
+                            SLACK, start_[0], start_[1],
+                            [&](double first, double second) { wrist(first, second, third); });
          });
   }
 
@@ -370,7 +375,7 @@ class SixPins : public Arm {
            const Triple placed = moved(2, third, arm_.wrist);
            const double far = size(minus(wrist_, at(0)));
            each(angles_at_distance(axis(1), minus(placed, at(1)), minus(at(0), at(1)), far, SLACK,
-                         start_[1]),
+                                   start_[1]),
                 [&](double second) {
                   const Triple there = moved(1, second, placed);
                   const double first =
@@ -386,17 +391,17 @@ class SixPins : public Arm {
       return turned(axis(2), -third, turned(axis(1), -second, turned(axis(0), -first, v)));
     };
     const Triple end = left(goal_turned(axis(5)));
-    each(angles_along(axis(4), axis(5), axis(3), inner(axis(3), end), SLACK, start_[4]),
-         [&](double fifth) {
-           const Triple bent = turned(axis(4), fifth, axis(5));
-           const double fourth = angle_between(axis(3), bent, end, start_[3]);
-           // The vector farthest from the last axis compensates the error of the fourth angle.
-           const Triple side = across(axis(5));
-           const Triple goal = left(goal_turned(side));
-           const Triple open = turned(axis(4), -fifth, turned(axis(3), -fourth, goal));
-           add({first, second, third, fourth, fifth,
-                angle_between(axis(5), side, open, start_[5])});
-         });
+    each(
+        angles_along(axis(4), axis(5), axis(3), inner(axis(3), end), SLACK, start_[4]),
+        [&](double fifth) {
+          const Triple bent = turned(axis(4), fifth, axis(5));
+          const double fourth = angle_between(axis(3), bent, end, start_[3]);
+          // The vector farthest from the last axis compensates the error of the fourth angle.
+          const Triple side = across(axis(5));
+          const Triple goal = left(goal_turned(side));
+          const Triple open = turned(axis(4), -fifth, turned(axis(3), -fourth, goal));
+          add({first, second, third, fourth, fifth, angle_between(axis(5), side, open, start_[5])});
+        });
   }
 
   static Triple across(const Triple& v) {
@@ -426,8 +431,7 @@ class SixPins : public Arm {
   void parallel(double first, double fifth, const Triple& goal) {
     const Triple& normal = axis(1);
     const Triple undone = goal_undone(turned(axis(0), first, normal));
-    const double sixth =
-        angle_between(axis(5), undone, turned(axis(4), -fifth, normal), start_[5]);
+    const double sixth = angle_between(axis(5), undone, turned(axis(4), -fifth, normal), start_[5]);
     // The sum of the three parallel rotations.
     const Triple side = across(normal);
     const Triple last = turned(axis(5), -sixth, turned(axis(4), -fifth, side));
@@ -435,7 +439,8 @@ class SixPins : public Arm {
     const double sum = angle_between(normal, side, shown, 0);
     const Triple elbow = minus(goal, turned(normal, sum, minus(arm_.wrist, at(3))));
     const double far = size(minus(elbow, at(1)));
-    each(angles_at_distance(axis(2), minus(at(3), at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
+    each(angles_at_distance(axis(2), minus(at(3), at(2)), minus(at(1), at(2)), far, SLACK,
+                            start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, at(3));
            const double second =
@@ -457,8 +462,10 @@ class SixPins : public Arm {
     for (std::size_t n = 0; n < ARM_PINS; ++n) {
       const double* limit = task_.chain.nodes[n].limit;
       double angle = angles[n] + REVOLUTION * std::nearbyint((start_[n] - angles[n]) / REVOLUTION);
-      if (angle < limit[0] - SLACK) angle += REVOLUTION * std::ceil((limit[0] - SLACK - angle) / REVOLUTION);
-      if (angle > limit[1] + SLACK) angle -= REVOLUTION * std::ceil((angle - limit[1] - SLACK) / REVOLUTION);
+      if (angle < limit[0] - SLACK)
+        angle += REVOLUTION * std::ceil((limit[0] - SLACK - angle) / REVOLUTION);
+      if (angle > limit[1] + SLACK)
+        angle -= REVOLUTION * std::ceil((angle - limit[1] - SLACK) / REVOLUTION);
       if (!(angle >= limit[0] - SLACK)) return;
       pose.angles[n] = std::clamp(angle, limit[0], limit[1]);
       pose.distance += (angle - start_[n]) * (angle - start_[n]);
@@ -467,8 +474,8 @@ class SixPins : public Arm {
   }
 
   double worst() const {
-    const double* misses = state_.misses.data();
-    return *std::max_element(misses, misses + PARTS);
+    const double* errors = state_.errors.data();
+    return *std::max_element(errors, errors + PARTS);
   }
 
   void look_at(const double* q, const double* target) {
@@ -483,8 +490,8 @@ class SixPins : public Arm {
     double best[ARM_PINS], next[ARM_PINS], step[ARM_PINS];
     std::copy(angles, angles + ARM_PINS, best);
     look_at(best, target);
-    double miss = worst();
-    for (int i = 0; i < ARM_STEPS && miss > ARM_EXACT; ++i) {
+    double error = worst();
+    for (int i = 0; i < ARM_STEPS && error > ARM_EXACT; ++i) {
       newton(target, step);
       for (std::size_t n = 0; n < ARM_PINS; ++n) {
         const double* limit = task_.chain.nodes[n].limit;
@@ -492,16 +499,16 @@ class SixPins : public Arm {
       }
       look_at(next, target);
       const double now = worst();
-      if (!(now < miss)) break;
-      const bool slow = now > miss / 2;
-      miss = now;
+      if (!(now < error)) break;
+      const bool slow = now > error / 2;
+      error = now;
       std::copy(next, next + ARM_PINS, best);
       if (slow) break;
     }
     look_at(best, target);
-    const double* misses = state_.misses.data();
+    const double* errors = state_.errors.data();
     for (int part = 0; part < PARTS; ++part)
-      if (!(misses[part] <= tolerances_[METRIC[part] ? 0 : 1])) return false;
+      if (!(errors[part] <= tolerances_[METRIC[part] ? 0 : 1])) return false;
     return true;
   }
 

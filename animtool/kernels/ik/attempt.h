@@ -42,7 +42,7 @@ inline void sample(const Chain& chain, const double* home, Random& random, doubl
       parts.swing[0] = reach * std::min(l[0], REVOLUTION / 2) * std::cos(angle);
       parts.swing[1] = reach * std::min(l[1], REVOLUTION / 2) * std::sin(angle);
       parts.twist = random.between(std::max(l[2], -REVOLUTION / 2), std::min(l[3], REVOLUTION / 2));
-      join(parts, values);
+      compose(parts, values);
       clamp_ball(values, l);
     } else if (l[1] - l[0] < REVOLUTION) {
       values[0] = random.between(l[0], l[1]);
@@ -62,7 +62,7 @@ struct Settings {
   int iterations;           // largest number in all descents of one problem
   int restarts;
   std::uint64_t seed;
-  double seconds;   // time limit; 0 is none
+  double seconds;        // time limit; 0 is none
   bool separate_starts;  // frames of a clip each have their own start
 
   double tolerance(int part) const { return METRIC[part] ? length_tolerance : angle_tolerance; }
@@ -73,7 +73,7 @@ enum class Status {
   NEAREST = 1,
   BUDGET = 2,
   BROKEN = 3,
-  YIELDED = 4,
+  SOFTENED = 4,
   CONFLICT = 5,
   STALLED = 6
 };
@@ -114,22 +114,29 @@ class Attempt {
   }
 
   // Whether the errors of a goal are within a fraction of the tolerances.
-  bool within(const double* misses, double fraction = 1) const {
+  bool within(const double* errors, double fraction = 1) const {
     for (int part = 0; part < PARTS; ++part)
-      if (misses[part] > fraction * settings_.tolerance(part)) return false;
+      if (errors[part] > fraction * settings_.tolerance(part)) return false;
     return true;
   }
 
   bool reached(const State& state) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (!within(&state.misses[PARTS * e])) return false;
+      if (!within(&state.errors[PARTS * e])) return false;
     return true;
   }
 
  protected:
   Attempt(const Task& task, const Settings& settings)
-      : task_(task), settings_(settings), linear_(task), stepper_(task), now_(task), next_(task),
-        best_(task), delta_(task.chain.dofs), pull_(task.chain.dofs) {}
+      : task_(task),
+        settings_(settings),
+        linear_(task),
+        stepper_(task),
+        now_(task),
+        next_(task),
+        best_(task),
+        delta_(task.chain.dofs),
+        pull_(task.chain.dofs) {}
 
   // Clamps the start to the limits; returns false if its cost is not finite.
   bool open(const double* start, const double* targets, const double* rest);
@@ -137,8 +144,8 @@ class Attempt {
   void evaluate(State& state) {
     forward(task_.chain, state.q.data(), state.frames);
     measure(task_, targets_, state, shift_);
-    state.drawn = rest_pull(task_, state.q.data(), rest_, task_.rest_weight, pull_.data());
-    state.cost += state.drawn;
+    state.rest_cost = rest_pull(task_, state.q.data(), rest_, task_.rest_weight, pull_.data());
+    state.cost += state.rest_cost;
   }
 
   void begin(const State& state) {
@@ -147,20 +154,20 @@ class Attempt {
   }
 
   // Perturbs now_: a pose with zero gradient need not be a minimum.
-  void shake() {
-    for (double& d : delta_) d = random_.between(-SHAKE, SHAKE);
+  void perturb() {
+    for (double& d : delta_) d = random_.between(-PERTURBATION, PERTURBATION);
     stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
     std::swap(now_, next_);
     evaluate(now_);
   }
 
   // Keeps the better pose; returns whether it reaches the goals.
-  bool keep() {
+  bool accept() {
     if (now_.cost < best_.cost || (reached(now_) && !reached(best_))) std::swap(now_, best_);
     return reached(best_);
   }
 
-  static constexpr double SHAKE = 0.05;  // [rad]
+  static constexpr double PERTURBATION = 0.05;  // [rad]
 
   const Task& task_;
   const Settings& settings_;
@@ -186,7 +193,7 @@ class Descent : public Attempt {
   enum class End { REACHED, STUCK, SLOW, BUDGET };
 
   // Bounds of the damping of all descents.
-  static constexpr double LEAST_DAMPING = 1e-12, MAX_DAMPING = 1e8;
+  static constexpr double MIN_DAMPING = 1e-12, MAX_DAMPING = 1e8;
   // In this many steps a descent has to reduce the cost to this fraction.
   static constexpr int MAX_STALLED = 6;
   static constexpr double PROGRESS = 0.3;
@@ -194,7 +201,7 @@ class Descent : public Attempt {
   static constexpr double FAR = 0.5;
   // A step is accepted if it gains this fraction of the predicted decrease; a descent ends when
   // steps rotate joints by less than this [rad].
-  static constexpr double LEAST_RATIO = 1e-4, MIN_ROTATION = 1e-10;
+  static constexpr double MIN_RATIO = 1e-4, MIN_ROTATION = 1e-10;
   // It also ends when the predicted gain is below this fraction of the cost: rounding error,
   // unless the caller asks for less precision.
   static constexpr double ROUNDED = 1e-15;
@@ -206,7 +213,7 @@ class Descent : public Attempt {
   End descend(double damping, bool thorough);
 
   // Decrease of the cost that the model predicts for the step to next_; negative without a step.
-  double try_step(double damping, bool curved, double trusted);
+  double try_step(double damping, bool curved, double trust_radius);
 };
 
 }  // namespace animtool::ik

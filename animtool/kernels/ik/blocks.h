@@ -14,13 +14,19 @@ namespace animtool::ik {
 class BlockBand {
  public:
   explicit BlockBand(int width)
-      : width_(width), square_(static_cast<std::size_t>(width) * width), factor_(square_),
-        cross_(square_), lower_(square_), column_(width), part_(width) {}
+      : width_(width),
+        square_(static_cast<std::size_t>(width) * width),
+        factor_(square_),
+        cross_(square_),
+        lower_(square_),
+        column_(width),
+        part_(width) {}
 
   // Allocates the blocks of a number of frames; `factor` reads the lower triangle of each.
   void resize(int count) {
     count_ = count;
-    diagonal_.resize(count * square_), inverse_.resize(count * square_), near_.resize(count * square_);
+    diagonal_.resize(count * square_), inverse_.resize(count * square_),
+        near_.resize(count * square_);
     off_.assign(2 * static_cast<std::size_t>(count), 0.0);
   }
   double* block(int t) { return diagonal_.data() + t * square_; }
@@ -70,8 +76,7 @@ class BlockBand {
   void take_square(const double* u, double scale) {
     for (int i = 0; i < width_; ++i)
       for (int j = 0; j <= i; ++j)
-        factor_[i * width_ + j] -=
-            scale * scale * inner(u + i * width_, u + j * width_, i, width_);
+        factor_[i * width_ + j] -= scale * scale * inner(u + i * width_, u + j * width_, i, width_);
   }
 
   // factor_ -= N N^T

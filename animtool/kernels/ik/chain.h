@@ -14,16 +14,16 @@ enum class Kind { PIN = 0, SLIDE = 1, BALL = 2 };
 // may depend on one coordinate: value = gain * coordinate + shift.
 struct Node {
   Kind kind;
-  int parent;         // -1 for the world
-  double rest[9];     // parent_from_node
-  double offset[3];   // its origin in the parent's frame
+  int parent;          // -1 for the world
+  double rest[9];      // parent_from_node
+  double offset[3];    // its origin in the parent's frame
   double gain, shift;  // of pins and slides
-  bool follows;       // the coordinate belongs to an earlier node, or a program gives the value
-  double limit[4];    // low, high; of a ball swing about x, swing about y, twist low, high
-  double quick[5];    // precomputed from the limits of a ball, see `prepare`
-  int coordinate;     // index of the first of 1 or 4
-  int dof;            // index of the first of 1 or 3
-  int program;        // program that gives the value instead of a coordinate, or -1
+  bool follows;        // the coordinate belongs to an earlier node, or a program gives the value
+  double limit[4];     // low, high; of a ball swing about x, swing about y, twist low, high
+  double inside_bounds[5];  // precomputed from the limits of a ball, see `prepare`
+  int coordinate;           // index of the first of 1 or 4
+  int dof;                  // index of the first of 1 or 3
+  int program;              // program that gives the value instead of a coordinate, or -1
 
   int width() const { return kind == Kind::BALL ? 3 : 1; }
 };
@@ -43,7 +43,8 @@ struct Frames {
   Results results;                // of the chain's programs
 
   explicit Frames(const Chain& chain)
-      : rotations(9 * chain.nodes.size()), origins(3 * chain.nodes.size()),
+      : rotations(9 * chain.nodes.size()),
+        origins(3 * chain.nodes.size()),
         axes(9 * chain.nodes.size()) {
     std::size_t room = 0, slopes = 0;
     for (const Program& program : chain.programs) {
@@ -119,8 +120,7 @@ inline void pull_back(const double* v, const double* y, double side, double* out
   cross(v, y, first);
   cross(v, first, second);
   const double square = dot(v, v), angle = std::sqrt(square);
-  const double factor =
-      angle < 1e-3 ? 1.0 / 12 : (1 - angle / 2 / std::tan(angle / 2)) / square;
+  const double factor = angle < 1e-3 ? 1.0 / 12 : (1 - angle / 2 / std::tan(angle / 2)) / square;
   for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
 }
 
@@ -146,13 +146,13 @@ struct Pull {
   }
 
   // A remaining rotation: half of it, because its trace counts the angle twice.
-  void add(double weight, const double* left) {
+  void add(double weight, const double* remaining_rotation) {
     const double half = weight / 2;
-    trace += half * (left[0] + left[4] + left[8]);
-    torque[0] += half * (left[7] - left[5]);
-    torque[1] += half * (left[2] - left[6]);
-    torque[2] += half * (left[3] - left[1]);
-    for (int i = 0; i < 9; ++i) moment[i] += half * left[i];
+    trace += half * (remaining_rotation[0] + remaining_rotation[4] + remaining_rotation[8]);
+    torque[0] += half * (remaining_rotation[7] - remaining_rotation[5]);
+    torque[1] += half * (remaining_rotation[2] - remaining_rotation[6]);
+    torque[2] += half * (remaining_rotation[3] - remaining_rotation[1]);
+    for (int i = 0; i < 9; ++i) moment[i] += half * remaining_rotation[i];
   }
 
   double angle(const double* axis) const {

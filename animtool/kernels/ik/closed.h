@@ -15,8 +15,8 @@ class ClosedForm {
   // Writes a pose `q` and its errors (K,), from two sets of packed targets: those that errors
   // refer to, and those within reach. Returns false if the pose violates limits or does not
   // reach the target, so that another solver has to search.
-  virtual bool solve(const double* start, const double* target, const double* sought,
-                     double scale, double* q, double* misses) = 0;
+  virtual bool solve(const double* start, const double* target, const double* reachable,
+                     double scale, double* q, double* errors) = 0;
 
   // Whether the solution depends on the start, so that each frame of a clip starts at the
   // previous one.

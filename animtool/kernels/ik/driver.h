@@ -14,8 +14,34 @@ namespace animtool::ik {
 
 // As in animtool.ik.driver_programs; the functions are those of a rig's expressions.
 enum class Op {
-  NUMBER, COORDINATE, BALL, RESULT, POINT, CURVE, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, ABS,
-  ATAN2, CEIL, CLAMP, COS, EXP, FLOOR, LERP, LOG, MAX, MIN, POW, SIGN, SIN, SMOOTHSTEP, SQRT, TAN,
+  NUMBER,
+  COORDINATE,
+  BALL,
+  RESULT,
+  POINT,
+  CURVE,
+  ADD,
+  SUBTRACT,
+  MULTIPLY,
+  DIVIDE,
+  NEGATE,
+  ABS,
+  ATAN2,
+  CEIL,
+  CLAMP,
+  COS,
+  EXP,
+  FLOOR,
+  LERP,
+  LOG,
+  MAX,
+  MIN,
+  POW,
+  SIGN,
+  SIN,
+  SMOOTHSTEP,
+  SQRT,
+  TAN,
   COUNT
 };
 
@@ -26,11 +52,27 @@ constexpr std::size_t MAX_STACKED = 1024, MAX_SLOPES = 1024;
 
 inline int arguments(Op op) {
   switch (op) {
-    case Op::NUMBER: case Op::COORDINATE: case Op::BALL: case Op::RESULT: case Op::POINT: return 0;
-    case Op::CLAMP: case Op::LERP: case Op::SMOOTHSTEP: return 3;
-    case Op::ADD: case Op::SUBTRACT: case Op::MULTIPLY: case Op::DIVIDE: case Op::ATAN2:
-    case Op::MAX: case Op::MIN: case Op::POW: return 2;
-    default: return 1;
+    case Op::NUMBER:
+    case Op::COORDINATE:
+    case Op::BALL:
+    case Op::RESULT:
+    case Op::POINT:
+      return 0;
+    case Op::CLAMP:
+    case Op::LERP:
+    case Op::SMOOTHSTEP:
+      return 3;
+    case Op::ADD:
+    case Op::SUBTRACT:
+    case Op::MULTIPLY:
+    case Op::DIVIDE:
+    case Op::ATAN2:
+    case Op::MAX:
+    case Op::MIN:
+    case Op::POW:
+      return 2;
+    default:
+      return 1;
   }
 }
 
@@ -89,7 +131,7 @@ class Evaluation {
   }
 
   // The result of one, two or three operands replaces the first.
-  void join(int count, double value, double a, double b = 0, double c = 0);
+  void replace_operands(int count, double value, double a, double b = 0, double c = 0);
 
   void apply(const Program& program, const Instruction& one, const Instruction* points);
 

@@ -46,10 +46,10 @@ std::vector<Limb> read_limbs(const In<std::int64_t, 1>& goals, const In<double, 
 }
 
 void extend(const std::vector<Limb>& limbs, std::size_t count, const double* targets,
-            double* sought, double* scales, bool* eased) {
-  std::copy(targets, targets + count * TARGET_WIDTH, sought);
+            double* reachable, double* scales, bool* softened) {
+  std::copy(targets, targets + count * TARGET_WIDTH, reachable);
   std::fill(scales, scales + count, 1.0);
-  std::fill(eased, eased + count, false);
+  std::fill(softened, softened + count, false);
   for (const Limb& limb : limbs) {
     const double* target = targets + TARGET_WIDTH * limb.goal;
     double towards[3];
@@ -64,11 +64,11 @@ void extend(const std::vector<Limb>& limbs, std::size_t count, const double* tar
     }
     if (!(distance > extent)) continue;
     if (limb.soft > 0)
-      eased[limb.goal] = distance <= limb.reach + limb.stretch * limb.bones;
+      softened[limb.goal] = distance <= limb.reach + limb.stretch * limb.bones;
     else if (limb.stretch <= 0)
       continue;
     const double ratio = extent / distance;
-    double* moved = sought + TARGET_WIDTH * limb.goal;
+    double* moved = reachable + TARGET_WIDTH * limb.goal;
     for (int i = 0; i < 3; ++i) moved[i] = limb.origin[i] + towards[i] * ratio;
   }
 }
@@ -81,14 +81,14 @@ IkExtended extend_ik_limbs(In<std::int64_t, 1> limbs, In<double, 2> limb_numbers
   const std::size_t batch = targets.shape(0), goals = targets.shape(1);
   check::shape("targets", targets, {check::ANY, check::ANY, TARGET_WIDTH});
   const std::vector<Limb> read = read_limbs(limbs, limb_numbers, goals);
-  Out<double, 3> sought(batch, goals, TARGET_WIDTH);
+  Out<double, 3> reachable(batch, goals, TARGET_WIDTH);
   Out<double, 2> scales(batch, goals);
-  Out<bool, 2> eased(batch, goals);
+  Out<bool, 2> softened(batch, goals);
   for (std::size_t b = 0; b < batch; ++b)
     extend(read, goals, targets.data() + b * goals * TARGET_WIDTH,
-           sought.get() + b * goals * TARGET_WIDTH, scales.get() + b * goals,
-           eased.get() + b * goals);
-  return {std::move(sought), std::move(scales), std::move(eased)};
+           reachable.get() + b * goals * TARGET_WIDTH, scales.get() + b * goals,
+           softened.get() + b * goals);
+  return {std::move(reachable), std::move(scales), std::move(softened)};
 }
 
 }  // namespace animtool

@@ -25,6 +25,6 @@ std::vector<Limb> read_limbs(const In<std::int64_t, 1>& goals, const In<double, 
 // For one problem with `count` goals: targets within reach of the limbs, factors of their bone
 // lengths (E,), and whether only the soft extension keeps a limb from its target (E,).
 void extend(const std::vector<Limb>& limbs, std::size_t count, const double* targets,
-            double* sought, double* scales, bool* eased);
+            double* reachable, double* scales, bool* softened);
 
 }  // namespace animtool::ik

@@ -39,12 +39,22 @@ class PathFit : public Descent {
   // The task's rest weight is the weight of the extrapolated pose.
   PathFit(Task& task, const Settings& settings, const FitSettings& fit, int frames,
           const double* targets, const double* starts)
-      : Descent(task, settings), local_task_(task), drawn_(task.rest_weight), fit_(fit), frames_(frames), width_(task.chain.dofs),
+      : Descent(task, settings),
+        local_task_(task),
+        drawn_(task.rest_weight),
+        fit_(fit),
+        frames_(frames),
+        width_(task.chain.dofs),
         coordinates_(task.chain.coordinates),
-        source_targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH), asked_(source_targets_),
-        starts_(starts), cost_(task.chain, frames, fit.weights, nullptr),
-        band_(frames, fit.first, fit.end, fit.weights), blocks_(width_), home_(task.chain.coordinates),
-        away_(width_), kept_(task) {
+        source_targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
+        asked_(source_targets_),
+        starts_(starts),
+        cost_(task.chain, frames, fit.weights, nullptr),
+        band_(frames, fit.first, fit.end, fit.weights),
+        blocks_(width_),
+        home_(task.chain.coordinates),
+        away_(width_),
+        kept_(task) {
     least_gain_ = ENOUGH;
     for (const Node& node : task.chain.nodes)
       if (node.kind == Kind::BALL && !node.follows) home_[node.coordinate + 3] = 1;
@@ -124,9 +134,9 @@ class PathFit : public Descent {
       for (int part = 0; part < PARTS; ++part) {
         const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, part);
         if (!(weight > 0)) continue;
-        const double miss = weight * state.misses[PARTS * e + part];
+        const double error = weight * state.errors[PARTS * e + part];
         // Poses and targets may contain any numbers: NaN counts as far away.
-        f(e, part, std::fabs(miss) < BEYOND ? miss * miss : BEYOND * BEYOND);
+        f(e, part, std::fabs(error) < BEYOND ? error * error : BEYOND * BEYOND);
       }
   }
 
@@ -144,9 +154,8 @@ class PathFit : public Descent {
     double sum = 0;
     int count = 0;
     const double limit = fit_.robust * fit_.robust;
-    each_miss(t, state, [&](std::size_t, int, double square) {
-      sum += square / (limit + square), ++count;
-    });
+    each_miss(t, state,
+              [&](std::size_t, int, double square) { sum += square / (limit + square), ++count; });
     return count ? sum / count : 0;
   }
 
@@ -247,7 +256,8 @@ class PathFit : public Descent {
     if (follows && largest_miss(t, kept_) > fit_.robust) {
       const double current_cost = cost + surprise(best.data(), prefer.data());
       const double other = settle(t, start.data(), prefer.data(), true);
-      if (other + surprise(kept_.q.data(), prefer.data()) < current_cost) cost = other, best = kept_.q;
+      if (other + surprise(kept_.q.data(), prefer.data()) < current_cost)
+        cost = other, best = kept_.q;
       look(t, best.data(), kept_);
     }
     if (send_torn_home(t, best, start)) {
@@ -298,12 +308,13 @@ class PathFit : public Descent {
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       if (!(task_.goals[e].weights[0] > 0)) continue;
       const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, 0);
-      const double miss = weight * kept_.misses[PARTS * e];
-      if (!(weight > 0) || miss * miss > STRAY * limit) strays_.push_back(e);
+      const double error = weight * kept_.errors[PARTS * e];
+      if (!(weight > 0) || error * error > STRAY * limit) strays_.push_back(e);
     }
     if (strays_.size() < 2 || strays_.size() > MAX_STRAYS) return;
     std::int64_t* taken = taken_ + static_cast<std::size_t>(t) * task_.goals.size();
-    const std::vector<double> before(source_targets(t), source_targets(t) + task_.goals.size() * TARGET_WIDTH);
+    const std::vector<double> before(source_targets(t),
+                                     source_targets(t) + task_.goals.size() * TARGET_WIDTH);
     for (const std::size_t from : strays_) {
       const double* target = before.data() + TARGET_WIDTH * from;
       if (!(target[WEIGHTS] > 0)) continue;
@@ -360,7 +371,8 @@ class PathFit : public Descent {
     if (fit_.first >= fit_.end) return;
     const int count = fit_.end - fit_.first;
     blocks_.resize(count);
-    for (int i = 0; i < count; ++i) blocks_.couple(i, band_.entry(fit_.first + i, -1), band_.entry(fit_.first + i, -2));
+    for (int i = 0; i < count; ++i)
+      blocks_.couple(i, band_.entry(fit_.first + i, -1), band_.entry(fit_.first + i, -2));
     outcome.before = outcome.after = evaluate(now_path_, false);
     // Frames solved one by one are not smooth. The first smoothing step is long, and would lose
     // goals, whose weight falls with their error. So goals that fit now are held at first.
@@ -466,9 +478,9 @@ class PathFit : public Descent {
       for (int k = 0; k < node.width() && size > 0; ++k)
         away_[node.dof + k] = PROBE * down[node.dof + k] / std::sqrt(size);
     }
-    std::vector<Stepper::Pinned> pinned;
-    stepper_.shut(kept_, walls_[i], pinned);
-    stepper_.fix_violations(kept_, away_.data(), walls_[i], pinned);
+    std::vector<Stepper::AtLimit> at_limit;
+    stepper_.fix_locked(kept_, walls_[i], at_limit);
+    stepper_.fix_violations(kept_, away_.data(), walls_[i], at_limit);
   }
 
   // next_path_ <- the path after a step.
@@ -533,8 +545,8 @@ using namespace ik;
 
 IkFitted fit_ik(const IkFitting& source_targets) {
   const auto& [nodes, numbers, goals, goal_numbers, path, targets, starts, anchor, speed,
-               acceleration, robust, rest_weight, homing, first, end, iterations, rounds,
-               tracked] = source_targets;
+               acceleration, robust, rest_weight, homing, first, end, iterations, rounds, tracked] =
+      source_targets;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);
@@ -551,10 +563,10 @@ IkFitted fit_ik(const IkFitting& source_targets) {
   check::between("iterations", iterations, 0, std::numeric_limits<int>::max());
   check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
   const Settings settings{0, 0, FIT_DAMPING, iterations, 0, 0, 0, false};
-  const FitSettings over{{anchor, speed, acceleration},   robust, homing, static_cast<int>(first),
-                         static_cast<int>(end), rounds, tracked};
+  const FitSettings over{{anchor, speed, acceleration}, robust, homing, static_cast<int>(first),
+                         static_cast<int>(end),         rounds, tracked};
   Out<double, 2> fitted(frames, width);
-  Out<double, 3> misses(frames, e, PARTS);
+  Out<double, 3> errors(frames, e, PARTS);
   Out<std::int64_t, 1> searched(frames);
   Out<std::int64_t, 2> taken(frames, e);
   std::copy(path.data(), path.data() + frames * width, fitted.get());
@@ -567,9 +579,9 @@ IkFitted fit_ik(const IkFitting& source_targets) {
     std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
     forward(task.chain, state.q.data(), state.frames);
     measure(task, fit.targets(static_cast<int>(t)), state);
-    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+    std::copy(state.errors.begin(), state.errors.end(), errors.get() + t * e * PARTS);
   }
-  return {std::move(fitted), std::move(misses), std::move(searched), std::move(taken),
+  return {std::move(fitted), std::move(errors), std::move(searched), std::move(taken),
           outcome.rounds,    outcome.before,    outcome.after};
 }
 

@@ -17,9 +17,9 @@ namespace animtool::ik {
 struct View {
   const double* rotation;  // of the goal's node
   const double* point;
-  const double* aim_axis;           // in the node's frame
-  int root, middle;                 // nodes of the limb, or -1
-  const double *origin, *joint;     // of its root and middle; null without a limb
+  const double* aim_axis;        // in the node's frame
+  int root, middle;              // nodes of the limb, or -1
+  const double *origin, *joint;  // of its root and middle; null without a limb
 };
 
 // Velocity of a goal's point and frame per unit motion about an axis of a node.
@@ -54,10 +54,10 @@ struct RotationTarget {
   // first, so that neither tiny nor huge numbers under- or overflow.
   static void to_chain(double* q, const double* frame, double) {
     const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
-    const double most =
+    const double largest =
         std::max({std::fabs(q[0]), std::fabs(q[1]), std::fabs(q[2]), std::fabs(q[3])});
-    if (most > 0) {
-      for (int i = 0; i < 4; ++i) q[i] /= most;
+    if (largest > 0) {
+      for (int i = 0; i < 4; ++i) q[i] /= largest;
       normalize(q);
     } else {
       q[0] = q[1] = q[2] = 0, q[3] = 1;
@@ -83,17 +83,17 @@ struct Position : PointTarget {
 
   static double measure(double weight, const View& view, const double* target, double* r) {
     for (int i = 0; i < 3; ++i) r[i] = target[i] - view.point[i];
-    const double miss = length(r);
+    const double error = length(r);
     for (int i = 0; i < 3; ++i) r[i] *= weight;
-    return miss;
+    return error;
   }
 
-  static void keep(const View& view, double* target) {
+  static void target_from_pose(const View& view, double* target) {
     std::copy(view.point, view.point + 3, target);
   }
 
   struct Slopes {
-    void look(const View&, const double*) {}
+    void prepare(const View&, const double*) {}
     void add(const Motion& motion, double scale, double* column) const {
       for (int i = 0; i < 3; ++i) column[i] += scale * motion.linear[i];
     }
@@ -102,8 +102,7 @@ struct Position : PointTarget {
   static void pull(double weight, const View& view, const double* target, const double* origin,
                    Pull& sum) {
     double from[3], to[3];
-    for (int i = 0; i < 3; ++i)
-      from[i] = view.point[i] - origin[i], to[i] = target[i] - origin[i];
+    for (int i = 0; i < 3; ++i) from[i] = view.point[i] - origin[i], to[i] = target[i] - origin[i];
     sum.add(weight, from, to);
   }
 };
@@ -114,7 +113,7 @@ struct Orientation : RotationTarget {
   static constexpr bool METRIC = false, LIMB = false;
 
   // The remaining rotation.
-  static void left(const View& view, const double* target, double* out) {
+  static void remaining_rotation(const View& view, const double* target, double* out) {
     double desired[9], transposed[9];
     to_matrix(target, desired);
     for (int i = 0; i < 9; ++i) transposed[i] = view.rotation[3 * (i % 3) + i / 3];
@@ -123,21 +122,21 @@ struct Orientation : RotationTarget {
 
   static double measure(double weight, const View& view, const double* target, double* r) {
     double remaining[9];
-    left(view, target, remaining);
+    remaining_rotation(view, target, remaining);
     logarithm_of_matrix(remaining, r);
-    const double miss = length(r);
+    const double error = length(r);
     for (int i = 0; i < 3; ++i) r[i] *= weight;
-    return miss;
+    return error;
   }
 
-  static void keep(const View& view, double* target) {
+  static void target_from_pose(const View& view, double* target) {
     double remaining[3];
     logarithm_of_matrix(view.rotation, remaining);
     exponential(remaining, target);
   }
 
   struct Slopes {
-    void look(const View&, const double*) {}
+    void prepare(const View&, const double*) {}
     void add(const Motion& motion, double scale, double* column) const {
       for (int i = 0; i < 3; ++i) column[i] += scale * motion.angular[i];
     }
@@ -146,7 +145,7 @@ struct Orientation : RotationTarget {
   static void pull(double weight, const View& view, const double* target, const double*,
                    Pull& sum) {
     double remaining[9];
-    left(view, target, remaining);
+    remaining_rotation(view, target, remaining);
     sum.add(weight, remaining);
   }
 };
@@ -162,7 +161,7 @@ struct Aim : PointTarget {
     double distance, angle;
   };
 
-  static AimRotation look_at(const View& view, const double* target) {
+  static AimRotation aim_rotation(const View& view, const double* target) {
     AimRotation aim;
     rotate(view.rotation, view.aim_axis, aim.direction);
     for (int i = 0; i < 3; ++i) aim.desired[i] = target[i] - view.point[i];
@@ -185,7 +184,7 @@ struct Aim : PointTarget {
   }
 
   static double measure(double weight, const View& view, const double* target, double* r) {
-    const AimRotation aim = look_at(view, target);
+    const AimRotation aim = aim_rotation(view, target);
     double u[3], v[3];
     across(aim.direction, u, v);
     r[0] = weight * aim.angle * dot(aim.axis, u);
@@ -193,7 +192,7 @@ struct Aim : PointTarget {
     return aim.angle;
   }
 
-  static void keep(const View& view, double* target) {
+  static void target_from_pose(const View& view, double* target) {
     double direction[3];
     rotate(view.rotation, view.aim_axis, direction);
     for (int i = 0; i < 3; ++i) target[i] = view.point[i] + direction[i];
@@ -203,8 +202,8 @@ struct Aim : PointTarget {
     AimRotation aim;
     double u[3], v[3];
 
-    void look(const View& view, const double* target) {
-      aim = look_at(view, target);
+    void prepare(const View& view, const double* target) {
+      aim = aim_rotation(view, target);
       across(aim.direction, u, v);
     }
     void add(const Motion& motion, double scale, double* column) const {
@@ -218,7 +217,7 @@ struct Aim : PointTarget {
 
   static void pull(double weight, const View& view, const double* target, const double*,
                    Pull& sum) {
-    const AimRotation aim = look_at(view, target);
+    const AimRotation aim = aim_rotation(view, target);
     sum.add(weight, aim.direction, aim.desired);
   }
 };
@@ -232,10 +231,10 @@ struct Pole : PointTarget {
   struct Bend {
     double axis[3], middle[3], pole[3];  // the last two at right angles to the axis
     double span, middle_along, pole_along, angle;
-    bool known;
+    bool is_defined;
   };
 
-  static Bend look_along(const View& view, const double* target) {
+  static Bend bend_of(const View& view, const double* target) {
     Bend limb;
     for (int i = 0; i < 3; ++i) {
       limb.axis[i] = view.point[i] - view.origin[i];
@@ -243,8 +242,8 @@ struct Pole : PointTarget {
       limb.pole[i] = target[i] - view.origin[i];
     }
     limb.span = length(limb.axis);
-    limb.known = limb.span > 1e-9;
-    if (!limb.known) return limb;
+    limb.is_defined = limb.span > 1e-9;
+    if (!limb.is_defined) return limb;
     for (double& x : limb.axis) x /= limb.span;
     limb.middle_along = dot(limb.axis, limb.middle);
     limb.pole_along = dot(limb.axis, limb.pole);
@@ -252,33 +251,32 @@ struct Pole : PointTarget {
       limb.middle[i] -= limb.middle_along * limb.axis[i];
       limb.pole[i] -= limb.pole_along * limb.axis[i];
     }
-    limb.known = length(limb.middle) > 1e-9 && length(limb.pole) > 1e-9;
-    limb.angle =
-        std::atan2(triple(limb.axis, limb.middle, limb.pole), dot(limb.middle, limb.pole));
+    limb.is_defined = length(limb.middle) > 1e-9 && length(limb.pole) > 1e-9;
+    limb.angle = std::atan2(triple(limb.axis, limb.middle, limb.pole), dot(limb.middle, limb.pole));
     return limb;
   }
 
   static double measure(double weight, const View& view, const double* target, double* r) {
-    const Bend limb = look_along(view, target);
-    r[0] = limb.known ? weight * limb.angle : 0;
-    return limb.known ? std::fabs(limb.angle) : 0;
+    const Bend limb = bend_of(view, target);
+    r[0] = limb.is_defined ? weight * limb.angle : 0;
+    return limb.is_defined ? std::fabs(limb.angle) : 0;
   }
 
-  static void keep(const View& view, double* target) {
+  static void target_from_pose(const View& view, double* target) {
     std::copy(view.joint, view.joint + 3, target);
   }
 
   // Derivatives of Bend::angle by the points of a limb.
   struct Slopes {
     View view;
-    bool known;
+    bool is_defined;
     double root[3], middle[3], tip[3];
 
-    void look(const View& chain_view, const double* target) {
+    void prepare(const View& chain_view, const double* target) {
       view = chain_view;
-      const Bend limb = look_along(view, target);
-      known = limb.known;
-      if (!known) return;
+      const Bend limb = bend_of(view, target);
+      is_defined = limb.is_defined;
+      if (!is_defined) return;
       double by_middle[3], by_pole[3];
       cross(limb.axis, limb.middle, by_middle);
       cross(limb.axis, limb.pole, by_pole);
@@ -293,7 +291,7 @@ struct Pole : PointTarget {
       }
     }
     void add(const Motion& motion, double scale, double* column) const {
-      if (!known) return;
+      if (!is_defined) return;
       double rate = dot(tip, motion.linear);
       if (motion.index <= view.middle) rate += motion.along(middle, view.joint);
       if (motion.index <= view.root) rate += motion.along(root, view.origin);
@@ -346,8 +344,7 @@ constexpr std::array<bool, PARTS> METRIC = [] {
 }();
 
 template <class Kind>
-concept Pulling = requires(const View& view, const double* at, Pull& sum) {
-  Kind::pull(1.0, view, at, at, sum);
-};
+concept Pulling =
+    requires(const View& view, const double* at, Pull& sum) { Kind::pull(1.0, view, at, at, sum); };
 
 }  // namespace animtool::ik

@@ -3,16 +3,15 @@
 
 namespace animtool::ik {
 
-void measure(const Task& task, const double* targets, State& state,
-             const double* shift) {
+void measure(const Task& task, const double* targets, State& state, const double* shift) {
   std::fill(state.residuals.begin(), state.residuals.end(), 0.0);
-  std::fill(state.misses.begin(), state.misses.end(), 0.0);
+  std::fill(state.errors.begin(), state.errors.end(), 0.0);
   for (std::size_t e = 0; e < task.goals.size(); ++e) {
     const Goal& goal = task.goals[e];
     const double* target = targets + TARGET_WIDTH * e;
     const double* rotation = &state.frames.rotations[9 * goal.node];
     double* point = &state.points[3 * e];
-    double* miss = &state.misses[PARTS * e];
+    double* error = &state.errors[PARTS * e];
     double* weights = &state.weights[PARTS * e];
     double* r = state.residuals.data() + goal.row;
     for (int part = 0; part < PARTS; ++part) weights[part] = weight_of(goal, target, part);
@@ -21,7 +20,7 @@ void measure(const Task& task, const double* targets, State& state,
     const View view = view_of(goal, state, point);
     each_kind([&]<class Kind>(int part) {
       if (weights[part] > 0)
-        miss[part] = Kind::measure(weights[part], view, target + COLUMNS[part], r);
+        error[part] = Kind::measure(weights[part], view, target + COLUMNS[part], r);
       r += Kind::ROWS * (goal.weights[part] > 0);
     });
   }
@@ -50,7 +49,7 @@ void differentiate(const Task& task, const double* targets, const State& state,
       rows[part] = next;
       next += Kind::ROWS * (goal.weights[part] > 0);
       if (weights[part] > 0)
-        std::get<typename Kind::Slopes>(slopes).look(view, target + COLUMNS[part]);
+        std::get<typename Kind::Slopes>(slopes).prepare(view, target + COLUMNS[part]);
     });
     for (const int n : goal.path) {
       const Node& node = task.chain.nodes[n];
@@ -148,8 +147,7 @@ void Curvature::add(const Task& task, const State& state, std::size_t e, const d
     accumulate(task, state, goal.path[at], point, along, linear, angular);
   }
   double across_axis[3];
-  for (int i = 0; i < 3; ++i)
-    across_axis[i] = shrink * (angular[i] - dot(axis, angular) * axis[i]);
+  for (int i = 0; i < 3; ++i) across_axis[i] = shrink * (angular[i] - dot(axis, angular) * axis[i]);
   double before[3] = {0, 0, 0};
   for (std::size_t at = 0; at < goal.path.size(); ++at) {
     const int n = goal.path[at];
@@ -177,8 +175,8 @@ void Curvature::accumulate(const Task& task, const State& state, int n, const do
   const Node& node = task.chain.nodes[n];
   each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
     double lin[3], ang[3];
-    velocity(node, &state.frames.axes[9 * n + 3 * k], &state.frames.origins[3 * n], point,
-             lin, ang);
+    velocity(node, &state.frames.axes[9 * n + 3 * k], &state.frames.origins[3 * n], point, lin,
+             ang);
     const double amount = gain * along[dof];
     for (int i = 0; i < 3; ++i) linear[i] += amount * lin[i], angular[i] += amount * ang[i];
   });

@@ -15,7 +15,7 @@ struct Goal {
   double aim_axis[3];
   double weights[PARTS];  // 0: not used
   double stretched = 1;
-  int level = 0;      // priority: 0 is hard; higher levels yield to lower ones
+  int level = 0;               // priority: 0 is hard; higher levels yield to lower ones
   int root = -1, middle = -1;  // nodes of the limb with a pole
   int row = 0;
   std::vector<int> path;  // nodes that move it, from the root
@@ -54,21 +54,29 @@ struct State {
   Frames frames;
   std::vector<double> residuals;  // (M,), weighted
   std::vector<double> points;     // (E, 3)
-  std::vector<double> misses;     // errors (E, K), not weighted: lengths and angles
+  std::vector<double> errors;     // errors (E, K), not weighted: lengths and angles
   std::vector<double> weights;    // (E, K), times the factors of the targets
   double cost = 0;                // of the goals and of the rest preference
-  double drawn = 0;               // the part of the rest preference
+  double rest_cost = 0;           // the part of the rest preference
 
   explicit State(const Task& task)
-      : q(task.chain.coordinates), frames(task.chain), residuals(task.rows),
-        points(3 * task.goals.size()), misses(PARTS * task.goals.size()),
+      : q(task.chain.coordinates),
+        frames(task.chain),
+        residuals(task.rows),
+        points(3 * task.goals.size()),
+        errors(PARTS * task.goals.size()),
         weights(PARTS * task.goals.size()) {}
 };
 
 // Once its point is known.
 inline View view_of(const Goal& goal, const State& state, const double* point) {
-  View view{&state.frames.rotations[9 * goal.node], point, goal.aim_axis, goal.root, goal.middle,
-            nullptr, nullptr};
+  View view{&state.frames.rotations[9 * goal.node],
+            point,
+            goal.aim_axis,
+            goal.root,
+            goal.middle,
+            nullptr,
+            nullptr};
   if (goal.middle < 0) return view;
   view.origin = &state.frames.origins[3 * goal.root];
   view.joint = &state.frames.origins[3 * goal.middle];
@@ -76,8 +84,7 @@ inline View view_of(const Goal& goal, const State& state, const double* point) {
 }
 
 // `shift` (M,) is added to the residuals, or null.
-void measure(const Task& task, const double* targets, State& state,
-             const double* shift = nullptr);
+void measure(const Task& task, const double* targets, State& state, const double* shift = nullptr);
 
 // Everything from which the Jacobian rows of all kinds are computed.
 template <class... Kind>
@@ -103,8 +110,7 @@ class Curvature {
   }
 
  private:
-  void add(const Task& task, const State& state, std::size_t e, const double* along,
-           double* out);
+  void add(const Task& task, const State& state, std::size_t e, const double* along, double* out);
 
   static void accumulate(const Task& task, const State& state, int n, const double* point,
                          const double* along, double* linear, double* angular);

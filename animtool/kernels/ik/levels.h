@@ -22,7 +22,7 @@ class Search : public Descent {
 
   // Whether other targets are reached from the best pose, which does not change.
   bool reaches(const double* targets) {
-    aim(targets, nullptr);
+    set_targets(targets, nullptr);
     begin(best_);
     descend(COLD, true);
     return reached(now_);
@@ -30,7 +30,7 @@ class Search : public Descent {
 
   // Evaluates the best pose with other targets.
   void review(const double* targets) {
-    aim(targets, nullptr);
+    set_targets(targets, nullptr);
     evaluate(best_);
   }
 
@@ -62,28 +62,28 @@ class Search : public Descent {
   // hardly any local minima.
   static constexpr int REDUNDANT = 4;
 
-  void aim(const double* targets, const double* shift) {
+  void set_targets(const double* targets, const double* shift) {
     targets_ = targets;
     shift_ = shift;
   }
 
-  Status look();
+  Status search_all();
 
   // Descends from the previous frame's pose, if that is nearer to the goals than the result from
   // the frame's own start; returns whether the goals are reached.
-  bool go_on(bool sure) {
+  bool continue_last(bool is_thorough) {
     begin(last_);
-    descend(WARM, sure);
-    return (now_.cost < best_.cost * BETTER || reached(now_)) && keep();
+    descend(WARM, is_thorough);
+    return (now_.cost < best_.cost * BETTER || reached(now_)) && accept();
   }
 
   // Descends from new starts; returns whether the goals are reached.
-  bool elsewhere(bool stalled, bool sure);
+  bool search_restarts(bool stalled, bool is_thorough);
 
   // Whether the frame is as far from the goals as the previous one, whose search failed, so that
   // no new search is needed.
-  bool same(End end) const {
-    return short_ && end == End::STUCK && best_.cost < SAME * last_cost_ &&
+  bool is_same_miss(End end) const {
+    return last_unreached_ && end == End::STUCK && best_.cost < SAME * last_cost_ &&
            last_cost_ < SAME * best_.cost;
   }
 
@@ -93,20 +93,20 @@ class Search : public Descent {
   Status polish();
 
   // Whether no pose can be nearer, or only the rest preference keeps the goals from being reached.
-  bool settled() const {
+  bool is_minimal() const {
     if (floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9)) return true;
-    return best_.drawn > 0 && best_.cost <= 2 * best_.drawn;
+    return best_.rest_cost > 0 && best_.cost <= 2 * best_.rest_cost;
   }
 
   // The zero pose, clamped to the limits.
   void straighten();
 
   // The best of some random poses.
-  void scatter(const State& home);
+  void sample_start(const State& home);
 
   State first_, last_;
-  double floor_ = 0;  // lower bound of the cost
-  bool short_ = false;  // the previous frame did not reach its goals, at this cost:
+  double floor_ = 0;             // lower bound of the cost
+  bool last_unreached_ = false;  // the previous frame did not reach its goals, at this cost:
   double last_cost_ = 0;
 };
 
@@ -123,43 +123,47 @@ class Levels : public Solver {
  public:
   // Changes the task's rest weight while it runs.
   Levels(Task& task, const Settings& settings)
-      : task_(task), rest_weight_(task.rest_weight), search_(task_, settings),
-        scaled_(TARGET_WIDTH * task.goals.size()), shift_(task.rows), constrained_(task.levels),
+      : task_(task),
+        rest_weight_(task.rest_weight),
+        search_(task_, settings),
+        scaled_(TARGET_WIDTH * task.goals.size()),
+        shift_(task.rows),
+        constrained_(task.levels),
         ratio_(std::max(STEP, std::pow(LEAST_SCALE, 1.0 / std::max(1, task.levels - 1)))) {}
 
-  Outcome run(const double* start, const double* targets, const double* rest,
-              bool next) override;
+  Outcome run(const double* start, const double* targets, const double* rest, bool next) override;
 
   void review(const double* targets) override { search_.review(targets); }
   const State& best() const override { return search_.best(); }
 
  private:
   // Ratio of weights from level to level while all are solved at once.
-  static constexpr double SOUGHT = 0.1;
+  static constexpr double SEARCH_RATIO = 0.1;
   // Fraction of the budget for that.
-  static constexpr double SEARCHED = 0.5;
+  static constexpr double SEARCH_BUDGET = 0.5;
   // Ratio of weights when levels are separated, and smallest weight of the last one.
   static constexpr double STEP = 1e-3, LEAST_SCALE = 1e-6;
   // Largest number of shifts of a level, and the fraction of the tolerance at which they end.
   static constexpr int SHIFTS = 8;
-  static constexpr double CONSTRAINED = 0.1;
+  static constexpr double LEVEL_TOLERANCE = 0.1;
   // Approximate relative excess of a level over its smallest cost.
   static constexpr double EXACT = 1e-5;
 
   // Sets the weights of the goals up to a level, each level with a fraction of the weight of the
   // level before it; the rest preference gets the smallest weight.
-  void weigh(int last, double ratio);
+  void set_weights(int last, double ratio);
 
-  double heaviest(int level) const;
+  double largest_weight(int level) const;
 
   void scale(int level, double weight) {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (task_.goals[e].level == level)
-        for (int part = 0; part < PARTS; ++part) scaled_[TARGET_WIDTH * e + WEIGHTS + part] *= weight;
+        for (int part = 0; part < PARTS; ++part)
+          scaled_[TARGET_WIDTH * e + WEIGHTS + part] *= weight;
   }
 
   // A single goal.
-  void single(std::size_t goal) {
+  void isolate_goal(std::size_t goal) {
     task_.rest_weight = 0;
     std::copy(targets_, targets_ + scaled_.size(), scaled_.begin());
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
@@ -168,12 +172,12 @@ class Levels : public Solver {
 
   bool within(int level) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (task_.goals[e].level == level && !search_.within(&best().misses[PARTS * e])) return false;
+      if (task_.goals[e].level == level && !search_.within(&best().errors[PARTS * e])) return false;
     return true;
   }
 
-  // `known`: the hard goals alone were not reached in the previous frame either.
-  Status settle(bool known);
+  // `was_unreached`: the hard goals alone were not reached in the previous frame either.
+  Status separate_levels(bool was_unreached);
 
   // Shifts the residuals of held levels that drifted; returns false if none did.
   bool shift();
@@ -183,12 +187,12 @@ class Levels : public Solver {
 
   // Determines why goals are missed: they are out of reach, or yield to other goals of their level,
   // to harder ones, or to the rest preference.
-  Status explain();
+  Status diagnose();
 
-  int asked() const;
+  int requested_count() const;
 
   // The goals that are not reached, the farthest first, so that one out of reach is found soon.
-  std::vector<std::size_t> missed() const;
+  std::vector<std::size_t> missed_goals() const;
 
   Task& task_;
   const double rest_weight_;
@@ -196,7 +200,7 @@ class Levels : public Solver {
   std::vector<double> scaled_, shift_;
   std::vector<char> constrained_;
   const double ratio_;
-  bool short_ = false;  // the hard goals were not reached in the last run
+  bool last_unreached_ = false;  // the hard goals were not reached in the last run
   const double* targets_ = nullptr;
 };
 

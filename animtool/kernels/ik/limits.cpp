@@ -3,7 +3,7 @@
 
 namespace animtool::ik {
 
-SwingTwist split(const double* q, const double* limit) {
+SwingTwist decompose(const double* q, const double* limit) {
   const double n = std::hypot(q[2], q[3]);
   const double half = n < 1e-9 ? 0 : std::atan2(q[2], q[3]);
   const double c = std::cos(half), s = std::sin(half);
@@ -20,8 +20,8 @@ SwingTwist split(const double* q, const double* limit) {
 }
 
 void clamp_ball(double* q, const double* limit) {
-  SwingTwist parts = split(q, limit);
-  const Beyond out = beyond(parts, limit);
+  SwingTwist parts = decompose(q, limit);
+  const Exceeded out = exceeded(parts, limit);
   if (!out.swing && !out.twist) return;
   const double outside = reach(parts, limit);
   if (outside > 1) {
@@ -29,7 +29,7 @@ void clamp_ball(double* q, const double* limit) {
     parts.swing[1] /= outside;
   }
   parts.twist = std::clamp(parts.twist, limit[2], limit[3]);
-  join(parts, q);
+  compose(parts, q);
 }
 
 SwingTwistGradients gradients(const double* q, const SwingTwist& parts) {
@@ -56,7 +56,7 @@ SwingTwistGradients gradients(const double* q, const SwingTwist& parts) {
 
 BallParts ball_parts(const double* q, double middle) {
   const double around[4] = {0, 0, middle - REVOLUTION / 2, middle + REVOLUTION / 2};
-  const SwingTwist parts = split(q, around);
+  const SwingTwist parts = decompose(q, around);
   const SwingTwistGradients slopes = gradients(q, parts);
   BallParts out{parts.twist, {parts.swing[0], parts.swing[1]}, {}};
   for (int k = 0; k < 2; ++k) std::copy(slopes.swing[k], slopes.swing[k] + 3, out.slopes[k]);

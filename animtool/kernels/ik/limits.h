@@ -11,11 +11,11 @@
 namespace animtool::ik {
 
 // A range or cone narrower than this is locked [rad].
-constexpr double SHUT = 1e-9;
+constexpr double LOCKED = 1e-9;
 // Tolerance of rounding at limits [rad], [chain lengths].
 constexpr double ROUNDING = 1e-13;
 // Closer to a limit than this, the full test is made [1].
-constexpr double SURE = 1e-9;
+constexpr double CERTAINTY = 1e-9;
 constexpr double REVOLUTION = 6.283185307179586476925;
 
 struct SwingTwist {
@@ -23,9 +23,9 @@ struct SwingTwist {
   double twist;
 };
 
-SwingTwist split(const double* q, const double* limit);
+SwingTwist decompose(const double* q, const double* limit);
 
-inline void join(const SwingTwist& parts, double* q) {
+inline void compose(const SwingTwist& parts, double* q) {
   const double vector[3] = {parts.swing[0], parts.swing[1], 0};
   double swing[4];
   exponential(vector, swing);
@@ -34,8 +34,8 @@ inline void join(const SwingTwist& parts, double* q) {
 }
 
 inline double reach(const SwingTwist& parts, const double* limit) {
-  const double a = parts.swing[0] / std::max(limit[0], SHUT);
-  const double b = parts.swing[1] / std::max(limit[1], SHUT);
+  const double a = parts.swing[0] / std::max(limit[0], LOCKED);
+  const double b = parts.swing[1] / std::max(limit[1], LOCKED);
   return std::hypot(a, b);
 }
 
@@ -48,13 +48,13 @@ inline bool limited(const Node& node) {
 // Whether a ball's motion is certainly inside: a cheap test without inverse functions, which
 // usually succeeds.
 inline bool well_inside(const Node& node, const double* q) {
-  const double* quick = node.quick;
-  if (q[0] * q[0] + q[1] * q[1] > quick[0]) return false;
+  const double* inside_bounds = node.inside_bounds;
+  if (q[0] * q[0] + q[1] * q[1] > inside_bounds[0]) return false;
   const double sign = q[3] < 0 ? -1 : 1;
   const double sine = sign * q[2], cosine = sign * q[3];
   // sin(half twist - half low) and sin(half high - half twist)
-  return sine * quick[2] - cosine * quick[1] > SURE &&
-         cosine * quick[3] - sine * quick[4] > SURE;
+  return sine * inside_bounds[2] - cosine * inside_bounds[1] > CERTAINTY &&
+         cosine * inside_bounds[3] - sine * inside_bounds[4] > CERTAINTY;
 }
 
 // The numbers that `well_inside` compares with: sines and cosines of half the limits. For limits
@@ -64,18 +64,19 @@ inline void prepare(Node& node) {
   const double least = std::min(l[0], l[1]);
   const double sine = least < REVOLUTION / 2 ? std::sin(least / 2) : 1;
   const double low = std::max(l[2], -REVOLUTION / 2), high = std::min(l[3], REVOLUTION / 2);
-  const bool known = (l[2] >= -REVOLUTION / 2 && l[3] <= REVOLUTION / 2) || (l[2] < -1e300 && l[3] > 1e300);
-  node.quick[0] = known ? sine * sine * (1 - SURE) : -1;
-  node.quick[1] = std::sin(low / 2), node.quick[2] = std::cos(low / 2);
-  node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);
+  const bool known =
+      (l[2] >= -REVOLUTION / 2 && l[3] <= REVOLUTION / 2) || (l[2] < -1e300 && l[3] > 1e300);
+  node.inside_bounds[0] = known ? sine * sine * (1 - CERTAINTY) : -1;
+  node.inside_bounds[1] = std::sin(low / 2), node.inside_bounds[2] = std::cos(low / 2);
+  node.inside_bounds[3] = std::sin(high / 2), node.inside_bounds[4] = std::cos(high / 2);
 }
 
 // Flags of the limits that a motion exceeds.
-struct Beyond {
+struct Exceeded {
   bool swing, twist;
 };
 
-inline Beyond beyond(const SwingTwist& parts, const double* limit) {
+inline Exceeded exceeded(const SwingTwist& parts, const double* limit) {
   return {reach(parts, limit) > 1 + ROUNDING,
           parts.twist < limit[2] - ROUNDING || parts.twist > limit[3] + ROUNDING};
 }

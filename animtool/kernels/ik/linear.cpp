@@ -54,8 +54,8 @@ void multiply_columns(const Task& task, const Linearized& linear, double* normal
   }
 }
 
-void linearize(const Task& task, const double* targets, const double* rest,
-               const State& state, Linearized& out) {
+void linearize(const Task& task, const double* targets, const double* rest, const State& state,
+               Linearized& out) {
   const int m = task.rows;
   differentiate(task, targets, state, out.columns);
   rest_pull(task, state.q.data(), rest, task.rest_weight, out.pull.data());

@@ -42,7 +42,9 @@ struct Linearized {
         gram(primal ? 0 : static_cast<std::size_t>(task.rows) * task.rows),
         normal(primal ? static_cast<std::size_t>(task.chain.dofs) * task.chain.dofs : 0),
         downhill(task.chain.dofs),
-        pull(task.chain.dofs), first(task.chain.dofs, task.rows), last(task.chain.dofs, 0) {
+        pull(task.chain.dofs),
+        first(task.chain.dofs, task.rows),
+        last(task.chain.dofs, 0) {
     for (const Goal& goal : task.goals)
       for (const int n : goal.path) {
         each_dof(task.chain, task.chain.nodes[n], [&](int d) {
@@ -60,7 +62,7 @@ double rest_pull(const Task& task, const double* q, const double* rest, double w
 // The lower triangle of J^T J (D, D).
 void multiply_columns(const Task& task, const Linearized& linear, double* normal);
 
-void linearize(const Task& task, const double* targets, const double* rest,
-               const State& state, Linearized& out);
+void linearize(const Task& task, const double* targets, const double* rest, const State& state,
+               Linearized& out);
 
 }  // namespace animtool::ik

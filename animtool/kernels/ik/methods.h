@@ -20,7 +20,7 @@ class Method : public Solver, public Attempt {
     outcome_.descents = 1;
     begin(best_);
     prepare();
-    outcome_.status = walk();
+    outcome_.status = iterate();
     return outcome_;
   }
 
@@ -41,34 +41,34 @@ class Method : public Solver, public Attempt {
   static constexpr int MAX_STALLED = 50;
   static constexpr double PROGRESS = 0.999;
 
-  Status walk() {
-    double marked = best_.cost;
-    bool shaken = false;
-    for (int since = 1;; ++since) {
-      note();
+  Status iterate() {
+    double checkpoint_cost = best_.cost;
+    bool perturbed = false;
+    for (int steps = 1;; ++steps) {
+      update_best();
       if (!(task_.rest_weight > 0) && reached(best_)) return Status::REACHED;
       if (spent()) return Status::BUDGET;
       ++outcome_.iterations;
-      bool onward = advance();
-      if (since % MAX_STALLED == 0) {
-        onward = onward && std::min(now_.cost, best_.cost) <= PROGRESS * marked;
-        marked = std::min(now_.cost, best_.cost);
+      bool progresses = advance();
+      if (steps % MAX_STALLED == 0) {
+        progresses = progresses && std::min(now_.cost, best_.cost) <= PROGRESS * checkpoint_cost;
+        checkpoint_cost = std::min(now_.cost, best_.cost);
       }
-      if (onward) continue;
-      note();
+      if (progresses) continue;
+      update_best();
       if (reached(best_)) return Status::REACHED;
-      if (shaken) return Status::STALLED;
+      if (perturbed) return Status::STALLED;
       // Fully extended limbs are singular: perturbs the pose once.
-      shaken = true;
+      perturbed = true;
       begin(best_);
-      shake();
+      perturb();
       prepare();
-      since = 0, marked = now_.cost;
+      steps = 0, checkpoint_cost = now_.cost;
     }
   }
 
   // Some methods pass better poses than their last.
-  void note() {
+  void update_best() {
     if (now_.cost < best_.cost || (reached(now_) && !reached(best_))) best_ = now_;
   }
 };
@@ -96,8 +96,8 @@ class Gradient : public Method {
       for (std::size_t d = 0; d < slope.size(); ++d) delta_[d] = length_ * slope[d];
       stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
       evaluate(next_);
-      const double promised = promise();
-      if (!(promised > 0) || !(now_.cost - next_.cost >= DECREASE * promised)) continue;
+      const double predicted = predicted_decrease();
+      if (!(predicted > 0) || !(now_.cost - next_.cost >= DECREASE * predicted)) continue;
       std::swap(now_, next_);
       return true;
     }
@@ -108,7 +108,7 @@ class Gradient : public Method {
   static constexpr double BACK = 0.5, DECREASE = 1e-4, MIN_ROTATION = 1e-14;
 
   // Decrease that the gradient predicts from now_ to next_, after clamping.
-  double promise() {
+  double predicted_decrease() {
     rest_pull(task_, now_.q.data(), next_.q.data(), 1, pull_.data());
     double sum = 0;
     for (std::size_t d = 0; d < pull_.size(); ++d) sum += pull_[d] * linear_.downhill[d];
@@ -125,19 +125,19 @@ class Newton : public Method {
   using Method::Method;
 
  protected:
-  void prepare() override { trusted_ = MAX_ROTATION; }
+  void prepare() override { trust_radius_ = MAX_ROTATION; }
 
   bool advance() override {
     linearize(task_, targets_, rest_, now_, linear_);
-    for (; trusted_ > MIN_ROTATION; trusted_ = SHRINK * stepper_.rotation()) {
-      stepper_.step(now_, linear_, DAMPING, true, trusted_, delta_.data());
+    for (; trust_radius_ > MIN_ROTATION; trust_radius_ = SHRINK * stepper_.rotation()) {
+      stepper_.step(now_, linear_, DAMPING, true, trust_radius_, delta_.data());
       const double gain = stepper_.predicted(now_, linear_, true, delta_.data());
       if (!(gain > MIN_GAIN * now_.cost)) return false;
       stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
       evaluate(next_);
       const double ratio = (now_.cost - next_.cost) / gain;
-      if (!(ratio > LEAST_RATIO)) continue;
-      if (ratio > 0.5) trusted_ = std::min(GROW * trusted_, MAX_ROTATION);
+      if (!(ratio > MIN_RATIO)) continue;
+      if (ratio > 0.5) trust_radius_ = std::min(GROW * trust_radius_, MAX_ROTATION);
       std::swap(now_, next_);
       return true;
     }
@@ -146,9 +146,9 @@ class Newton : public Method {
 
  private:
   static constexpr double DAMPING = 1e-12, MIN_ROTATION = 1e-10, MIN_GAIN = 1e-15;
-  static constexpr double LEAST_RATIO = 1e-4, SHRINK = 0.3, GROW = 2.5;
+  static constexpr double MIN_RATIO = 1e-4, SHRINK = 0.3, GROW = 2.5;
 
-  double trusted_ = MAX_ROTATION;
+  double trust_radius_ = MAX_ROTATION;
 };
 
 // Cyclic coordinate descent: each joint in turn, from the tips to the root, is set to the value
@@ -231,9 +231,13 @@ class Cyclic : public Method {
 class Fabrik : public Method {
  public:
   Fabrik(const Task& task, const Settings& settings)
-      : Method(task, settings), desired_(3 * task.chain.nodes.size()), tips_(3 * task.goals.size()),
-        asking_(task.chain.nodes.size()), bones_(task.chain.nodes.size()),
-        next_(task.chain.nodes.size()), grips_(task.chain.nodes.size()) {}
+      : Method(task, settings),
+        desired_(3 * task.chain.nodes.size()),
+        tips_(3 * task.goals.size()),
+        request_counts_(task.chain.nodes.size()),
+        bones_(task.chain.nodes.size()),
+        next_(task.chain.nodes.size()),
+        rotated_(task.chain.nodes.size()) {}
 
  protected:
   // Collects the points that each joint rotates. A ball points at the next point on each
@@ -241,27 +245,27 @@ class Fabrik : public Method {
   // the next one may be on its axis; so does the twist of a ball that carries a pin.
   void prepare() override {
     const std::vector<Node>& nodes = task_.chain.nodes;
-    for (std::vector<Grip>& next : next_) next.clear();
+    for (std::vector<RotatedPoint>& next : next_) next.clear();
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       next_[task_.goals[e].node].push_back({static_cast<int>(e), true});
     for (std::size_t n = nodes.size(); n-- > 0;) {
       bones_[n] = nodes[n].parent < 0 ? 0 : length(nodes[n].offset);
       if (nodes[n].parent < 0) continue;
-      std::vector<Grip>& kept_grips = next_[nodes[n].parent];
-      if (bones_[n] > NO_LENGTH)
-        kept_grips.push_back({static_cast<int>(n), false});
+      std::vector<RotatedPoint>& points = next_[nodes[n].parent];
+      if (bones_[n] > MIN_LENGTH)
+        points.push_back({static_cast<int>(n), false});
       else
-        kept_grips.insert(kept_grips.end(), next_[n].begin(), next_[n].end());
+        points.insert(points.end(), next_[n].begin(), next_[n].end());
     }
     for (std::size_t n = 0; n < nodes.size(); ++n) {
-      grips_[n].clear();
-      hold(n, FORWARD, grips_[n]);
+      rotated_[n].clear();
+      collect(n, MAX_POINTS, rotated_[n]);
     }
   }
 
   bool advance() override {
-    reach_in();
-    reach_out();
+    inward_pass();
+    outward_pass();
     const std::size_t count = task_.chain.nodes.size();
     for (std::size_t n = 0; n < count; ++n) rotate_joint(static_cast<int>(n));
     evaluate(now_);
@@ -269,64 +273,65 @@ class Fabrik : public Method {
   }
 
  private:
-  static constexpr double NO_LENGTH = 1e-9;
+  static constexpr double MIN_LENGTH = 1e-9;
   // Number of points along each branch that a pin considers.
-  static constexpr int FORWARD = 8;
+  static constexpr int MAX_POINTS = 8;
 
-  struct Grip {
+  struct RotatedPoint {
     int index;
     bool tip;  // the point of a goal, else the origin of a node
   };
 
-  void hold(std::size_t n, int levels, std::vector<Grip>& kept_grips) const {
-    for (const Grip& grip : next_[n]) {
-      kept_grips.push_back(grip);
-      if (!grip.tip && levels > 1) hold(grip.index, levels - 1, kept_grips);
+  void collect(std::size_t n, int levels, std::vector<RotatedPoint>& points) const {
+    for (const RotatedPoint& rotated : next_[n]) {
+      points.push_back(rotated);
+      if (!rotated.tip && levels > 1) collect(rotated.index, levels - 1, points);
     }
   }
 
   // Moves `from` to the bone's length from `to`.
-  static void draw(const double* from, const double* to, double bone, double* out) {
+  static void at_bone_length(const double* from, const double* to, double bone, double* out) {
     double along[3] = {from[0] - to[0], from[1] - to[1], from[2] - to[2]};
     const double distance = length(along);
-    const double bone_ratio = distance > NO_LENGTH ? bone / distance : 0;
+    const double bone_ratio = distance > MIN_LENGTH ? bone / distance : 0;
     for (int i = 0; i < 3; ++i) out[i] = to[i] + bone_ratio * along[i];
   }
 
-  void ask(int node, const double* point, double bone) {
-    double drawn[3];
-    draw(&now_.frames.origins[3 * node], point, bone, drawn);
-    for (int i = 0; i < 3; ++i) desired_[3 * node + i] += drawn[i];
-    ++asking_[node];
+  void add_request(int node, const double* point, double bone) {
+    double moved[3];
+    at_bone_length(&now_.frames.origins[3 * node], point, bone, moved);
+    for (int i = 0; i < 3; ++i) desired_[3 * node + i] += moved[i];
+    ++request_counts_[node];
   }
 
-  void reach_in() {
+  void inward_pass() {
     std::fill(desired_.begin(), desired_.end(), 0.0);
-    std::fill(asking_.begin(), asking_.end(), 0);
+    std::fill(request_counts_.begin(), request_counts_.end(), 0);
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (now_.weights[PARTS * e + part_of<Position>()] > 0)
-        ask(task_.goals[e].node, targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()], length(task_.goals[e].offset));
+        add_request(task_.goals[e].node, targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()],
+                    length(task_.goals[e].offset));
     for (std::size_t n = task_.chain.nodes.size(); n-- > 0;) {
-      if (!asking_[n]) continue;
-      for (int i = 0; i < 3; ++i) desired_[3 * n + i] /= asking_[n];
+      if (!request_counts_[n]) continue;
+      for (int i = 0; i < 3; ++i) desired_[3 * n + i] /= request_counts_[n];
       const int parent = task_.chain.nodes[n].parent;
-      if (parent >= 0) ask(parent, &desired_[3 * n], bones_[n]);
+      if (parent >= 0) add_request(parent, &desired_[3 * n], bones_[n]);
     }
   }
 
-  void reach_out() {
+  void outward_pass() {
     for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
       const int parent = task_.chain.nodes[n].parent;
-      double* squared_weight = &desired_[3 * n];
-      if (parent < 0 || !asking_[n])
-        std::copy_n(&now_.frames.origins[3 * n], 3, squared_weight);
+      double* position = &desired_[3 * n];
+      if (parent < 0 || !request_counts_[n])
+        std::copy_n(&now_.frames.origins[3 * n], 3, position);
       else
-        draw(squared_weight, &desired_[3 * parent], bones_[n], squared_weight);
+        at_bone_length(position, &desired_[3 * parent], bones_[n], position);
     }
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
       const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()];
-      draw(target, &desired_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
+      at_bone_length(target, &desired_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
     }
   }
 
@@ -339,40 +344,42 @@ class Fabrik : public Method {
     double step[3] = {0, 0, 0};
     const bool ball = node.kind == Kind::BALL;
     std::fill_n(&delta_[node.dof], node.width(), 0.0);
-    follow(node, axes, pull(n, ball ? next_[n] : grips_[n]), delta_.data());
+    follow(node, axes, pull(n, ball ? next_[n] : rotated_[n]), delta_.data());
     std::copy_n(&delta_[node.dof], node.width(), step);
     apply(n, step);
     double axis[3];
     if (!ball) return;
     update(n);
-    if (!twists(n, axis)) return;
-    const double angle = pull(n, grips_[n]).angle(axis);
+    if (!find_twist_axis(n, axis)) return;
+    const double angle = pull(n, rotated_[n]).angle(axis);
     for (int k = 0; k < 3; ++k) step[k] = angle * dot(axis, axes + 3 * k);
     apply(n, step);
   }
 
   void apply(int n, const double* step) {
     const Node& node = task_.chain.nodes[n];
-    double* squared_weight = &now_.q[node.coordinate];
-    Stepper::move(node, squared_weight, step, squared_weight);
+    double* values = &now_.q[node.coordinate];
+    Stepper::move(node, values, step, values);
     forward(task_.chain, now_.q.data(), n, n + 1, now_.frames);
   }
 
   // The frames of the points that a joint carries.
   void update(int n) {
     std::size_t end = n + 1;
-    for (const Grip& grip : grips_[n])
-      end = std::max<std::size_t>(end, (grip.tip ? task_.goals[grip.index].node : grip.index) + 1);
+    for (const RotatedPoint& rotated : rotated_[n])
+      end = std::max<std::size_t>(
+          end, (rotated.tip ? task_.goals[rotated.index].node : rotated.index) + 1);
     forward(task_.chain, now_.q.data(), n, end, now_.frames);
   }
 
-  Pull pull(int n, const std::vector<Grip>& grips) const {
+  Pull pull(int n, const std::vector<RotatedPoint>& points) const {
     const double* origin = &now_.frames.origins[3 * n];
     Pull sum;
-    for (const Grip& grip : grips) {
+    for (const RotatedPoint& rotated : points) {
       double point[3], from[3], to[3];
-      const double* desired = grip.tip ? &tips_[3 * grip.index] : &desired_[3 * grip.index];
-      if (!find(grip, point)) continue;
+      const double* desired =
+          rotated.tip ? &tips_[3 * rotated.index] : &desired_[3 * rotated.index];
+      if (!find(rotated, point)) continue;
       for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = desired[i] - origin[i];
       sum.add(1, from, to);
     }
@@ -380,7 +387,7 @@ class Fabrik : public Method {
   }
 
   // The bone that is the twist axis of a ball that carries a pin.
-  bool twists(int n, double* axis) const {
+  bool find_twist_axis(int n, double* axis) const {
     if (next_[n].size() != 1 || next_[n][0].tip) return false;
     const int next = next_[n][0].index;
     if (task_.chain.nodes[next].kind != Kind::PIN) return false;
@@ -392,22 +399,22 @@ class Fabrik : public Method {
   }
 
   // Current position of a point; returns false if it has no desired position.
-  bool find(const Grip& grip, double* point) const {
-    if (!grip.tip) {
-      std::copy_n(&now_.frames.origins[3 * grip.index], 3, point);
-      return asking_[grip.index] > 0;
+  bool find(const RotatedPoint& rotated, double* point) const {
+    if (!rotated.tip) {
+      std::copy_n(&now_.frames.origins[3 * rotated.index], 3, point);
+      return request_counts_[rotated.index] > 0;
     }
-    const Goal& goal = task_.goals[grip.index];
+    const Goal& goal = task_.goals[rotated.index];
     rotate(&now_.frames.rotations[9 * goal.node], goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += now_.frames.origins[3 * goal.node + i];
-    return now_.weights[PARTS * grip.index + part_of<Position>()] > 0;
+    return now_.weights[PARTS * rotated.index + part_of<Position>()] > 0;
   }
 
-  std::vector<double> desired_;  // (N, 3): desired positions of the joints' origins
-  std::vector<double> tips_;    // (E, 3): and of the goals' points
-  std::vector<int> asking_;     // (N,): number of branches that move it
-  std::vector<double> bones_;   // (N,): lengths from the parent
-  std::vector<std::vector<Grip>> next_, grips_;
+  std::vector<double> desired_;      // (N, 3): desired positions of the joints' origins
+  std::vector<double> tips_;         // (E, 3): and of the goals' points
+  std::vector<int> request_counts_;  // (N,): number of branches that move it
+  std::vector<double> bones_;        // (N,): lengths from the parent
+  std::vector<std::vector<RotatedPoint>> next_, rotated_;
 };
 
 }  // namespace animtool::ik

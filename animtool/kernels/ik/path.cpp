@@ -16,20 +16,19 @@ namespace ik {
 namespace {
 
 // Factor of the cost of motion beyond an easy step.
-constexpr double STEEP = 100;
+constexpr double EXCESS_COST = 100;
 
 // Cost of a step (D,): its squared distance from a drift, with unlimited pins the short way round,
 // and more if a joint moves farther than is easy.
-double price_of(const Chain& chain, const double* step, const double* drift,
-                       double easy) {
+double step_cost(const Chain& chain, const double* step, const double* drift, double free_step) {
   double sum = 0;
   for (const Node& node : chain.nodes) {
     if (node.follows) continue;
     for (int d = node.dof; d < node.dof + node.width(); ++d) {
       double by = step[d] - drift[d];
       if (node.kind == Kind::PIN && !limited(node)) by -= REVOLUTION * std::round(by / REVOLUTION);
-      const double over = std::max(std::fabs(by) - easy, 0.0);
-      sum += by * by + STEEP * over * over;
+      const double excess = std::max(std::fabs(by) - free_step, 0.0);
+      sum += by * by + EXCESS_COST * excess * excess;
     }
   }
   return sum;
@@ -37,9 +36,9 @@ double price_of(const Chain& chain, const double* step, const double* drift,
 
 // Chooses one of `count` paths (K, L, C) for each of L frames, starting on the first, or, if
 // `open`, on any.
-void cheapest(const Chain& chain, const double* paths, const double* costs,
-                     const double* drifts, const double* easy, std::size_t count,
-                     std::size_t length, bool open, bool closed, std::int64_t* chosen) {
+void find_cheapest(const Chain& chain, const double* paths, const double* costs,
+                   const double* drifts, const double* free_step, std::size_t count,
+                   std::size_t length, bool open, bool closed, std::int64_t* chosen) {
   const std::size_t width = chain.coordinates;
   std::vector<double> total(count, std::numeric_limits<double>::infinity()), next(count);
   std::vector<double> step(chain.dofs);
@@ -54,10 +53,10 @@ void cheapest(const Chain& chain, const double* paths, const double* costs,
       for (std::size_t from = 0; from < count; ++from) {
         if (!(total[from] < least)) continue;
         difference(chain, pose(from, t - 1), pose(to, t), step.data());
-        const double price =
+        const double cost =
             total[from] +
-            price_of(chain, step.data(), drifts + (t - 1) * chain.dofs, easy[t - 1]);
-        if (price < least) least = price, origin = static_cast<std::int64_t>(from);
+            step_cost(chain, step.data(), drifts + (t - 1) * chain.dofs, free_step[t - 1]);
+        if (cost < least) least = cost, origin = static_cast<std::int64_t>(from);
       }
       next[to] = least + costs[to * length + t];
       origins[t * count + to] = origin;
@@ -81,7 +80,7 @@ using namespace ik;
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,
-                                      In<double, 2> drifts, In<double, 1> easy, bool open,
+                                      In<double, 2> drifts, In<double, 1> free_step, bool open,
                                       bool closed) {
   const Chain chain = read_chain(nodes, numbers);
   const std::size_t count = paths.shape(0), length = paths.shape(1);
@@ -90,10 +89,11 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
   if (!count) check::refuse("paths", "the array is empty");
   check::shape("costs", costs, {count, length});
   check_steps("drifts", drifts, length, chain.dofs);
-  check::shape("easy", easy, {std::max<std::size_t>(easy.shape(0), length ? length - 1 : 0)});
+  check::shape("easy", free_step,
+               {std::max<std::size_t>(free_step.shape(0), length ? length - 1 : 0)});
   Out<std::int64_t, 1> chosen(length);
-  cheapest(chain, paths.data(), costs.data(), drifts.data(), easy.data(), count, length,
-           open, closed, chosen.get());
+  find_cheapest(chain, paths.data(), costs.data(), drifts.data(), free_step.data(), count, length,
+                open, closed, chosen.get());
   return chosen;
 }
 

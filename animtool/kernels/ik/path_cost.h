@@ -18,8 +18,11 @@ struct PathWeights {
 class TimeBand {
  public:
   TimeBand(int frames, int first, int end, const PathWeights& weights)
-      : first_(first), count_(std::max(end - first, 0)), rows_(5 * std::max(frames, 1)),
-        inverses_(count_), below_(2 * count_) {
+      : first_(first),
+        count_(std::max(end - first, 0)),
+        rows_(5 * std::max(frames, 1)),
+        inverses_(count_),
+        below_(2 * count_) {
     for (int t = 0; t < frames; ++t) row(t)[2] += weights.anchor;
     for (int t = 0; t + 1 < frames; ++t) add(t, {-1, 1}, weights.speed);
     for (int t = 0; t + 2 < frames; ++t) add(t, {1, -2, 1}, weights.acceleration);
@@ -62,8 +65,8 @@ class TimeBand {
         const double *a = near - 2 * width, *b = near - width, *c = near + width;
         const double* e = near + 2 * width;
         for (int d = 0; d < width; ++d)
-          o[d] = factors[0] * a[d] + factors[1] * b[d] + factors[2] * near[d] +
-                 factors[3] * c[d] + factors[4] * e[d];
+          o[d] = factors[0] * a[d] + factors[1] * b[d] + factors[2] * near[d] + factors[3] * c[d] +
+                 factors[4] * e[d];
         continue;
       }
       std::fill(o, o + width, 0.0);
@@ -132,12 +135,17 @@ class TimeBand {
 class PathCost {
  public:
   // Weight of the acceleration at each frame.
-  std::vector<double> bends;
+  std::vector<double> frame_costs;
 
   // `drifts` (F - 1, D) is the motion from frame to frame without cost; null for none.
   PathCost(const Chain& chain, int frames, const PathWeights& weights, const double* drifts)
-      : chain_(chain), frames_(frames), width_(chain.dofs), weights_(weights), drifts_(drifts),
-        away_(chain.dofs), zero_(chain.dofs, 0.0) {}
+      : chain_(chain),
+        frames_(frames),
+        width_(chain.dofs),
+        weights_(weights),
+        drifts_(drifts),
+        away_(chain.dofs),
+        zero_(chain.dofs, 0.0) {}
 
   // Returns the cost of a path (F, Q), and writes its gradient (F, D) if requested.
   double evaluate(const double* anchors, const double* q, std::vector<double>* slope = nullptr) {
@@ -148,11 +156,12 @@ class PathCost {
   double evaluate(const double* anchors, const double* q, std::vector<double>* slope, int first,
                   int end) {
     const std::size_t size = static_cast<std::size_t>(frames_) * width_;
-    speeds_.resize(size), forces_.resize(size), bends.resize(frames_);
+    speeds_.resize(size), forces_.resize(size), frame_costs.resize(frames_);
     const int before = std::max(first - 1, 0), last = std::min(end, frames_ - 2);
     if (slope) {
       slope->resize(size);
-      std::fill(slope->begin() + row(before), slope->begin() + row(std::min(end + 1, frames_)), 0.0);
+      std::fill(slope->begin() + row(before), slope->begin() + row(std::min(end + 1, frames_)),
+                0.0);
     }
     double cost = 0;
     for (int t = first; t < end && weights_.anchor > 0; ++t) {
@@ -162,7 +171,7 @@ class PathCost {
         if (slope) (*slope)[row(t) + d] += weights_.anchor * away_[d];
       }
     }
-    std::fill(bends.begin() + before, bends.begin() + std::min(end + 1, frames_), 0.0);
+    std::fill(frame_costs.begin() + before, frame_costs.begin() + std::min(end + 1, frames_), 0.0);
     for (int t = std::max(first - 2, 0); t <= last; ++t) {
       double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
       difference(chain_, q + at(t), q + at(t + 1), speed);
@@ -177,12 +186,12 @@ class PathCost {
         force[d] += speed_weight * u;
         if (t == 0) continue;
         const double a = u - (speed[d - width_] - drift_before[d]);
-        bends[t] += weights_.acceleration * a * a / 2;
+        frame_costs[t] += weights_.acceleration * a * a / 2;
         force[d] += weights_.acceleration * a;
         force[d - width_] -= weights_.acceleration * a;
       }
     }
-    for (int t = before; t <= last; ++t) cost += bends[t];
+    for (int t = before; t <= last; ++t) cost += frame_costs[t];
     if (slope)
       for (int t = before; t < std::min(end, frames_ - 1); ++t) spread(t, *slope);
     return cost;

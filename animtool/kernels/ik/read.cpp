@@ -44,8 +44,7 @@ void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& progr
     }
     if (program.dofs.size() > MAX_ROWS_READ) {
       std::sort(program.dofs.begin(), program.dofs.end());
-      program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()),
-                         program.dofs.end());
+      program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()), program.dofs.end());
       if (program.dofs.size() > MAX_SLOPES) check::refuse("nodes", "a program reads too much");
     }
   }
@@ -53,7 +52,8 @@ void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& progr
   program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()), program.dofs.end());
   for (Instruction& one : program.instructions)
     if (one.op == Op::COORDINATE || one.op == Op::BALL) {
-      const auto position = std::lower_bound(program.dofs.begin(), program.dofs.end(), dof_of[one.which]);
+      const auto position =
+          std::lower_bound(program.dofs.begin(), program.dofs.end(), dof_of[one.which]);
       one.slot = static_cast<int>(position - program.dofs.begin());
     }
 }
@@ -70,9 +70,9 @@ void check_stack(Program& program) {
     if (points != (one.op == Op::CURVE ? one.which : 0) || (one.op == Op::CURVE && !points))
       check::refuse("nodes", "a curve of a program has other points");
     points = 0;
-    const std::size_t taken = arguments(one.op);
-    if (stacked < taken) check::refuse("nodes", "a program takes what is not there");
-    stacked += 1 - taken;
+    const std::size_t operand_count = arguments(one.op);
+    if (stacked < operand_count) check::refuse("nodes", "a program takes what is not there");
+    stacked += 1 - operand_count;
     program.depth = std::max(program.depth, stacked);
   }
   if (stacked != 1 || points || program.depth > MAX_STACKED)
@@ -197,8 +197,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     check::indices("goals", row, 1, 0, count);
     check::indices("goals", row + 1, 2, -1, count);
     check::indices("goals", row + 3, 1, 0, static_cast<std::int64_t>(goals.shape(0)));
-    for (int part = 0; part < PARTS; ++part)
-      check::not_negative("goal_numbers", values[9 + part]);
+    for (int part = 0; part < PARTS; ++part) check::not_negative("goal_numbers", values[9 + part]);
     Goal goal;
     goal.node = static_cast<int>(row[0]);
     goal.root = static_cast<int>(row[1]);

@@ -14,8 +14,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                double rest_weight);
 
 // Poses (B, Q) and targets may contain any numbers: NaN results are valid outcomes.
-void check_poses(const char* name, const Task& task, std::size_t batch,
-                 const In<double, 2>& poses);
+void check_poses(const char* name, const Task& task, std::size_t batch, const In<double, 2>& poses);
 
 // What weights of goals are multiplied by is no sign: rows that a goal has not would be
 // written.

@@ -34,9 +34,12 @@ std::vector<T> copied(const In<T, N>& values) {
 // Arrays of the rig's joints that outlive a call.
 struct JointMemory {
   explicit JointMemory(const RigSolverArrays& inputs)
-      : parents(copied(inputs.parents)), types(copied(inputs.types)),
-        columns(copied(inputs.joint_columns)), axes(copied(inputs.axes)),
-        translations(copied(inputs.rest_translations)), rotations(copied(inputs.rest_rotations)) {
+      : parents(copied(inputs.parents)),
+        types(copied(inputs.types)),
+        columns(copied(inputs.joint_columns)),
+        axes(copied(inputs.axes)),
+        translations(copied(inputs.rest_translations)),
+        rotations(copied(inputs.rest_rotations)) {
     const JointArrays joints{inputs.types, inputs.joint_columns, inputs.axes,
                              inputs.rest_translations, inputs.rest_rotations};
     width = joints.check();
@@ -63,8 +66,10 @@ RigMapArrays map_of(const RigSolverArrays& inputs) {
 }
 
 Settings settings_of(const RigSolverArrays& inputs) {
-  return {inputs.length_tolerance, inputs.angle_tolerance, inputs.damping, inputs.iterations,
-          inputs.restarts,         inputs.seed,            inputs.seconds, inputs.ordered && !inputs.warm};
+  return {inputs.length_tolerance, inputs.angle_tolerance,
+          inputs.damping,          inputs.iterations,
+          inputs.restarts,         inputs.seed,
+          inputs.seconds,          inputs.ordered && !inputs.warm};
 }
 
 }  // namespace
@@ -73,12 +78,16 @@ struct RigSolver::Parts {
   explicit Parts(const RigSolverArrays& inputs)
       : task(read_task(inputs.nodes, inputs.numbers, inputs.goals, inputs.goal_numbers,
                        inputs.rest_weight)),
-        plain(task.chain), settings(checked_settings(settings_of(inputs))),
-        solver(make_solver(inputs.method, task, settings)), joints(inputs),
+        plain(task.chain),
+        settings(checked_settings(settings_of(inputs))),
+        solver(make_solver(inputs.method, task, settings)),
+        joints(inputs),
         map(map_of(inputs), plain, joints.width),
         limbs(read_limbs(inputs.limbs, inputs.limb_numbers, task.goals.size())),
-        goal_frames(copied(inputs.goal_frames)), length(inputs.length),
-        ordered(inputs.ordered || inputs.warm), warm(inputs.warm) {
+        goal_frames(copied(inputs.goal_frames)),
+        length(inputs.length),
+        ordered(inputs.ordered || inputs.warm),
+        warm(inputs.warm) {
     const std::size_t goals = task.goals.size();
     check::shape("goal_frames", inputs.goal_frames, {goals, 4});
     check::positive("length", length);
@@ -136,9 +145,9 @@ struct RigSolver::Parts {
       });
   }
 
-  bool reaches(const double* misses) const {
+  bool reaches(const double* errors) const {
     for (int part = 0; part < PARTS; ++part)
-      if (!(misses[part] <= settings.tolerance(part))) return false;
+      if (!(errors[part] <= settings.tolerance(part))) return false;
     return true;
   }
 
@@ -150,8 +159,8 @@ struct RigSolver::Parts {
     for (const auto& [joint, goal] : limb_joints)
       for (int i = 0; i < 3; ++i) translations[3 * joint + i] *= scales[goal];
     forward_kinematics({joints.parents.data(), {count}}, {translations.data(), {1, count, 3}},
-                       {rotations.data(), {1, count, 4}}, std::nullopt,
-                       {positions, {1, count, 3}}, {linear, {1, count, 3, 3}});
+                       {rotations.data(), {1, count, 4}}, std::nullopt, {positions, {1, count, 3}},
+                       {linear, {1, count, 3, 3}});
   }
 
   Task task;
@@ -189,39 +198,41 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
   }
   parts.check_world("targets", batch, targets);
   Out<double, 2> coordinates(batch, width), scales(batch, goals);
-  Out<double, 3> misses(batch, goals, PARTS);
+  Out<double, 3> errors(batch, goals, PARTS);
   Out<std::int64_t, 2> reports(batch, 3);
   Out<double, 1> seconds(batch);
   Out<bool, 2> reached(batch, goals);
   Out<double, 3> positions(placed ? batch : 0, joints, 3);
   Out<double, 4> linear(placed ? batch : 0, joints, 3, 3);
   std::vector<double> start(chain), rest(chain), solved(chain), last(chain), searched(chain);
-  std::vector<double> target(goals * TARGET_WIDTH), sought(goals * TARGET_WIDTH);
-  const std::unique_ptr<bool[]> eased(new bool[std::max<std::size_t>(goals, 1)]);
-  bool has_last = false;   // there was a frame with goals, whose pose is in `last`
-  bool looked = false;  // and a frame with a search, whose pose is in `searched`
+  std::vector<double> target(goals * TARGET_WIDTH), reachable(goals * TARGET_WIDTH);
+  const std::unique_ptr<bool[]> softened(new bool[std::max<std::size_t>(goals, 1)]);
+  bool has_last = false;      // there was a frame with goals, whose pose is in `last`
+  bool has_searched = false;  // and a frame with a search, whose pose is in `searched`
   for (std::size_t b = 0; b < batch; ++b) {
-    double* miss = misses.get() + b * goals * PARTS;
+    double* error = errors.get() + b * goals * PARTS;
     double* scale = scales.get() + b * goals;
     std::int64_t* report = reports.get() + 3 * b;
     double* rig = coordinates.get() + b * width;
     std::copy(starts.data() + b * width, starts.data() + (b + 1) * width, rig);
     parts.map.to_chain(rig, start.data());
-    if (preferred) parts.map.to_chain(preferred->data() + b * width, rest.data());
-    else rest = start;
+    if (preferred)
+      parts.map.to_chain(preferred->data() + b * width, rest.data());
+    else
+      rest = start;
     parts.pack_targets(targets.data() + b * goals * TARGET_WIDTH, target.data());
-    extend(parts.limbs, goals, target.data(), sought.data(), scale, eased.get());
-    const bool after = parts.warm && parts.closed && parts.closed->follows() && has_last;
-    const double* from = after ? last.data() : start.data();
+    extend(parts.limbs, goals, target.data(), reachable.data(), scale, softened.get());
+    const bool continues = parts.warm && parts.closed && parts.closed->follows() && has_last;
+    const double* from = continues ? last.data() : start.data();
     std::fill(report, report + 3, 0);
     seconds.get()[b] = 0;
-    const bool closed = parts.closed && parts.closed->solve(from, target.data(), sought.data(),
-                                                        scale[0], solved.data(), miss);
+    const bool closed = parts.closed && parts.closed->solve(from, target.data(), reachable.data(),
+                                                            scale[0], solved.data(), error);
     if (!closed) {
-      const bool next = parts.ordered && looked;
-      if (parts.warm && looked && !after) from = searched.data();
-      Ran ran = run_one(*parts.solver, parts.plain, parts.task, from, target.data(), sought.data(),
-                        scale, rest.data(), next);
+      const bool next = parts.ordered && has_searched;
+      if (parts.warm && has_searched && !continues) from = searched.data();
+      Ran ran = run_one(*parts.solver, parts.plain, parts.task, from, target.data(),
+                        reachable.data(), scale, rest.data(), next);
       seconds.get()[b] = ran.seconds;
       report[0] = static_cast<std::int64_t>(ran.outcome.status);
       report[1] = ran.outcome.iterations;
@@ -229,31 +240,33 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       const State& best = parts.solver->best();
       std::copy_n(ran.outcome.status == Status::BROKEN ? from : best.q.data(), chain,
                   solved.data());
-      std::copy(best.misses.begin(), best.misses.end(), miss);
+      std::copy(best.errors.begin(), best.errors.end(), error);
       searched = solved;
-      looked = true;
+      has_searched = true;
     }
     // A limb without goals in a frame keeps its last pose.
     const bool idle = parts.closed && parts.warm && !rows_asked(parts.task, target.data());
-    if (!idle) last = solved, has_last = true;
-    else if (has_last) solved = last;
+    if (!idle)
+      last = solved, has_last = true;
+    else if (has_last)
+      solved = last;
     parts.map.to_rig(solved.data(), rig);
-    bool all = true, yielded = true;
+    bool all = true, all_softened = true;
     for (std::size_t e = 0; e < goals; ++e) {
-      const bool reaches = parts.reaches(miss + PARTS * e);
+      const bool reaches = parts.reaches(error + PARTS * e);
       reached.get()[b * goals + e] = reaches;
       all = all && reaches;
-      yielded = yielded && (reaches || eased[e]);
+      all_softened = all_softened && (reaches || softened[e]);
       for (int part = 0; part < PARTS; ++part)
-        if (METRIC[part]) miss[PARTS * e + part] *= parts.length;
+        if (METRIC[part]) error[PARTS * e + part] *= parts.length;
     }
     // A target that was moved into reach may have been out of reach before.
     if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all)
-      report[0] = static_cast<std::int64_t>(yielded ? Status::YIELDED : Status::NEAREST);
+      report[0] = static_cast<std::int64_t>(all_softened ? Status::SOFTENED : Status::NEAREST);
     if (placed)
       parts.pose(rig, scale, positions.get() + 3 * b * joints, linear.get() + 9 * b * joints);
   }
-  return {std::move(coordinates), std::move(misses), std::move(reports), std::move(seconds),
+  return {std::move(coordinates), std::move(errors), std::move(reports),   std::move(seconds),
           std::move(reached),     std::move(scales), std::move(positions), std::move(linear)};
 }
 
@@ -282,7 +295,8 @@ Out<double, 2> RigSolver::branches(In<double, 1> start, In<double, 2> targets) {
 
 int arm_kind(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
              In<double, 2> goal_numbers, double rest_weight) {
-  return static_cast<int>(ik::arm_kind(read_task(nodes, numbers, goals, goal_numbers, rest_weight)));
+  return static_cast<int>(
+      ik::arm_kind(read_task(nodes, numbers, goals, goal_numbers, rest_weight)));
 }
 
 }  // namespace animtool

@@ -48,9 +48,8 @@ struct RigSolverArrays {
 };
 
 // coordinates, misses, reports, seconds, reached, scales, positions, linear
-using RigSolved =
-    std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>, Out<bool, 2>,
-               Out<double, 2>, Out<double, 3>, Out<double, 4>>;
+using RigSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>,
+                             Out<bool, 2>, Out<double, 2>, Out<double, 3>, Out<double, 4>>;
 
 class RigSolver {
  public:

@@ -21,7 +21,7 @@ struct Ran {
 // Targets that errors refer to, those within reach, factors of bone lengths (E,), and the
 // preferred pose; `next` is the frame after the last run.
 Ran run_one(Solver& solver, const Chain& plain, Task& task, const double* start,
-            const double* targets, const double* sought, const double* stretches,
+            const double* targets, const double* reachable, const double* stretches,
             const double* rest, bool next);
 
 }  // namespace animtool::ik

@@ -5,8 +5,9 @@
 // are rotation vectors. With the goals' projections Pi and the same scalar matrix P of
 // five diagonals for every degree of freedom, Pi P Pi x = Pi b is solved by conjugate
 // gradients with Pi P^-1 Pi for a preconditioner, exact where Pi does not change in time
-// or changes by limits alone: P^-1 is over the steps that they allow (N. Gould, M. Hribar, J. Nocedal, On the solution of equality constrained quadratic
-// programming problems arising in optimization, 2001, algorithm 2.1).
+// or changes by limits alone: P^-1 is over the steps that they allow (N. Gould, M. Hribar, J.
+// Nocedal, On the solution of equality constrained quadratic programming problems arising in
+// optimization, 2001, algorithm 2.1).
 #include "ik/solve.h"
 
 #include "ik/goals.h"
@@ -39,27 +40,41 @@ class PathSmoother {
   // from frame to frame without cost.
   PathSmoother(const Task& task, const Settings& settings, const PathSettings& path, int frames,
                const double* targets, const double* stretches, const double* drifts)
-      : task_(of_goals_alone(task)), plain_(task_.chain), settings_(settings),
-        tight_(tightened(settings)), path_(path), frames_(frames), width_(task.chain.dofs),
-        coordinates_(task.chain.coordinates), first_(path.first), end_(path.end),
+      : task_(of_goals_alone(task)),
+        plain_(task_.chain),
+        settings_(settings),
+        tight_(tightened(settings)),
+        path_(path),
+        frames_(frames),
+        width_(task.chain.dofs),
+        coordinates_(task.chain.coordinates),
+        first_(path.first),
+        end_(path.end),
         targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
-        stretches_(stretches), cost_(task_.chain, frames, path.weights, drifts),
-        band_(frames, path.first, path.end, path.weights), search_(task_, tight_),
-        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), stuck_(frames, 0), away_(width_) {}
+        stretches_(stretches),
+        cost_(task_.chain, frames, path.weights, drifts),
+        band_(frames, path.first, path.end, path.weights),
+        search_(task_, tight_),
+        stepper_(task_),
+        state_(task_),
+        linear_(task_),
+        spaces_(frames),
+        frozen_(frames, 0),
+        difference_(width_) {}
 
   // Improves a path (F, Q) in place.
   PathOutcome run(double* path) {
     now_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
     anchors_ = now_;
-    for (int t = 0; t < frames_; ++t) keep_what_is_missed(t);
+    for (int t = 0; t < frames_; ++t) hold_missed_goals(t);
     PathOutcome outcome;
     outcome.before = evaluate_all();
-    std::vector<char> looked(frames_, 0);
+    std::vector<char> visited(frames_, 0);
     improve_all(outcome, outcome.before);
     if (path_.weights.acceleration > 0 && path_.rounds > 0)
-      for (int i = 0; i < CORNERS && narrow(looked); ++i) {
+      for (int i = 0; i < CORNERS && select_corner(visited); ++i) {
         improve_all(outcome, local_cost());
-        cross_elsewhere(outcome);
+        shift_crossings(outcome);
       }
     outcome.after = evaluate_all();
     std::copy(now_.begin(), now_.end(), path);
@@ -68,22 +83,22 @@ class PathSmoother {
 
  private:
   // Goals are restored to this fraction of their tolerance, in at most this many steps.
-  static constexpr double TIGHT = 1e-2;
+  static constexpr double TOLERANCE_FRACTION = 1e-2;
   static constexpr int STEPS = 30;
   // An iteration that gains less than this fraction is the last one.
-  static constexpr double ENOUGH = 1e-2;
+  static constexpr double MIN_GAIN = 1e-2;
   // Largest number of corners that are treated separately.
   static constexpr int CORNERS = 8;
   // A frame is a corner if it costs this many times the median of the frames around it. Passing it
   // earlier or later is tried in steps of this many frames, this many times.
-  static constexpr double SHARP = 10, SHIFT = 0.5;
+  static constexpr double CORNER_RATIO = 10, SHIFT = 0.5;
   static constexpr int SHIFTS = 8;
   // Attempts of a step, and the factor of the damping from one to the next.
-  static constexpr int TRIES = 8;
-  static constexpr double STIFFER = 4;
+  static constexpr int MAX_ATTEMPTS = 8;
+  static constexpr double DAMPING_FACTOR = 4;
   // Passes over the limits, steps of conjugate gradients, and their tolerance.
-  static constexpr int PASSES = 5, MAX_ROUNDS = 60;
-  static constexpr double LOOSE = 1e-2, ROUGH = 3e-1;
+  static constexpr int PASSES = 5, MAX_CG_STEPS = 60;
+  static constexpr double CG_TOLERANCE = 1e-2, FIRST_CG_TOLERANCE = 3e-1;
 
   // The values of goals are kept, even if they yielded to other goals or to a preference.
   static Task of_goals_alone(Task task) {
@@ -93,8 +108,8 @@ class PathSmoother {
   }
 
   static Settings tightened(Settings settings) {
-    settings.length_tolerance *= TIGHT;
-    settings.angle_tolerance *= TIGHT;
+    settings.length_tolerance *= TOLERANCE_FRACTION;
+    settings.angle_tolerance *= TOLERANCE_FRACTION;
     settings.iterations = STEPS;
     settings.restarts = 0;
     return settings;
@@ -115,7 +130,7 @@ class PathSmoother {
   void stretch_limbs(int t) { stretch(plain_, stretches_ + t * task_.goals.size(), task_); }
 
   // Corrects a pose so that it meets the goals of a frame.
-  bool bring(int t, const double* start) {
+  bool restore_goals(int t, const double* start) {
     stretch_limbs(t);
     if (search_.run(start, target(t), start, false) == Status::BROKEN) return false;
     const State& best = search_.best();
@@ -123,7 +138,7 @@ class PathSmoother {
     return reached(best);
   }
 
-  void look(int t) {
+  void load_frame(int t) {
     stretch_limbs(t);
     const double* q = pose(now_, t);
     std::copy(q, q + coordinates_, state_.q.begin());
@@ -134,21 +149,22 @@ class PathSmoother {
   }
 
   bool reached(const State& state) const {
-    for (std::size_t i = 0; i < state.misses.size(); ++i)
-      if (!(state.misses[i] <= settings_.tolerance(static_cast<int>(i % PARTS)))) return false;
+    for (std::size_t i = 0; i < state.errors.size(); ++i)
+      if (!(state.errors[i] <= settings_.tolerance(static_cast<int>(i % PARTS)))) return false;
     return true;
   }
 
   // If a frame misses a goal, the current value becomes the target.
-  void keep_what_is_missed(int t) {
-    look(t);
+  void hold_missed_goals(int t) {
+    load_frame(t);
     if (reached(state_)) return;
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
-      double* kept_target = target(t) + TARGET_WIDTH * e;
+      double* reached_target = target(t) + TARGET_WIDTH * e;
       const View view = view_of(goal, state_, &state_.points[3 * e]);
       each_kind([&]<class Kind>(int part) {
-        if (!Kind::LIMB || goal.middle >= 0) Kind::keep(view, kept_target + COLUMNS[part]);
+        if (!Kind::LIMB || goal.middle >= 0)
+          Kind::target_from_pose(view, reached_target + COLUMNS[part]);
       });
     }
   }
@@ -161,7 +177,7 @@ class PathSmoother {
       const double next = improve(cost);
       if (!(next < cost)) return;
       ++outcome.rounds;
-      const bool enough = cost - next < ENOUGH * scale;
+      const bool enough = cost - next < MIN_GAIN * scale;
       cost = next;
       if (enough) return;
     }
@@ -169,29 +185,30 @@ class PathSmoother {
 
   // Moves only the frames around the sharpest remaining corner: the others have converged, and must
   // not limit the step length.
-  bool narrow(std::vector<char>& looked) {
+  bool select_corner(std::vector<char>& visited) {
     evaluate_all();
     int sharpest = -1;
     for (int t = path_.first; t < path_.end; ++t)
-      if (!looked[t] && (sharpest < 0 || cost_.bends[t] > cost_.bends[sharpest])) sharpest = t;
+      if (!visited[t] && (sharpest < 0 || cost_.frame_costs[t] > cost_.frame_costs[sharpest]))
+        sharpest = t;
     if (sharpest < 0) return false;
     const double time = std::sqrt(std::sqrt(path_.weights.acceleration));
     const int reach = static_cast<int>(std::clamp(2 * time, 8.0, 60.0));
     first_ = std::max(sharpest - reach, path_.first);
     end_ = std::min(sharpest + reach + 1, path_.end);
-    std::fill(looked.begin() + std::max(sharpest - reach / 2, 0),
-              looked.begin() + std::min(sharpest + reach / 2 + 1, frames_), 1);
-    std::fill(stuck_.begin(), stuck_.end(), 0);
+    std::fill(visited.begin() + std::max(sharpest - reach / 2, 0),
+              visited.begin() + std::min(sharpest + reach / 2 + 1, frames_), 1);
+    std::fill(frozen_.begin(), frozen_.end(), 0);
     band_ = TimeBand(frames_, first_, end_, path_.weights);
     return true;
   }
 
   // A path that passes near a singular pose has a corner that no small change removes; it can be
   // smooth only if it passes at another moment. So other moments are tried.
-  void cross_elsewhere(PathOutcome& outcome) {
+  void shift_crossings(PathOutcome& outcome) {
     for (const double wide : {1.0, 0.5})
       for (int tried = 0; tried < 2 * SHIFTS; ++tried) {
-        if (!sharp()) return;
+        if (!has_corner()) return;
         const double by = (tried / 2 + 1) * SHIFT * (tried % 2 ? -1 : 1);
         const double cost = evaluate(now_);
         const std::vector<double> before = now_;
@@ -202,12 +219,14 @@ class PathSmoother {
   }
 
   // Whether a frame is a corner.
-  bool sharp() {
+  bool has_corner() {
     evaluate(now_);
-    const auto worst = std::max_element(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
-    std::vector<double> others(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
+    const auto worst =
+        std::max_element(cost_.frame_costs.begin() + first_, cost_.frame_costs.begin() + end_);
+    std::vector<double> others(cost_.frame_costs.begin() + first_,
+                               cost_.frame_costs.begin() + end_);
     std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
-    return *worst > SHARP * others[others.size() / 2];
+    return *worst > CORNER_RATIO * others[others.size() / 2];
   }
 
   // Shifts the moving frames in time, most in their middle; now_ <- the path restored to its goals.
@@ -219,14 +238,14 @@ class PathSmoother {
     for (int t = first_; t < end_; ++t) {
       const double away = std::fabs(t - middle) / reach;
       if (away >= 1) continue;
-      const double eased = std::cos(away * REVOLUTION / 4);
-      const double at = std::clamp(t + by * eased * eased, 0.0, frames_ - 1.0);
+      const double softened = std::cos(away * REVOLUTION / 4);
+      const double at = std::clamp(t + by * softened * softened, 0.0, frames_ - 1.0);
       const int from = std::min(static_cast<int>(at), frames_ - 2);
-      difference(task_.chain, pose(now_, from), pose(now_, from + 1), away_.data());
-      for (double& x : away_) x *= at - from;
+      difference(task_.chain, pose(now_, from), pose(now_, from + 1), difference_.data());
+      for (double& x : difference_) x *= at - from;
       moved_.resize(coordinates_);
-      stepper_.move(pose(now_, from), away_.data(), moved_.data());
-      if (!bring(t, moved_.data())) return false;
+      stepper_.move(pose(now_, from), difference_.data(), moved_.data());
+      if (!restore_goals(t, moved_.data())) return false;
     }
     now_.swap(next_);
     return true;
@@ -234,7 +253,7 @@ class PathSmoother {
 
   double local_cost() const {
     double cost = 0;
-    for (int t = first_; t < end_; ++t) cost += cost_.bends[t];
+    for (int t = first_; t < end_; ++t) cost += cost_.frame_costs[t];
     return cost;
   }
 
@@ -249,31 +268,31 @@ class PathSmoother {
   // damping.
   double improve(double cost) {
     evaluate(now_, &slope_);
-    for (int i = 0; i < TRIES; ++i) {
-      const double stiffness = attempt();
-      if (longest() < MAX_ROTATION && take(i + 1 < TRIES)) {
+    for (int i = 0; i < MAX_ATTEMPTS; ++i) {
+      const double stiffness = solve_step();
+      if (longest() < MAX_ROTATION && take(i + 1 < MAX_ATTEMPTS)) {
         const double next = evaluate(next_);
         if (next < cost) {
           now_.swap(next_);
-          damping_ /= STIFFER;
+          damping_ /= DAMPING_FACTOR;
           return next;
         }
       }
-      damping_ = STIFFER * std::max(damping_, stiffness);
+      damping_ = DAMPING_FACTOR * std::max(damping_, stiffness);
     }
     return cost;
   }
 
   // step_ <- the best step within the limits; returns the stiffness of the path along it.
-  double attempt() {
+  double solve_step() {
     band_.damp(damping_);
     step_.assign(slope_.size(), 0.0);
-    for (int t = first_; t < end_; ++t) open(t);
+    for (int t = first_; t < end_; ++t) linearize_frame(t);
     // Limits that are run into show up in rough steps.
     bool tight = false;
     for (int pass = 0; pass < PASSES; ++pass) {
       tight = tight || pass + 1 == PASSES;
-      solve(tight ? LOOSE : ROUGH, pass == 0);
+      solve(tight ? CG_TOLERANCE : FIRST_CG_TOLERANCE, pass == 0);
       if (fix_violations()) continue;
       if (tight) break;
       tight = true;
@@ -292,21 +311,21 @@ class PathSmoother {
   }
 
   // Locked limits, and the null space of the goals, at the current pose.
-  void open(int t) {
-    look(t);
-    stepper_.shut(state_, spaces_[t].fixed, spaces_[t].pinned);
-    span(t);
+  void linearize_frame(int t) {
+    load_frame(t);
+    stepper_.fix_locked(state_, spaces_[t].fixed, spaces_[t].at_limit);
+    update_null_space(t);
   }
 
-  void span(int t) {
+  void update_null_space(int t) {
     differentiate(task_, target(t), state_, linear_.columns);
-    spaces_[t].span(task_.rows, width_, linear_.columns, work_);
+    spaces_[t].update_null_space(task_.rows, width_, linear_.columns, work_);
   }
 
   // Takes out of a frame of x what goals and limits feel.
   void project(std::vector<double>& x, int t) {
     double* values = frame(x, t);
-    if (stuck_[t])
+    if (frozen_[t])
       std::fill(values, values + width_, 0.0);
     else
       spaces_[t].project(values, work_);
@@ -319,32 +338,32 @@ class PathSmoother {
     pins_.factor(band_, first_, end_, fixed), balls_.factor(band_, first_, end_, fixed);
     for (int t = first_; t < end_; ++t) project(step_, t);
     for (int t = first_; t < end_; ++t) {
-      if (stuck_[t]) continue;
+      if (frozen_[t]) continue;
       double* values = frame(step_, t);
       for (int d = 0; d < width_; ++d) values[d] += spaces_[t].step[d];
     }
     image_.assign(size, 0.0);
     band_.multiply(step_, width_, image_);
-    rest_.assign(size, 0.0);
+    residual_.assign(size, 0.0);
     conditioned_.assign(size, 0.0);
-    for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i] - image_[i];
+    for (std::size_t i = begin(); i < end(); ++i) residual_[i] = -slope_[i] - image_[i];
     double size_now = precondition();
     // What the slope comes to before limits are run into says what is small.
     if (first) full_ = size_now;
     const double small = full_ * near * near;
-    along_ = conditioned_;
-    for (int round = 0; round < MAX_ROUNDS && size_now > small && size_now > 0; ++round) {
-      band_.multiply(along_, width_, image_);
-      const double bend = product(along_, image_);
+    search_direction_ = conditioned_;
+    for (int round = 0; round < MAX_CG_STEPS && size_now > small && size_now > 0; ++round) {
+      band_.multiply(search_direction_, width_, image_);
+      const double bend = product(search_direction_, image_);
       if (!(bend > 0)) return;
       const double amount = size_now / bend;
       for (std::size_t i = begin(); i < end(); ++i) {
-        step_[i] += amount * along_[i];
-        rest_[i] -= amount * image_[i];
+        step_[i] += amount * search_direction_[i];
+        residual_[i] -= amount * image_[i];
       }
       const double next = precondition();
       for (std::size_t i = begin(); i < end(); ++i)
-        along_[i] = conditioned_[i] + next / size_now * along_[i];
+        search_direction_[i] = conditioned_[i] + next / size_now * search_direction_[i];
       size_now = next;
     }
   }
@@ -354,11 +373,11 @@ class PathSmoother {
   double precondition() {
     double* x = conditioned_.data();
     for (int t = first_; t < end_; ++t) {
-      project(rest_, t);
-      std::copy(frame(rest_, t), frame(rest_, t) + width_, frame(conditioned_, t));
+      project(residual_, t);
+      std::copy(frame(residual_, t), frame(residual_, t) + width_, frame(conditioned_, t));
       band_.forward(x, t - first_, width_);
-      pins_.forward(rest_.data(), x, t - first_, width_);
-      balls_.forward(rest_.data(), x, t - first_, width_);
+      pins_.forward(residual_.data(), x, t - first_, width_);
+      balls_.forward(residual_.data(), x, t - first_, width_);
     }
     double sum = 0;
     // A frame is projected once the two before it are solved.
@@ -371,7 +390,7 @@ class PathSmoother {
       }
       if (t >= end_) continue;
       project(conditioned_, t);
-      sum += inner(frame(conditioned_, t), frame(rest_, t), 0, width_);
+      sum += inner(frame(conditioned_, t), frame(residual_, t), 0, width_);
     }
     return sum;
   }
@@ -390,9 +409,9 @@ class PathSmoother {
     for (int t = first_; t < end_; ++t) {
       GoalSpace& space = spaces_[t];
       std::copy(pose(now_, t), pose(now_, t) + coordinates_, state_.q.begin());
-      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.pinned)) continue;
-      look(t);
-      span(t);
+      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.at_limit)) continue;
+      load_frame(t);
+      update_null_space(t);
       improved = true;
     }
     return improved;
@@ -405,11 +424,11 @@ class PathSmoother {
     moved_.resize(coordinates_);
     bool good = true;
     for (int t = first_; t < end_; ++t) {
-      if (stuck_[t]) continue;
+      if (frozen_[t]) continue;
       stepper_.move(pose(now_, t), frame(step_, t), moved_.data());
-      if (bring(t, moved_.data())) continue;
+      if (restore_goals(t, moved_.data())) continue;
       good = false;
-      stuck_[t] = !again;
+      frozen_[t] = !again;
     }
     return good;
   }
@@ -432,9 +451,9 @@ class PathSmoother {
   Linearized linear_;
   std::vector<GoalSpace> spaces_;
   GoalSpace::Work work_;
-  std::vector<char> stuck_;
-  std::vector<double> now_, next_, anchors_, away_, slope_, step_, image_;
-  std::vector<double> rest_, along_, conditioned_, moved_;
+  std::vector<char> frozen_;
+  std::vector<double> now_, next_, anchors_, difference_, slope_, step_, image_;
+  std::vector<double> residual_, search_direction_, conditioned_, moved_;
   double damping_ = 0, full_ = 0;
 };
 
@@ -445,16 +464,16 @@ class PathSmoother {
 using namespace ik;
 
 IkSmoothed smooth_ik(const IkSmoothing& arrays) {
-  const auto& [nodes, numbers, goals, goal_numbers, path, targets, sought, stretches, drifts,
-               anchor, speed, acceleration, first, end, length_tolerance, angle_tolerance,
-               damping, rounds] = arrays;
+  const auto& [nodes, numbers, goals, goal_numbers, path, targets, reachable, stretches, drifts,
+               anchor, speed, acceleration, first, end, length_tolerance, angle_tolerance, damping,
+               rounds] = arrays;
   Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
   const Chain plain = task.chain;
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);
   check::at_most("path", frames, check::MAX_ROWS);
   check_targets("targets", task, frames, targets);
-  check_targets("sought", task, frames, sought);
+  check_targets("reachable", task, frames, reachable);
   check::shape("stretches", stretches, {frames, e});
   check_steps("drifts", drifts, frames, task.chain.dofs);
   check::not_negative("anchor", anchor);
@@ -465,12 +484,12 @@ IkSmoothed smooth_ik(const IkSmoothing& arrays) {
   check_tolerances(length_tolerance, angle_tolerance, damping);
   check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
   const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0, false};
-  const PathSettings over{{anchor, speed, acceleration},
-                          static_cast<int>(first), static_cast<int>(end), rounds};
+  const PathSettings over{
+      {anchor, speed, acceleration}, static_cast<int>(first), static_cast<int>(end), rounds};
   Out<double, 2> smoothed(frames, width);
-  Out<double, 3> misses(frames, e, PARTS);
+  Out<double, 3> errors(frames, e, PARTS);
   std::copy(path.data(), path.data() + frames * width, smoothed.get());
-  PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
+  PathSmoother smoother(task, settings, over, static_cast<int>(frames), reachable.data(),
                         stretches.data(), drifts.data());
   const PathOutcome outcome = smoother.run(smoothed.get());
   State state(task);
@@ -479,9 +498,9 @@ IkSmoothed smooth_ik(const IkSmoothing& arrays) {
     stretch(plain, stretches.data() + t * e, task);
     forward(task.chain, state.q.data(), state.frames);
     measure(task, targets.data() + t * e * TARGET_WIDTH, state);
-    std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+    std::copy(state.errors.begin(), state.errors.end(), errors.get() + t * e * PARTS);
   }
-  return {std::move(smoothed), std::move(misses), outcome.rounds, outcome.before, outcome.after};
+  return {std::move(smoothed), std::move(errors), outcome.rounds, outcome.before, outcome.after};
 }
 
 }  // namespace animtool

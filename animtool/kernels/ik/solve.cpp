@@ -42,13 +42,13 @@ Settings checked_settings(const Settings& settings) {
 }
 
 Ran run_one(Solver& solver, const Chain& plain, Task& task, const double* start,
-            const double* targets, const double* sought, const double* stretches,
+            const double* targets, const double* reachable, const double* stretches,
             const double* rest, bool next) {
   const auto began = std::chrono::steady_clock::now();
   const std::size_t width = task.goals.size() * TARGET_WIDTH;
   stretch(plain, stretches, task);
-  const Outcome outcome = solver.run(start, sought, rest, next);
-  if (!std::equal(targets, targets + width, sought)) solver.review(targets);
+  const Outcome outcome = solver.run(start, reachable, rest, next);
+  if (!std::equal(targets, targets + width, reachable)) solver.review(targets);
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
   return {outcome, spent.count()};
 }
@@ -78,44 +78,44 @@ std::vector<IkGoalKind> ik_goal_kinds() {
 }
 
 IkSolved solve_ik(const IkProblems& problems) {
-  const auto& [nodes, numbers, goals, goal_numbers, starts, targets, sought, stretches, rests,
-               rest_weight, length_tolerance, angle_tolerance, damping, iterations, restarts,
-               seed, seconds, ordered, warm, method] = problems;
+  const auto& [nodes, numbers, goals, goal_numbers, starts, targets, reachable, stretches, rests,
+               rest_weight, length_tolerance, angle_tolerance, damping, iterations, restarts, seed,
+               seconds, ordered, warm, method] = problems;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const Chain plain = task.chain;
   const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);
   check_poses("starts", task, batch, starts);
   check_poses("rests", task, batch, rests);
   check_targets("targets", task, batch, targets);
-  check_targets("sought", task, batch, sought);
+  check_targets("reachable", task, batch, reachable);
   check::shape("stretches", stretches, {batch, e});
-  const Settings settings = checked_settings({length_tolerance, angle_tolerance, damping,
-                                              iterations, restarts, seed, seconds,
-                                              ordered && !warm});
+  const Settings settings =
+      checked_settings({length_tolerance, angle_tolerance, damping, iterations, restarts, seed,
+                        seconds, ordered && !warm});
   Out<double, 2> solved(batch, width);
-  Out<double, 3> misses(batch, e, PARTS);
+  Out<double, 3> errors(batch, e, PARTS);
   Out<double, 1> taken(batch);
   Out<std::int64_t, 2> reports(batch, 3);
   const std::unique_ptr<Solver> solver = make_solver(method, task, settings);
   for (std::size_t b = 0; b < batch; ++b) {
     const std::size_t at = b * e * TARGET_WIDTH;
     const bool next = (ordered || warm) && b > 0;
-    const double* start = warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
+    const double* start =
+        warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
     const auto [outcome, spent] =
-        run_one(*solver, plain, task, start, targets.data() + at, sought.data() + at,
+        run_one(*solver, plain, task, start, targets.data() + at, reachable.data() + at,
                 stretches.data() + b * e, rests.data() + b * width, next);
     taken.get()[b] = spent;
     const State& best = solver->best();
     const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
     std::copy(q, q + width, solved.get() + b * width);
-    std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);
+    std::copy(best.errors.begin(), best.errors.end(), errors.get() + b * e * PARTS);
     std::int64_t* report = reports.get() + 3 * b;
     report[0] = static_cast<std::int64_t>(outcome.status);
     report[1] = outcome.iterations;
     report[2] = outcome.descents;
   }
-  return {std::move(solved), std::move(misses), std::move(reports),
-          std::move(taken)};
+  return {std::move(solved), std::move(errors), std::move(reports), std::move(taken)};
 }
 
 IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
@@ -146,8 +146,7 @@ IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
         jacobians.get()[(b * m + i) * d + j] = linear.columns[j * m + i];
     stepper.hessian(state, linear, true, 0.0, step, curvatures.get() + b * d);
   }
-  return {std::move(moved), std::move(residuals), std::move(jacobians),
-          std::move(curvatures)};
+  return {std::move(moved), std::move(residuals), std::move(jacobians), std::move(curvatures)};
 }
 
 }  // namespace animtool

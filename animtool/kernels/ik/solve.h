@@ -22,7 +22,7 @@ struct IkProblems {
   In<double, 2> numbers;
   In<std::int64_t, 2> goals;
   In<double, 2> goal_numbers, starts;
-  In<double, 3> targets, sought;
+  In<double, 3> targets, reachable;
   In<double, 2> stretches, rests;
   double rest_weight, length_tolerance, angle_tolerance, damping;
   int iterations, restarts;
@@ -51,7 +51,7 @@ struct IkSmoothing {
   In<double, 2> numbers;
   In<std::int64_t, 2> goals;
   In<double, 2> goal_numbers, path;
-  In<double, 3> targets, sought;
+  In<double, 3> targets, reachable;
   In<double, 2> stretches, drifts;
   double anchor, speed, acceleration;
   std::size_t first, end;

@@ -17,16 +17,16 @@ class GoalSpace {
  public:
   // Buffers for the computation, one frame at a time.
   struct Work {
-    std::vector<double> gram, missing, felt, served;
+    std::vector<double> gram, missing, coupled, served;
   };
 
   // Directions that limits fix, and the least step that serves these.
   std::vector<Fixed> fixed;
-  std::vector<Stepper::Pinned> pinned;
+  std::vector<Stepper::AtLimit> at_limit;
   std::vector<double> step;
 
   // From the goals' Jacobian by columns (D, M), which is changed.
-  void span(int rows_asked, int width, std::vector<double>& jacobian, Work& work) {
+  void update_null_space(int rows_asked, int width, std::vector<double>& jacobian, Work& work) {
     const int m = rows_ = rows_asked;
     work.gram.assign(static_cast<std::size_t>(m) * m, 0.0);
     work.missing.assign(m, 0.0);
@@ -39,8 +39,7 @@ class GoalSpace {
         for (int k = 0; k < one.width; ++k) columns[k * m + i] -= along * one.direction[k];
         work.missing[i] -= along * one.value;
       }
-      for (int k = 0; k < one.width; ++k)
-        step[one.dof + k] += one.value * one.direction[k];
+      for (int k = 0; k < one.width; ++k) step[one.dof + k] += one.value * one.direction[k];
     }
     keep(jacobian, width);
     for (const Block& block : blocks_) {
@@ -58,9 +57,9 @@ class GoalSpace {
             entry(i, j) += inner(line + i * block.columns, line + j * block.columns, block.columns);
     }
     for (int i = 0; i < m; ++i) work.gram[i * m + i] += DAMPING;
-    work.felt.resize(m);
+    work.coupled.resize(m);
     cholesky::factor<cholesky::Inverses, cholesky::Small::IGNORE>(
-        work.gram.data(), m, m, work.felt.data(), [](std::size_t) { return DAMPING / 2; });
+        work.gram.data(), m, m, work.coupled.data(), [](std::size_t) { return DAMPING / 2; });
     invert(work);
     solve(work.missing, work);
     spread(work.missing, 1, step.data());
@@ -73,20 +72,20 @@ class GoalSpace {
       for (int k = 0; k < one.width; ++k) along += x[one.dof + k] * one.direction[k];
       for (int k = 0; k < one.width; ++k) x[one.dof + k] -= along * one.direction[k];
     }
-    work.felt.assign(rows_, 0.0);
+    work.coupled.assign(rows_, 0.0);
     for (const Block& block : blocks_) {
-      double* felt = work.felt.data() + block.row;
+      double* coupled = work.coupled.data() + block.row;
       const double* from = x + block.dof;
       const float* line = values_.data() + block.begin;
       if (block.tall())
         for (int d = 0; d < block.columns; ++d, line += block.rows)
-          for (int i = 0; i < block.rows; ++i) felt[i] += line[i] * from[d];
+          for (int i = 0; i < block.rows; ++i) coupled[i] += line[i] * from[d];
       else
         for (int i = 0; i < block.rows; ++i, line += block.columns)
-          felt[i] += inner(line, from, block.columns);
+          coupled[i] += inner(line, from, block.columns);
     }
-    solve(work.felt, work);
-    spread(work.felt, -1, x);
+    solve(work.coupled, work);
+    spread(work.coupled, -1, x);
   }
 
  private:
@@ -191,7 +190,7 @@ class GoalSpace {
 
   int rows_ = 0;
   std::vector<Block> blocks_;
-  std::vector<float> values_;  // of the blocks
+  std::vector<float> values_;    // of the blocks
   std::vector<double> inverse_;  // L^-1 of J J^T = L L^T, damped, its rows one after another
 };
 

@@ -17,30 +17,37 @@ constexpr double MAX_ROTATION = 1.0;
 class Stepper {
  public:
   explicit Stepper(const Task& task)
-      : task_(task), curvature_(task), abundant_(task.chain.dofs >= ABUNDANT * task.rows),
+      : task_(task),
+        curvature_(task),
+        abundant_(task.chain.dofs >= ABUNDANT * task.rows),
         side_(std::min(task.rows, task.chain.dofs)),
-        matrix_(static_cast<std::size_t>(side_) * side_), right_(side_),
-        image_(std::max(task.rows, side_)), felt_(task.chain.dofs), free_(task.chain.dofs),
-        search_(task.chain.dofs), rest_(task.chain.dofs), product_(task.chain.dofs) {
+        matrix_(static_cast<std::size_t>(side_) * side_),
+        right_(side_),
+        image_(std::max(task.rows, side_)),
+        coupled_(task.chain.dofs),
+        free_(task.chain.dofs),
+        search_(task.chain.dofs),
+        residual_(task.chain.dofs),
+        product_(task.chain.dofs) {
     fixed_.reserve(2 * task.chain.nodes.size() + 8);
-    pinned_.resize(task.chain.nodes.size());
-    turned_.resize(3 * task.chain.nodes.size());
+    at_limit_.resize(task.chain.nodes.size());
+    world_rotations_.resize(3 * task.chain.nodes.size());
   }
 
   // Which limits of a node a step is fixed at.
-  struct Pinned {
+  struct AtLimit {
     bool swing = false, twist = false, box = false;
   };
 
   // For callers that keep their own list of fixed directions: directions blocked by locked limits,
   // and those that the caller's step violates.
-  void shut(const State& state, std::vector<Fixed>& fixed, std::vector<Pinned>& pinned) {
-    shut(state);
-    fixed = fixed_, pinned = pinned_;
+  void fix_locked(const State& state, std::vector<Fixed>& fixed, std::vector<AtLimit>& at_limit) {
+    fix_locked(state);
+    fixed = fixed_, at_limit = at_limit_;
   }
 
   bool fix_violations(const State& state, const double* step, std::vector<Fixed>& fixed,
-                      std::vector<Pinned>& pinned);
+                      std::vector<AtLimit>& at_limit);
 
   // Computes the step; `curved` uses the full Hessian instead of J^T J. Returns false if the
   // damping is too small for it.
@@ -55,8 +62,7 @@ class Stepper {
   double rotation() const { return rotation_; }
 
   // Gain of the step that the model predicts, without the damping.
-  double predicted(const State& state, const Linearized& linear, bool curved,
-                   const double* step);
+  double predicted(const State& state, const Linearized& linear, bool curved, const double* step);
 
   void hessian(const State& state, const Linearized& linear, bool curved, double damping,
                const double* v, double* out);
@@ -73,17 +79,18 @@ class Stepper {
   static constexpr int ABUNDANT = 50;
   static constexpr int MAX_PASSES = 12;
   static constexpr int MAX_ROUNDS = 300;
-  static constexpr double LOOSE = 1e-2, ROUGH = 3e-1;
-  static constexpr double LEAST_FLOOR = 1e-9;
+  static constexpr double CG_TOLERANCE = 1e-2, ROUGH = 3e-1;
+  static constexpr double MIN_FLOOR = 1e-9;
 
   // image_ = J v
-  void map(const Linearized& linear, const double* v);
+  void apply_jacobian(const Linearized& linear, const double* v);
 
   // Directions that are blocked by locked limits.
-  void shut(const State& state);
+  void fix_locked(const State& state);
 
   // Fixes the component of a ball's step along a direction, minus those fixed already.
-  void fix(int n, const double* normal, double value, int outwards = 0, const double* bend = nullptr);
+  void fix(int n, const double* normal, double value, int outwards = 0,
+           const double* bend = nullptr);
 
   bool fix_violations(const State& state, const double* step);
 
@@ -93,16 +100,16 @@ class Stepper {
   // beyond which these are inaccurate.
   // Returns whether it does.
   bool shorten(const State& state, bool curved, double most, double* step) {
-    const double longest = curved ? turning(state, step) : turning(step);
+    const double longest = curved ? largest_rotation(state, step) : largest_rotation(step);
     rotation_ = std::min(longest, most);
     if (longest <= most) return false;
     for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
     return true;
   }
 
-  double turning(const double* step) const;
+  double largest_rotation(const double* step) const;
 
-  double turning(const State& state, const double* step);
+  double largest_rotation(const State& state, const double* step);
 
   static double along(const Fixed& fixed, const double* v) {
     double sum = 0;
@@ -139,12 +146,12 @@ class Stepper {
   }
 
   // A <- P A P + c c^T, P = 1 - c c^T: removes the direction c from the system.
-  void shut(const Fixed& fixed);
+  void remove_direction(const Fixed& fixed);
 
   // (J J^T + D) z = r - J c / D, d = J^T z + c / D: has the size of the residual, not of the chain.
   bool solve_dual(const State& state, const Linearized& linear, double damping, double* out);
 
-  void take_out(const Fixed& fixed, const Linearized& linear);
+  void remove_fixed(const Fixed& fixed, const Linearized& linear);
 
   // Conjugate gradients, stopped where the cost bends downwards (T. Steihaug, The
   // conjugate gradient method and trust regions in large scale optimization, 1983), in the
@@ -153,7 +160,7 @@ class Stepper {
                     double near, double* out);
 
   // A bound of the second-order terms: forces and torques on the goals.
-  double bending(const State& state) const;
+  double curvature_bound(const State& state) const;
 
   // Whether a joint is on a limit.
   bool on_limits(const State& state) const;
@@ -183,19 +190,20 @@ class Stepper {
   }
 
   // The factor of J J^T + floor or J^T J + floor, without fixed directions.
-  bool prepare_measure(const Linearized& linear, double floor);
+  bool prepare_preconditioner(const Linearized& linear, double floor);
 
   // free_ = (J^T J + floor)^-1 rest_
-  void measure_rest(const Linearized& linear, double floor);
+  void precondition(const Linearized& linear, double floor);
 
   const Task& task_;
   Curvature curvature_;
   const bool abundant_;
   const int side_;  // of the matrix
-  std::vector<double> matrix_, right_, image_, felt_, free_, search_, rest_, product_, turned_;
+  std::vector<double> matrix_, right_, image_, coupled_, free_, search_, residual_, product_,
+      world_rotations_;
   double rotation_ = 0, initial_ = 0;
   std::vector<Fixed> fixed_;
-  std::vector<Pinned> pinned_;
+  std::vector<AtLimit> at_limit_;
   // Second derivatives of cones along unit vectors, and their share s in their sum with the floor:
   // (floor + stiffness d d^T)^-1 = (1 - s d d^T) / floor.
   struct Bend {

@@ -27,7 +27,8 @@ void perpendicular(const double* v, double* out) {
   side[least] = 1;
   cross(v, side, out);
   const double size = length(out);
-  if (!(size > 0)) out[0] = 1, out[1] = out[2] = 0;
+  if (!(size > 0))
+    out[0] = 1, out[1] = out[2] = 0;
   else
     for (int i = 0; i < 3; ++i) out[i] /= size;
 }
@@ -108,11 +109,11 @@ class TwoBone : public ClosedForm {
 
   bool follows() const override { return false; }
 
-  bool solve(const double* start, const double* target, const double* sought, double scale,
-             double* q, double* misses) override {
+  bool solve(const double* start, const double* target, const double* reachable, double scale,
+             double* q, double* errors) override {
     constexpr int position = part_of<Position>(), poled = part_of<Pole>();
     const double* pole_target = target + COLUMNS[poled];
-    std::fill(misses, misses + PARTS, 0.0);
+    std::fill(errors, errors + PARTS, 0.0);
     std::copy(start, start + (elbow_.kind == Kind::BALL ? 8 : 5), q);
     // A pole without a position goal is left to another solver.
     const bool has_position = weight_of(goal_, target, position) > 0;
@@ -122,7 +123,7 @@ class TwoBone : public ClosedForm {
     for (int i = 0; i < 3; ++i) {
       upper_[i] = scale * offset_[i];
       lower[i] = scale * goal_.bone[i] + goal_.tool[i];
-      towards[i] = sought[COLUMNS[position] + i] - base_[i];
+      towards[i] = reachable[COLUMNS[position] + i] - base_[i];
       pole[i] = pole_target[i] - base_[i];
     }
     const double opened = bend(length(upper_), length(lower), length(towards));
@@ -134,10 +135,10 @@ class TwoBone : public ClosedForm {
     rotate_vector(world, tip, reached);
     double away[3], elbow[3];
     for (int i = 0; i < 3; ++i) away[i] = target[COLUMNS[position] + i] - base_[i] - reached[i];
-    misses[position] = length(away);
+    errors[position] = length(away);
     if (has_pole) {
       rotate_vector(world, upper_, elbow);
-      misses[poled] = std::fabs(angle_about(reached, elbow, pole));
+      errors[poled] = std::fabs(angle_about(reached, elbow, pole));
     }
     return valid;
   }
@@ -176,8 +177,10 @@ class TwoBone : public ClosedForm {
   void find_tip(const double* q, const double* lower, double* tip) const {
     const double z[3] = {0, 0, 1};
     double motion[4], turned[3];
-    if (elbow_.kind == Kind::PIN) about(z, q[4], motion);
-    else std::copy(q + 4, q + 8, motion);
+    if (elbow_.kind == Kind::PIN)
+      about(z, q[4], motion);
+    else
+      std::copy(q + 4, q + 8, motion);
     rotate_vector(motion, lower, turned);
     for (int i = 0; i < 3; ++i) tip[i] = upper_[i] + dot(turned, elbow_.rest + 3 * i);
   }

@@ -28,8 +28,8 @@ Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
     for (std::size_t n = 0; n < count; ++n, point += 3) {
       double sum = 0;
       for (int r = 0; r < 3; ++r) {
-        const double off = (p[r] - q[r]) + turned[3 * r] * point[0] +
-                           turned[3 * r + 1] * point[1] + turned[3 * r + 2] * point[2];
+        const double off = (p[r] - q[r]) + turned[3 * r] * point[0] + turned[3 * r + 1] * point[1] +
+                           turned[3 * r + 2] * point[2];
         sum += off * off;
       }
       worst = std::max(worst, sum);

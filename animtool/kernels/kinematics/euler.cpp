@@ -126,10 +126,9 @@ Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2
       const double* q = quaternions.data() + (f * joints + j) * 4;
       const double x = q[0], y = q[1], z = q[2], w = q[3];
       const double n = 2.0 / (x * x + y * y + z * z + w * w);
-      const double m[3][3] = {
-          {1 - n * (y * y + z * z), n * (x * y - z * w), n * (x * z + y * w)},
-          {n * (x * y + z * w), 1 - n * (x * x + z * z), n * (y * z - x * w)},
-          {n * (x * z - y * w), n * (y * z + x * w), 1 - n * (x * x + y * y)}};
+      const double m[3][3] = {{1 - n * (y * y + z * z), n * (x * y - z * w), n * (x * z + y * w)},
+                              {n * (x * y + z * w), 1 - n * (x * x + z * z), n * (y * z - x * w)},
+                              {n * (x * z - y * w), n * (y * z + x * w), 1 - n * (x * x + y * y)}};
       // The last angle is read off what is left once the first is undone, so an
       // ill-determined first angle near gimbal lock is made up for exactly
       // (K. Shoemake, Euler angle conversion, Graphics Gems IV, 1994).
@@ -137,14 +136,13 @@ Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2
         const double s = std::sin(first), c = std::cos(first);
         angles[0] = first;
         angles[1] = std::atan2(sign * m[i0][i2], c * m[i2][i2] - sign * s * m[i1][i2]);
-        angles[2] = std::atan2(c * sign * m[i1][i0] + s * m[i2][i0],
-                               c * m[i1][i1] + s * sign * m[i2][i1]);
+        angles[2] =
+            std::atan2(c * sign * m[i1][i0] + s * m[i2][i0], c * m[i1][i1] + s * sign * m[i2][i1]);
       };
       const double across = std::hypot(m[i1][i2], m[i2][i2]);
       // Within 1e-9 of gimbal lock any first angle will do: the last frame's is
       // the one that makes no jump.
-      const double first =
-          across > 1e-9 ? std::atan2(-sign * m[i1][i2], m[i2][i2]) : last[0];
+      const double first = across > 1e-9 ? std::atan2(-sign * m[i1][i2], m[i2][i2]) : last[0];
       double one[3], two[3];
       with_first(first, one);
       with_first(first + kPi, two);

@@ -32,9 +32,8 @@ class Scratch {
 template <typename R, typename T>
 inline void scaled_rotation(const T* q, const T* s, double* r) {
   const R x = q[0], y = q[1], z = q[2], w = q[3];
-  const double sums[9] = {y * y + z * z, x * y - z * w, x * z + y * w,
-                          x * y + z * w, x * x + z * z, y * z - x * w,
-                          x * z - y * w, y * z + x * w, x * x + y * y};
+  const double sums[9] = {y * y + z * z, x * y - z * w, x * z + y * w, x * y + z * w, x * x + z * z,
+                          y * z - x * w, x * z - y * w, y * z + x * w, x * x + y * y};
   for (int i = 0; i < 9; ++i) {
     const R value = static_cast<R>(i % 4 ? 2 * sums[i] : 1 - 2 * sums[i]);
     r[i] = s ? value * static_cast<R>(s[i % 3]) : value;
@@ -43,8 +42,8 @@ inline void scaled_rotation(const T* q, const T* s, double* r) {
 
 // world = parent . T(t) . R(q) . S(s), with scale inherited as UsdSkel does.
 template <typename R, typename T>
-inline void step(const World& world, std::int64_t parent, std::size_t joint, const T* t,
-                 const T* q, const T* s) {
+inline void step(const World& world, std::int64_t parent, std::size_t joint, const T* t, const T* q,
+                 const T* s) {
   double r[9];
   scaled_rotation<R>(q, s, r);
   double* linear = world.linear + 9 * joint;
@@ -73,7 +72,7 @@ void forward_frame(const std::int64_t* parents, std::size_t joints, const T* t, 
 // Transforms of the joints of each frame: those that move, and those that rest.
 struct Channel {
   const double* rest;
-  const double* values;  // (F, A, K)
+  const double* values;                 // (F, A, K)
   std::vector<std::ptrdiff_t> columns;  // of those that move, else -1
   std::size_t moving, width;
 
@@ -91,8 +90,8 @@ Channel read_channel(const char* name, const MotionChannel& arrays, std::size_t 
   check::shape(name, arrays.animated, {moving});
   check::shape(name, arrays.values, {frames, moving, width});
   check::indices(name, arrays.animated, 0, static_cast<std::int64_t>(joints));
-  Channel channel{arrays.rest.data(), arrays.values.data(),
-                  std::vector<std::ptrdiff_t>(joints, -1), moving, width};
+  Channel channel{arrays.rest.data(), arrays.values.data(), std::vector<std::ptrdiff_t>(joints, -1),
+                  moving, width};
   for (std::size_t a = 0; a < moving; ++a)
     channel.columns[static_cast<std::size_t>(arrays.animated.data()[a])] =
         static_cast<std::ptrdiff_t>(a);
@@ -135,8 +134,7 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
   for (std::size_t f = 0; f < frames; ++f) {
     const std::size_t at = f * joints;
     forward_frame<double>(parents.data(), joints, translations.data() + 3 * at,
-                          rotations.data() + 4 * at,
-                          scales ? scales->data() + 3 * at : nullptr,
+                          rotations.data() + 4 * at, scales ? scales->data() + 3 * at : nullptr,
                           {linear.data() + 9 * at, positions.data() + 3 * at});
   }
 }
@@ -162,14 +160,12 @@ void forward_motion(const MotionArrays& arrays) {
 
 RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
                                 In<double, 3> rotations, std::optional<In<double, 3>> scales,
-                                In<float, 3> written_translations,
-                                In<float, 3> written_rotations,
+                                In<float, 3> written_translations, In<float, 3> written_rotations,
                                 std::optional<In<float, 3>> written_scales) {
   const std::size_t joints = parents.shape(0), frames = translations.shape(0);
   check_parents(parents);
   check_motion(EXACT, frames, joints, translations, rotations, scales);
-  check_motion(WRITTEN, frames, joints, written_translations, written_rotations,
-               written_scales);
+  check_motion(WRITTEN, frames, joints, written_translations, written_rotations, written_scales);
   Out<double, 3> extents(frames, 2, 3);
   double largest = 0;
   std::size_t at_frame = 0, at_joint = 0;
@@ -181,9 +177,8 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
     const float* t = written_translations.data() + v;
     const float* r = written_rotations.data() + q;
     const float* s = written_scales ? written_scales->data() + v : nullptr;
-    forward_frame<double>(parents.data(), joints, translations.data() + v,
-                          rotations.data() + q, scales ? scales->data() + v : nullptr,
-                          exact);
+    forward_frame<double>(parents.data(), joints, translations.data() + v, rotations.data() + q,
+                          scales ? scales->data() + v : nullptr, exact);
     forward_frame<double>(parents.data(), joints, t, r, s, written);
     // Extents are compared with UsdSkel's to the last bit.
     forward_frame<float>(parents.data(), joints, t, r, s, played);

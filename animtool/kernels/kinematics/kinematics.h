@@ -45,8 +45,7 @@ void forward_motion(const MotionArrays& arrays);
 using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
 RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
                                 In<double, 3> rotations, std::optional<In<double, 3>> scales,
-                                In<float, 3> written_translations,
-                                In<float, 3> written_rotations,
+                                In<float, 3> written_translations, In<float, 3> written_rotations,
                                 std::optional<In<float, 3>> written_scales);
 
 // rounded, error, frame, vertex
@@ -54,8 +53,7 @@ using RoundedPoints = std::tuple<Out<float, 3>, double, std::size_t, std::size_t
 RoundedPoints round_points(In<double, 3> points, double unit);
 
 // Nothing where every sign continues as it is.
-std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations,
-                                            In<float, 2> previous);
+std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations, In<float, 2> previous);
 
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,

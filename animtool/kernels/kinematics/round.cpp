@@ -17,8 +17,8 @@ constexpr std::size_t STRIP = 256;
 
 // Rounds values divided by the unit, and finds how far each moved, squared.
 template <bool Divided>
-void round_strip(const double* __restrict p, std::size_t count, double unit,
-                 float* __restrict out, double* __restrict squares) {
+void round_strip(const double* __restrict p, std::size_t count, double unit, float* __restrict out,
+                 double* __restrict squares) {
   for (std::size_t i = 0; i < count; ++i) {
     const double value = Divided ? p[i] / unit : p[i];
     const float rounded = static_cast<float>(value);
@@ -29,8 +29,7 @@ void round_strip(const double* __restrict p, std::size_t count, double unit,
 }
 
 // Brings back values that are beyond what float32 holds.
-void clamp_strip(const double* p, std::size_t count, double unit, float* out,
-                 double* squares) {
+void clamp_strip(const double* p, std::size_t count, double unit, float* out, double* squares) {
   constexpr double limit = std::numeric_limits<float>::max();
   for (std::size_t i = 0; i < count; ++i) {
     const double value = p[i] / unit, inside = std::clamp(value, -limit, limit);
@@ -91,8 +90,7 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
 // By whether a product is negative: without a branch, which nothing could predict.
 constexpr float SIGN[] = {1.0f, -1.0f};
 
-std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations,
-                                            In<float, 2> previous) {
+std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations, In<float, 2> previous) {
   const std::size_t frames = rotations.shape(0), joints = rotations.shape(1);
   check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
   check::shape("previous", previous, {joints, 4});

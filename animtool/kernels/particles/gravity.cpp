@@ -34,8 +34,8 @@ struct Cell {
   double centre[3];
   double mass;
   double moments[6];
-  double squared_radius;   // square of the largest distance from the centre
-  double largest;  // largest mass of one body
+  double squared_radius;  // square of the largest distance from the centre
+  double largest;         // largest mass of one body
   double error_moment;    // sum of mass times cubed distance, to the power of 2/5
   std::size_t begin, end, next;
   bool leaf;
@@ -103,8 +103,8 @@ class Bodies {
   double* potential;
   double* rate;
 
-  void write(const GravitySums& sums, std::size_t first, std::size_t end,
-             const std::int32_t* order, double constant) const {
+  void write(const GravitySums& sums, std::size_t first, std::size_t end, const std::int32_t* order,
+             double constant) const {
     const double pull = constant * mass_ / length_ / length_;
     for (std::size_t i = first; i < std::min(first + GRAVITY_WIDTH, end); ++i) {
       const std::size_t k = i - first, to = order ? static_cast<std::size_t>(order[i]) : i;
@@ -124,8 +124,8 @@ class Bodies {
 
 class Tree {
  public:
-  Tree(Bodies& bodies, const double* points, const double* masses) : bodies_(bodies),
-      sorted_(bodies.size()) {
+  Tree(Bodies& bodies, const double* points, const double* masses)
+      : bodies_(bodies), sorted_(bodies.size()) {
     const std::size_t count = bodies.size();
     constexpr double CELLS = 1 << LEVELS;
     for (std::size_t i = 0; i < count; ++i) {
@@ -276,8 +276,8 @@ class Tree {
       }
     }
     for (std::size_t k = 0; k < 3; ++k)
-      cell.centre[k] = cell.mass > 0 ? cell.centre[k] / cell.mass
-                                     : middle[k] / static_cast<double>(end - begin);
+      cell.centre[k] =
+          cell.mass > 0 ? cell.centre[k] / cell.mass : middle[k] / static_cast<double>(end - begin);
     double error_moment = 0;
     for (std::size_t i = begin; i < end; ++i) {
       const double a = x[i] - cell.centre[0], b = y[i] - cell.centre[1];
@@ -298,14 +298,15 @@ class Tree {
 };
 
 void sum_by_tree(Bodies& bodies, const double* points, const double* masses, double constant,
-             double accuracy, const GravityFunctions& loops) {
+                 double accuracy, const GravityFunctions& loops) {
   const Tree tree(bodies, points, masses);
   std::vector<float> far_cells;
   std::vector<GravityRun> near_runs;
   const float soft = static_cast<float>(bodies.squared_softening());
   tree.each_group([&](const Cell& group) {
     const auto bounds = tree.bounds(group);
-    const double threshold = std::pow(CELL_ERROR * accuracy * tree.estimated_acceleration(group), 0.4);
+    const double threshold =
+        std::pow(CELL_ERROR * accuracy * tree.estimated_acceleration(group), 0.4);
     tree.walk(bounds, threshold, far_cells, near_runs);
     for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
       const GravityTargets to = bodies.targets(first, group.end, bounds.middle);
@@ -319,7 +320,7 @@ void sum_by_tree(Bodies& bodies, const double* points, const double* masses, dou
 }
 
 void sum_directly(Bodies& bodies, const double* points, const double* masses, double constant,
-              const GravityFunctions& loops) {
+                  const GravityFunctions& loops) {
   // Blocks of sources that stay in the cache for all targets.
   constexpr std::size_t TILE = 1024;
   bodies.fill(points, masses, nullptr);
@@ -338,9 +339,11 @@ void sum_directly(Bodies& bodies, const double* points, const double* masses, do
 
 }  // namespace
 
-std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
-    In<double, 2> points, In<double, 1> masses, double constant, double softening,
-    double accuracy) {
+std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(In<double, 2> points,
+                                                                   In<double, 1> masses,
+                                                                   double constant,
+                                                                   double softening,
+                                                                   double accuracy) {
   const std::size_t count = check::points("points", points);
   check::shape("masses", masses, {count});
   check::finite("points", points);
@@ -363,8 +366,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     else
       sum_directly(bodies, points.data(), masses.data(), constant, loops);
   }
-  return {std::move(accelerations), std::move(potentials),
-          std::move(rates)};
+  return {std::move(accelerations), std::move(potentials), std::move(rates)};
 }
 
 }  // namespace animtool

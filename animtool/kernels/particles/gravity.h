@@ -35,8 +35,8 @@ struct GravityFunctions {
   void (*near)(const GravityBodies& bodies, GravityRun run, double softened,
                const GravityTargets& targets, GravitySums& sums);
   // Cells by their monopole and quadrupole, in float32.
-  void (*far)(const float* cells, std::size_t count, float softened,
-              const GravityTargets& targets, GravitySums& sums);
+  void (*far)(const float* cells, std::size_t count, float softened, const GravityTargets& targets,
+              GravitySums& sums);
 };
 // Null where the processor has no such registers.
 const GravityFunctions* gravity_in_quads();

@@ -50,7 +50,8 @@ struct GravityLoops {
 
   static void exact(const GravityBodies& from, GravityRun run, double softened,
                     const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)}, target_mass = D::of(to.mass), soft = softened;
+    const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)}, target_mass = D::of(to.mass),
+            soft = softened;
     Partial<D> part;
     for (std::size_t j = run.begin; j < run.end; ++j) {
       const D off[3] = {D(from.x[j]) - here[0], D(from.y[j]) - here[1], D(from.z[j]) - here[2]};
@@ -84,8 +85,8 @@ struct GravityLoops {
   }
 
   // Potential 1/s, s² = r² + ε², expanded to second order about the centre of mass.
-  static void far(const float* cells, std::size_t count, float softened,
-                  const GravityTargets& to, GravitySums& sums) {
+  static void far(const float* cells, std::size_t count, float softened, const GravityTargets& to,
+                  GravitySums& sums) {
     const F here[3] = {F::of(to.from_middle[0]), F::of(to.from_middle[1]),
                        F::of(to.from_middle[2])};
     const F soft = softened;
@@ -108,8 +109,7 @@ struct GravityLoops {
         part.x = part.x + (pull * x - outward * qx);
         part.y = part.y + (pull * y - outward * qy);
         part.z = part.z + (pull * z - outward * qz);
-        part.potential = part.potential + mass +
-                         squared * inverse * (1.5f * across - 0.5f * trace);
+        part.potential = part.potential + mass + squared * inverse * (1.5f * across - 0.5f * trace);
       }
       part.add_to(sums);
     }

@@ -112,10 +112,18 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
   std::vector<MoleculeForce> laws(several * several);
   for (std::size_t i = 0; i < laws.size(); ++i)
     laws[i] = {forces.data()[2 * i], forces.data()[2 * i + 1]};
-  const MoleculeSystem system{
-      count, several, rows.get(), starts.data(), partners.data(), sorted.get(), laws.data(),
-      charges ? charge.get() : nullptr, {box.data()[0], box.data()[1], box.data()[2]},
-      cutoff * cutoff, onset * onset, damping};
+  const MoleculeSystem system{count,
+                              several,
+                              rows.get(),
+                              starts.data(),
+                              partners.data(),
+                              sorted.get(),
+                              laws.data(),
+                              charges ? charge.get() : nullptr,
+                              {box.data()[0], box.data()[1], box.data()[2]},
+                              cutoff * cutoff,
+                              onset * onset,
+                              damping};
   const MoleculeFunction quads = molecules_in_quads();
   if (count) virial = (quads ? quads : MoleculeLoops<Plain>::run)(system, out.get());
   for (std::size_t i = 0; i < count; ++i) {

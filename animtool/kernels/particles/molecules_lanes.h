@@ -21,16 +21,17 @@ struct MoleculeLoops {
     D cutoff, from, width, box[3], inverse_box[3];
     double shift, slope, damping, cutoff_distance;
 
-    explicit PairLaw(const MoleculeSystem& system)
-        : cutoff(system.cutoff), from(system.from) {
+    explicit PairLaw(const MoleculeSystem& system) : cutoff(system.cutoff), from(system.from) {
       const double gap = system.cutoff - system.from;
       width = gap > 0 ? 1 / (gap * gap * gap) : 0.0;
-      for (std::size_t k = 0; k < 3; ++k) box[k] = system.box[k], inverse_box[k] = 1 / system.box[k];
+      for (std::size_t k = 0; k < 3; ++k)
+        box[k] = system.box[k], inverse_box[k] = 1 / system.box[k];
       damping = system.damping;
       cutoff_distance = std::sqrt(system.cutoff);
       shift = std::erfc(damping * cutoff_distance) / cutoff_distance;
-      slope = shift / cutoff_distance +
-              2 * damping / ROOT_PI * std::exp(-damping * damping * system.cutoff) / cutoff_distance;
+      slope = shift / cutoff_distance + 2 * damping / ROOT_PI *
+                                            std::exp(-damping * damping * system.cutoff) /
+                                            cutoff_distance;
     }
   };
 
@@ -38,8 +39,7 @@ struct MoleculeLoops {
   // the force. C. J. Fennell, J. D. Gezelter, Journal of Chemical Physics 124, 2006.
   static void coulomb(const PairLaw& law, double squared, double& energy, double& force) {
     const double r = std::sqrt(squared), decay = std::erfc(law.damping * r) / r;
-    const double bend =
-        2 * law.damping / ROOT_PI * std::exp(-law.damping * law.damping * squared);
+    const double bend = 2 * law.damping / ROOT_PI * std::exp(-law.damping * law.damping * squared);
     energy = decay - law.shift + law.slope * (r - law.cutoff_distance);
     force = (decay / r + bend / r - law.slope) / r;
   }
@@ -64,7 +64,8 @@ struct MoleculeLoops {
         D squared = 0.0;
         for (std::size_t k = 0; k < 3; ++k) {
           const D displacement = here[k] - off[k];
-          off[k] = displacement - law.box[k] * ((displacement * law.inverse_box[k] + round) - round);
+          off[k] =
+              displacement - law.box[k] * ((displacement * law.inverse_box[k] + round) - round);
           squared = squared + off[k] * off[k];
         }
         const D in_range = less(squared, law.cutoff);
@@ -83,7 +84,8 @@ struct MoleculeLoops {
         D force = 6.0 * inverse * (repels + energy);
         if constexpr (switched) {
           const D far = max(squared, law.from), remaining = law.cutoff - far;
-          const D switching = remaining * remaining * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
+          const D switching =
+              remaining * remaining * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
           const D bend = 12.0 * remaining * (far - law.from) * law.width;
           force = switching * force + bend * energy;
           energy = switching * energy;
@@ -109,23 +111,20 @@ struct MoleculeLoops {
         for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + parts[k];
         scatter(parts, j, out);
       }
-      for (std::size_t k = 0; k < 4; ++k)
-        out[4 * i + k] += k < 3 ? total(sum[k]) : -total(sum[k]);
+      for (std::size_t k = 0; k < 4; ++k) out[4 * i + k] += k < 3 ? total(sum[k]) : -total(sum[k]);
     }
     return total(virial);
   }
 
   template <bool switched>
   static double of_kinds(const MoleculeSystem& system, double* out) {
-    if (system.charges)
-      return add_pairs<switched, true, true>(system, out);
+    if (system.charges) return add_pairs<switched, true, true>(system, out);
     return system.kinds > 1 ? add_pairs<switched, true, false>(system, out)
                             : add_pairs<switched, false, false>(system, out);
   }
 
   static double run(const MoleculeSystem& system, double* out) {
-    return system.from < system.cutoff ? of_kinds<true>(system, out)
-                                       : of_kinds<false>(system, out);
+    return system.from < system.cutoff ? of_kinds<true>(system, out) : of_kinds<false>(system, out);
   }
 };
 

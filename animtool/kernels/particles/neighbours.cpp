@@ -11,8 +11,8 @@ bool finite(const double* point) {
   return std::isfinite(point[0]) && std::isfinite(point[1]) && std::isfinite(point[2]);
 }
 
-std::int32_t* neighbours_one_by_one(const GridPoints& points, const GridRun* run, const GridRun* last,
-                       const double* at, std::int32_t* next) {
+std::int32_t* neighbours_one_by_one(const GridPoints& points, const GridRun* run,
+                                    const GridRun* last, const double* at, std::int32_t* next) {
   // Each is written, and kept if near: a branch would be unpredictable.
   for (; run < last; ++run)
     for (std::size_t i = run->begin; i < run->end; ++i) {
@@ -74,7 +74,8 @@ Neighbours::Neighbours(const double* points, const std::int32_t* subset, std::si
   }
   double* grid_points = grid_points_.get();
   sorted_points_ = {grid_points, grid_points + stride, grid_points + 2 * stride, radius_ * radius_};
-  for (std::size_t k = 0; k < 3; ++k) std::fill_n(grid_points + k * stride + total, GRID_PADDING, 0.0);
+  for (std::size_t k = 0; k < 3; ++k)
+    std::fill_n(grid_points + k * stride + total, GRID_PADDING, 0.0);
   std::vector<std::int32_t> index(total);
   for (std::size_t i = 0; i < total; ++i)
     index[i] = index_[static_cast<std::size_t>(sorted.indices[i])];
@@ -128,7 +129,7 @@ std::uint64_t Neighbours::key(const double* point) const {
 }
 
 SortedKeys Neighbours::query_keys(const double* points, const std::int32_t* subset,
-                                       std::size_t count) const {
+                                  std::size_t count) const {
   SortedKeys sorted(count);
   if (index_.empty()) return sorted;
   for (std::size_t i = 0; i < count; ++i) {
@@ -142,8 +143,7 @@ SortedKeys Neighbours::query_keys(const double* points, const std::int32_t* subs
   return sorted;
 }
 
-std::vector<Neighbours::Cell> Neighbours::cells_of(const std::uint64_t* keys,
-                                                   std::size_t count) {
+std::vector<Neighbours::Cell> Neighbours::cells_of(const std::uint64_t* keys, std::size_t count) {
   std::size_t distinct = 1;
   for (std::size_t i = 0; i < count; ++i) distinct += !i || keys[i] != keys[i - 1];
   std::vector<Cell> cells;

@@ -27,8 +27,8 @@ struct GridRun {
 constexpr std::size_t GRID_PADDING = 4;
 // Appends the grid indices of runs within the radius of a point.
 using NeighbourFunction = std::int32_t* (*)(const GridPoints& points, const GridRun* run,
-                                       const GridRun* last, const double* at,
-                                       std::int32_t* next);
+                                            const GridRun* last, const double* at,
+                                            std::int32_t* next);
 NeighbourFunction neighbours_in_quads();  // null where the processor has no such registers
 
 class Neighbours {
@@ -49,8 +49,8 @@ class Neighbours {
   // position, and grid indices within the radius, itself included. Returns the number of tested
   // distances, and stops above `max_tests`.
   template <class Function>
-  double visit(const double* points, const std::int32_t* query_keys, std::size_t count, double max_tests,
-               Function function) const;
+  double visit(const double* points, const std::int32_t* query_keys, std::size_t count,
+               double max_tests, Function function) const;
 
   // The same for each grid position; with `later_only`, only with later ones.
   template <bool later_only, class Function>
@@ -83,7 +83,7 @@ class Neighbours {
   double radius_, low_[3], period_[3], origin_[3] = {0, 0, 0}, inverse_cell_[3] = {1, 1, 1};
   double last_cell_[3] = {0, 0, 0};  // cells of each axis, less one
   std::uint64_t row_ = 0, layer_ = 0;
-  std::vector<Cell> cells_;  // non-empty cells, and a sentinel
+  std::vector<Cell> cells_;    // non-empty cells, and a sentinel
   Block<double> grid_points_;  // positions along x, then y, then z
   GridPoints sorted_points_{};
   NeighbourFunction find_neighbours_;
@@ -98,8 +98,7 @@ void Neighbours::each_cell(const std::vector<Cell>& cells, Function function) co
   for (std::size_t c = 0; c + 1 < cells.size(); ++c) {
     std::size_t capacity = 0;
     for (std::size_t k = 0; k < RUNS; ++k) {
-      const std::uint64_t middle =
-          cells[c].key + (k / 3) * layer_ + (k % 3) * row_ - layer_ - row_;
+      const std::uint64_t middle = cells[c].key + (k / 3) * layer_ + (k % 3) * row_ - layer_ - row_;
       auto& [begin, end] = bounds[k];
       while (begin->key < middle - 1) ++begin;
       end = std::max(end, begin);
@@ -149,8 +148,8 @@ double Neighbours::visit_all(double max_tests, Function function) const {
                 std::copy(runs, runs + RUNS, searched);
                 if (later_only) searched[CENTRE].begin = i + 1;
                 function(i, at, hits.data(),
-                         find_neighbours_(sorted_points_, searched + (later_only ? CENTRE : 0), searched + RUNS, at,
-                               hits.data()));
+                         find_neighbours_(sorted_points_, searched + (later_only ? CENTRE : 0),
+                                          searched + RUNS, at, hits.data()));
               }
               return tested <= max_tests;
             });

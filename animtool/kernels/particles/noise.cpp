@@ -30,8 +30,8 @@ inline Fade fade(double x) {
 }
 
 // Adds the curl of one time slice of the lattice.
-void add_curl(const std::int64_t* cell, const double* inside, const Fade* fades,
-                std::int64_t slice, std::uint64_t seed, double amount, double* out) {
+void add_curl(const std::int64_t* cell, const double* inside, const Fade* fades, std::int64_t slice,
+              std::uint64_t seed, double amount, double* out) {
   for (int corner = 0; corner < 8; ++corner) {
     double off[3], weight[3], weight_slope[3];
     std::uint64_t key = seed;
@@ -44,14 +44,17 @@ void add_curl(const std::int64_t* cell, const double* inside, const Fade* fades,
     }
     key = hash_bits(key ^ static_cast<std::uint64_t>(slice));
     const double product = weight[0] * weight[1] * weight[2];
-    const double slope[3] = {weight_slope[0] * weight[1] * weight[2], weight[0] * weight_slope[1] * weight[2],
+    const double slope[3] = {weight_slope[0] * weight[1] * weight[2],
+                             weight[0] * weight_slope[1] * weight[2],
                              weight[0] * weight[1] * weight_slope[2]};
     double gradient[3][3];
     for (int field = 0; field < 3; ++field) {
       const std::uint64_t bits = hash_bits(key + field);
-      const double g[3] = {signed_fraction(bits), signed_fraction(bits >> 21), signed_fraction(bits >> 42)};
+      const double g[3] = {signed_fraction(bits), signed_fraction(bits >> 21),
+                           signed_fraction(bits >> 42)};
       const double value = g[0] * off[0] + g[1] * off[1] + g[2] * off[2];
-      for (int axis = 0; axis < 3; ++axis) gradient[field][axis] = product * g[axis] + slope[axis] * value;
+      for (int axis = 0; axis < 3; ++axis)
+        gradient[field][axis] = product * g[axis] + slope[axis] * value;
     }
     out[0] += amount * (gradient[2][1] - gradient[1][2]);
     out[1] += amount * (gradient[0][2] - gradient[2][0]);
@@ -78,7 +81,8 @@ Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64
       fades[i] = fade(inside[i]);
     }
     const double time = times.data()[n], slice_start = std::floor(time);
-    const std::int64_t slice = std::fabs(slice_start) < 1e15 ? static_cast<std::int64_t>(slice_start) : 0;
+    const std::int64_t slice =
+        std::fabs(slice_start) < 1e15 ? static_cast<std::int64_t>(slice_start) : 0;
     const double fraction = fade(time - slice_start).weight;
     // The mean of two different fields would be weaker than either.
     const double norm = std::sqrt(fraction * fraction + (1 - fraction) * (1 - fraction));

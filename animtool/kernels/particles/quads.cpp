@@ -10,9 +10,7 @@ const GravityFunctions* gravity_in_quads() {
   return has_quads() ? &GravityLoops<Quads>::functions : nullptr;
 }
 
-MoleculeFunction molecules_in_quads() {
-  return has_quads() ? MoleculeLoops<Quads>::run : nullptr;
-}
+MoleculeFunction molecules_in_quads() { return has_quads() ? MoleculeLoops<Quads>::run : nullptr; }
 
 #ifdef ANIMTOOL_QUADS
 
@@ -26,7 +24,7 @@ alignas(16) constexpr std::int32_t PACKED[16][4] = {
 constexpr std::int32_t COUNTS[16] = {0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};
 
 std::int32_t* neighbours_by_fours(const GridPoints& points, const GridRun* run, const GridRun* last,
-                        const double* at, std::int32_t* next) {
+                                  const double* at, std::int32_t* next) {
   const FourVec<Quads> here = FourVec<Quads>::broadcast(at);
   const Four<Quads> squared_radius = points.squared_radius;
   for (; run < last; ++run)

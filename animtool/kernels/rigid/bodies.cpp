@@ -37,12 +37,11 @@ void check_starts(const char* name, const In<std::int64_t, 1>& starts, std::size
 
 }  // namespace
 
-RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
-                         In<double, 2> numbers, In<double, 2> points,
-                         In<std::int64_t, 1> point_starts, In<std::int64_t, 1> face_starts,
-                         In<std::int64_t, 1> corner_starts, In<std::int64_t, 1> corners,
-                         In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
-                         In<std::int64_t, 2> excluded) {
+RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<double, 2> numbers,
+                         In<double, 2> points, In<std::int64_t, 1> point_starts,
+                         In<std::int64_t, 1> face_starts, In<std::int64_t, 1> corner_starts,
+                         In<std::int64_t, 1> corners, In<std::int64_t, 2> joints,
+                         In<double, 2> joint_numbers, In<std::int64_t, 2> excluded) {
   const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
   check::numbers("inertias", inertias, {check::ANY, 4});
   check::at_most("inertias", count, check::MAX_ROWS);
@@ -68,8 +67,7 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   for (std::size_t s = 0; s < shapes; ++s) {
     rigid::Shape& shape = world_.shapes[s];
     shape.body = static_cast<std::size_t>(bodies.data()[s]);
-    if (s && shape.body < world_.shapes[s - 1].body)
-      check::refuse("bodies", "they do not ascend");
+    if (s && shape.body < world_.shapes[s - 1].body) check::refuse("bodies", "they do not ascend");
     const double* n = numbers.data() + 3 * s;
     check::not_negative("numbers", n[0]);
     check::between("numbers", n[1], 0, 1);
@@ -77,7 +75,8 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     shape.core.radius = n[0], shape.material = {n[1], n[2]};
     const std::int64_t from = point_starts.data()[s], to = point_starts.data()[s + 1];
     if (from == to) check::refuse("point_starts", "a shape has no points");
-    for (std::int64_t p = from; p < to; ++p) shape.core.points.push_back(load(points.data() + 3 * p));
+    for (std::int64_t p = from; p < to; ++p)
+      shape.core.points.push_back(load(points.data() + 3 * p));
     for (std::int64_t f = face_starts.data()[s]; f < face_starts.data()[s + 1]; ++f) {
       const std::int64_t a = corner_starts.data()[f], b = corner_starts.data()[f + 1];
       if (b - a < 3) check::refuse("corner_starts", "a face has fewer than 3 corners");
@@ -172,9 +171,9 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
     check::between("pairs", pair[0], 0, shapes - 1);
     check::between("pairs", pair[1], 0, shapes + static_cast<std::int64_t>(all.size()) - 1);
     stored[i] = {pair[0], pair[1], load(contacts.data() + CONTACT * i),
-               load(contacts.data() + CONTACT * i + 3)};
+                 load(contacts.data() + CONTACT * i + 3)};
     if (i && (stored[i].first != stored[i - 1].first ? stored[i].first < stored[i - 1].first
-                                                 : stored[i].second < stored[i - 1].second))
+                                                     : stored[i].second < stored[i - 1].second))
       check::refuse("pairs", "they do not ascend");
   }
   std::vector<std::array<double, rigid::ROWS>> impulses(joints);
@@ -190,27 +189,34 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   for (std::size_t i = 0; i < count; ++i) {
     pushes[i] = load(forces.data() + 6 * i), twists[i] = load(forces.data() + 6 * i + 3);
   }
-  const rigid::Settings settings{static_cast<rigid::Method>(method), static_cast<int>(substeps),
-                                 static_cast<int>(iterations), tolerance, sleep_speed, sleep_time};
-  report = rigid::step_world(world, states, stored, impulses, pushes, twists, all, frames,
-                             settings, step);
-  Out<double, 2> moved(count, STATE), touching(stored.size(), CONTACT), holding(joints, rigid::ROWS);
+  const rigid::Settings settings{static_cast<rigid::Method>(method),
+                                 static_cast<int>(substeps),
+                                 static_cast<int>(iterations),
+                                 tolerance,
+                                 sleep_speed,
+                                 sleep_time};
+  report = rigid::step_world(world, states, stored, impulses, pushes, twists, all, frames, settings,
+                             step);
+  Out<double, 2> moved(count, STATE), touching(stored.size(), CONTACT),
+      holding(joints, rigid::ROWS);
   Out<std::int64_t, 2> touched(stored.size(), 2);
   for (std::size_t i = 0; i < count; ++i) {
     double* to = moved.get() + STATE * i;
     const rigid::State& s = states[i];
     store(s.at, to), store(s.velocity, to + 7), store(s.momentum, to + 10);
-    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w, to[13] = s.slow_time;
+    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w,
+    to[13] = s.slow_time;
   }
   for (std::size_t i = 0; i < stored.size(); ++i) {
     touched.get()[2 * i] = stored[i].first, touched.get()[2 * i + 1] = stored[i].second;
-    store(stored[i].at, touching.get() + CONTACT * i), store(stored[i].force, touching.get() + CONTACT * i + 3);
+    store(stored[i].at, touching.get() + CONTACT * i),
+        store(stored[i].force, touching.get() + CONTACT * i + 3);
   }
   for (std::size_t k = 0; k < joints; ++k)
     std::copy_n(impulses[k].begin(), rigid::ROWS, holding.get() + rigid::ROWS * k);
-  return {std::move(moved), std::move(touched), std::move(touching),
-          std::move(holding), report.deepest, report.residual, report.contacts,
-          report.iterations, report.awake, report.unsolved, report.first, report.second,
+  return {std::move(moved),  std::move(touched), std::move(touching), std::move(holding),
+          report.deepest,    report.residual,    report.contacts,     report.iterations,
+          report.awake,      report.unsolved,    report.first,        report.second,
           report.drive_step, report.drive};
 }
 

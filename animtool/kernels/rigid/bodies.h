@@ -12,8 +12,8 @@ class RigidBodies {
   RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<double, 2> numbers,
               In<double, 2> points, In<std::int64_t, 1> point_starts,
               In<std::int64_t, 1> face_starts, In<std::int64_t, 1> corner_starts,
-              In<std::int64_t, 1> corners, In<std::int64_t, 2> joints,
-              In<double, 2> joint_numbers, In<std::int64_t, 2> excluded);
+              In<std::int64_t, 1> corners, In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
+              In<std::int64_t, 2> excluded);
 
   const rigid::World& world() const { return world_; }
 
@@ -26,9 +26,9 @@ class RigidBodies {
 };
 
 using RigidStepped =
-    std::tuple<Out<double, 2>, Out<std::int64_t, 2>, Out<double, 2>, Out<double, 2>, double,
-               double, std::int64_t, std::int64_t, std::int64_t, std::int64_t, std::int64_t,
-               std::int64_t, double, std::int64_t>;
+    std::tuple<Out<double, 2>, Out<std::int64_t, 2>, Out<double, 2>, Out<double, 2>, double, double,
+               std::int64_t, std::int64_t, std::int64_t, std::int64_t, std::int64_t, std::int64_t,
+               double, std::int64_t>;
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
                         In<double, 2> contacts, In<double, 2> joint_impulses, In<double, 2> forces,

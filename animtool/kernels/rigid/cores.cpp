@@ -130,14 +130,16 @@ Scratch& scratch() {
   return buffer;
 }
 
-Manifold of_face(const PosedCore& ref, const PosedCore& other, int face, bool turned, double reach) {
+Manifold of_face(const PosedCore& ref, const PosedCore& other, int face, bool turned,
+                 double reach) {
   Scratch& buffer = scratch();
   buffer.loop.clear(), buffer.contact_points.clear();
   const Vec n = ref.normals[static_cast<std::size_t>(face)];
   const Core& core = *other.core;
   if (core.faces()) {
     const auto against = static_cast<std::size_t>(facing(other, n));
-    for (int k = 0; k < corners(other, against); ++k) buffer.loop.push_back(corner(other, against, k));
+    for (int k = 0; k < corners(other, against); ++k)
+      buffer.loop.push_back(corner(other, against, k));
   } else {
     buffer.loop.assign(other.points, other.points + core.points.size());
   }
@@ -179,7 +181,8 @@ Manifold round_manifold(const PosedCore& a, const PosedCore& b, double reach) {
   Manifold manifold = of_points(on_a, on_b, normal, ra, rb);
   if (manifold.points[0].gap > reach) manifold.count = 0;
   // Two parallel ones touch along a line.
-  if (!manifold.count || !(sized > 0) || dot(crossed, crossed) > COPLANAR * COPLANAR * sized) return manifold;
+  if (!manifold.count || !(sized > 0) || dot(crossed, crossed) > COPLANAR * COPLANAR * sized)
+    return manifold;
   const double size = dot(d, d);
   double low = dot(q.from - p.from, d) / size, high = dot(q.to - p.from, d) / size;
   if (low > high) std::swap(low, high);
@@ -209,7 +212,8 @@ std::pair<Vec, Vec> nearest_of(const PosedCore& solid, const PosedCore& rounded)
   for (std::size_t i = 0; i < ends; ++i) {
     const Vec at = rounded.points[i];
     for (std::size_t f = 0; f < solid.core->faces(); ++f)
-      if (dot(solid.normals[f], at) > solid.offset(f)) keep_nearer(nearest_on_face(solid, f, at), at);
+      if (dot(solid.normals[f], at) > solid.offset(f))
+        keep_nearer(nearest_on_face(solid, f, at), at);
   }
   if (ends > 1)
     for (const Edge& e : solid.core->edges) {
@@ -267,7 +271,7 @@ bool arcs_cross(Vec a, Vec b, Vec c, Vec d) {
 }
 
 void best_face_axis(const PosedCore& a, const PosedCore& b, bool first, double slack, double reach,
-                   Axis& best) {
+                    Axis& best) {
   for (std::size_t f = 0; f < a.core->faces(); ++f) {
     const Vec n = a.normals[f];
     const double gap = b.lowest(n) - a.offset(f);
@@ -310,7 +314,8 @@ Axis separating_boxes(const PosedCore& a, const PosedCore& b, double reach, doub
     if (best.gap > reach) return best;
   }
   for (int j = 0; j < 3; ++j) {
-    const double wide = other[j] + half[0] * size[0][j] + half[1] * size[1][j] + half[2] * size[2][j];
+    const double wide =
+        other[j] + half[0] * size[0][j] + half[1] * size[1][j] + half[2] * size[2][j];
     try_face(std::fabs(along_b[j]) - wide, along_b[j], far[j], false, j);
     if (best.gap > reach) return best;
   }
@@ -355,7 +360,9 @@ void Core::finish() {
     Vec sum;
     const int begin = starts[f], end = starts[f + 1];
     const Vec base = points[static_cast<std::size_t>(loops[static_cast<std::size_t>(begin)])];
-    const auto at = [&](int k) { return points[static_cast<std::size_t>(loops[static_cast<std::size_t>(k)])]; };
+    const auto at = [&](int k) {
+      return points[static_cast<std::size_t>(loops[static_cast<std::size_t>(k)])];
+    };
     for (int k = begin + 1; k + 1 < end; ++k) sum = sum + cross(at(k) - base, at(k + 1) - base);
     const Vec n = direction(sum, {0, 1, 0});
     double offset = -FAR;
@@ -418,8 +425,8 @@ Axis separating_axis(const PosedCore& a, const PosedCore& b, double reach) {
         if (squared <= PARALLEL * dot(u, u) * dot(v, v)) continue;
         n = n * (1 / std::sqrt(squared));
         if (dot(n, a.points[e.from] - a.centre) < 0) n = -n;
-        try_edges(n, dot(n, b.points[f.from] - a.points[e.from]), a.points[e.from],
-                  a.points[e.to], b.points[f.from], b.points[f.to]);
+        try_edges(n, dot(n, b.points[f.from] - a.points[e.from]), a.points[e.from], a.points[e.to],
+                  b.points[f.from], b.points[f.to]);
         if (best.gap > reach) return best;
       }
     }
@@ -449,8 +456,8 @@ Axis separating_axis(const PosedCore& a, const PosedCore& b, double reach) {
 }
 
 Manifold manifold_of(const PosedCore& a, const PosedCore& b, double reach) {
-  if (!a.core->faces()) return b.core->faces() ? turned(meet_solid(b, a, reach))
-                                               : round_manifold(a, b, reach);
+  if (!a.core->faces())
+    return b.core->faces() ? turned(meet_solid(b, a, reach)) : round_manifold(a, b, reach);
   if (!b.core->faces()) return meet_solid(a, b, reach);
   const double skin = a.core->radius + b.core->radius;
   const Axis axis = separating_axis(a, b, reach + skin);

@@ -9,10 +9,10 @@
 
 namespace animtool::rigid {
 
-using collide::Pose;
-using collide::Vec;
 using collide::direction;
 using collide::length;
+using collide::Pose;
+using collide::Vec;
 
 struct Edge {
   int from, to;     // points
@@ -27,9 +27,9 @@ struct Core {
   std::vector<double> offsets;
   std::vector<Edge> edges;
   double radius = 0;
-  bool box = false;  // a box: faces in opposite pairs at right angles
+  bool box = false;            // a box: faces in opposite pairs at right angles
   double half[3] = {0, 0, 0};  // half extents
-  double reach = 0;  // distance of the farthest point from the origin, with the radius
+  double reach = 0;            // distance of the farthest point from the origin, with the radius
   Vec centre;
 
   std::size_t faces() const { return normals.size(); }
@@ -94,10 +94,10 @@ struct Manifold {
 // early, with infinity, beyond a limit.
 struct Axis {
   double gap = -std::numeric_limits<double>::infinity();
-  Vec normal;                                // from the first to the second
+  Vec normal;  // from the first to the second
   enum { NONE, FIRST, SECOND, EDGES } kind = NONE;
-  int first = -1, second = -1;               // faces
-  Vec edge_a[2], edge_b[2];                  // ends of edges
+  int first = -1, second = -1;  // faces
+  Vec edge_a[2], edge_b[2];     // ends of edges
 };
 
 Axis separating_axis(const PosedCore& a, const PosedCore& b, double reach);

@@ -62,7 +62,8 @@ Response response_of(double stiffness, double damping) {
     response.decay = e * (swings ? std::cos(r) : std::cosh(r)) - z * response.by_speed;
     response.by_pull = 2 * (1 - response.decay - damping * response.by_speed) / stiffness;
   }
-  response.extra = 1 / response.by_pull - 1, response.lag = 1 - response.by_speed / response.by_pull;
+  response.extra = 1 / response.by_pull - 1,
+  response.lag = 1 - response.by_speed / response.by_pull;
   return response;
 }
 
@@ -128,8 +129,10 @@ class InverseMassMatrix {
     };
     if (p.b == q.b) add_shared_body(p.b, 1, u.arm_b, v.arm_b);
     if (p.a >= 0 && p.a == q.a) add_shared_body(static_cast<std::size_t>(p.a), 1, u.arm_a, v.arm_a);
-    if (p.a >= 0 && static_cast<std::size_t>(p.a) == q.b) add_shared_body(q.b, -1, u.arm_a, v.arm_b);
-    if (q.a >= 0 && static_cast<std::size_t>(q.a) == p.b) add_shared_body(p.b, -1, u.arm_b, v.arm_a);
+    if (p.a >= 0 && static_cast<std::size_t>(p.a) == q.b)
+      add_shared_body(q.b, -1, u.arm_a, v.arm_b);
+    if (q.a >= 0 && static_cast<std::size_t>(q.a) == p.b)
+      add_shared_body(p.b, -1, u.arm_b, v.arm_a);
     return sum;
   }
 
@@ -140,12 +143,14 @@ class InverseMassMatrix {
 
 // Independence of joint equations.
 struct Condition {
-  double least = 1;      // smallest of the independent ones
+  double least = 1;            // smallest of the independent ones
   bool has_redundant = false;  // whether some are redundant
 
   void add(double independence) {
-    if (independence > REDUNDANT) least = std::min(least, independence);
-    else has_redundant = true;
+    if (independence > REDUNDANT)
+      least = std::min(least, independence);
+    else
+      has_redundant = true;
   }
 };
 
@@ -163,8 +168,8 @@ bool have_common_body(const Joint& p, const Joint& q) {
 
 // The joints nearest to one of an island, itself first, up to a number of equations.
 std::vector<std::size_t> nearest_joints(const std::vector<Joint>& joints,
-                              const std::vector<std::size_t>& island,
-                              const std::vector<Rows>& rows, std::size_t begin) {
+                                        const std::vector<std::size_t>& island,
+                                        const std::vector<Rows>& rows, std::size_t begin) {
   std::vector<std::size_t> nearest{begin};
   std::vector<char> known(island.size(), 0);
   known[begin] = 1;
@@ -215,8 +220,8 @@ void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, d
   const double pull = (joint.stiffness * drive.error - joint.damping * joint.speed) / m;
   const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
   const double others = speed - drive.speed - drive.first_impulse / m;
-  const double after = to.decay * drive.speed - h * to.by_speed * pull +
-                       (2 * to.by_speed - to.by_pull) * others;
+  const double after =
+      to.decay * drive.speed - h * to.by_speed * pull + (2 * to.by_speed - to.by_pull) * others;
   row.give = m * to.extra;
   row.push = m * (speed - after / to.by_pull) - drive.first_impulse;
   limit_push(drive, row);

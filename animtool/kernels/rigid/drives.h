@@ -16,11 +16,11 @@ namespace animtool::rigid {
 
 // State of one drive equation between steps.
 struct Drive {
-  double mass = 0;    // effective mass; 0 without an equation
-  bool moves_mass = false; // whether joints let it move that mass
-  double speed = 0;   // speed at the start of a substep
+  double mass = 0;          // effective mass; 0 without an equation
+  bool moves_mass = false;  // whether joints let it move that mass
+  double speed = 0;         // speed at the start of a substep
   double error = 0;
-  double first_impulse = 0;   // impulse of the first half of a substep
+  double first_impulse = 0;  // impulse of the first half of a substep
 };
 
 using Drives = std::array<Drive, 3>;

@@ -25,8 +25,14 @@ Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
                  const std::vector<Point>& points, const std::vector<std::size_t>& joints,
                  const std::vector<Rows>& rows, std::vector<Speed>& speeds, double tolerance,
                  double arrival_time)
-    : world_(world), patches_(patches), points_(points), joints_(joints), rows_(rows),
-      speeds_(speeds), tolerance_(tolerance), arrival_time_(arrival_time) {}
+    : world_(world),
+      patches_(patches),
+      points_(points),
+      joints_(joints),
+      rows_(rows),
+      speeds_(speeds),
+      tolerance_(tolerance),
+      arrival_time_(arrival_time) {}
 
 void Impacts::run(const std::function<double(const Patch&)>& rests, std::vector<char>& pushed) {
   list_patches();
@@ -138,7 +144,8 @@ void Impacts::gather_joints() {
         Equation equation;
         equation.a = a, equation.b = joint.b, equation.line = row.line;
         equation.arm_a = row.arm_a, equation.arm_b = row.arm_b;
-        equation.response_a = speeds_[a].angular_response(row.arm_a), equation.response_b = speeds_[joint.b].angular_response(row.arm_b);
+        equation.response_a = speeds_[a].angular_response(row.arm_a),
+        equation.response_b = speeds_[joint.b].angular_response(row.arm_b);
         equation.mass = row.mass, equation.bias_speed = row.bias_speed;
         equation.one_sided = row.kind == Row::LIMIT, equation.joint = true;
         equations_.push_back(equation);
@@ -151,17 +158,19 @@ void Impacts::gather_joints() {
 
 double Impacts::speed_of(const Equation& equation) const {
   const Speed &a = speeds_[equation.a], &b = speeds_[equation.b];
-  return dot(equation.line, b.v - a.v) + dot(equation.arm_b, b.w) - dot(equation.arm_a, a.w) + equation.bias_speed;
+  return dot(equation.line, b.v - a.v) + dot(equation.arm_b, b.w) - dot(equation.arm_a, a.w) +
+         equation.bias_speed;
 }
 
 void Impacts::add(Equation& equation, double impulse) {
   equation.impulse += impulse;
-  apply(speeds_, equation.a, equation.b, equation.line, equation.response_a, equation.response_b, impulse);
+  apply(speeds_, equation.a, equation.b, equation.line, equation.response_a, equation.response_b,
+        impulse);
 }
 
 void Impacts::solve(double speed) {
-  const int joined = static_cast<int>(
-      std::count_if(equations_.begin(), equations_.end(), [](const Equation& p) { return p.joint; }));
+  const int joined = static_cast<int>(std::count_if(equations_.begin(), equations_.end(),
+                                                    [](const Equation& p) { return p.joint; }));
   const int max_iterations = MIN_ITERATIONS + ITERATIONS_PER_JOINT * joined;
   for (int iteration = 0; iteration < max_iterations; ++iteration) {
     double change = 0;
@@ -181,7 +190,8 @@ void Impacts::solve(double speed) {
         const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
         const double scale = size > limit ? limit / size : 1;
         const double by[2] = {to[0] * scale - equation.impulse, to[1] * scale - other.impulse};
-        if (by[0] != 0) add(equation, by[0]), change = std::max(change, std::fabs(by[0]) / equation.mass);
+        if (by[0] != 0)
+          add(equation, by[0]), change = std::max(change, std::fabs(by[0]) / equation.mass);
         if (by[1] != 0) add(other, by[1]), change = std::max(change, std::fabs(by[1]) / other.mass);
       }
     }
@@ -197,7 +207,8 @@ void Impacts::bound_energy() {
     const Body& body = world_.bodies[bodies_[i]];
     const Speed &old = before_[i], &now = speeds_[bodies_[i]];
     const Vec change = now.v - old.v;
-    slope += dot(old.v, change) / body.inverse_mass, size += dot(change, change) / body.inverse_mass / 2;
+    slope += dot(old.v, change) / body.inverse_mass,
+        size += dot(change, change) / body.inverse_mass / 2;
     energy += dot(old.v, old.v) / body.inverse_mass / 2;
   }
   // Rotational work from the impulses themselves: w I dw is w times the twist.
@@ -207,11 +218,13 @@ void Impacts::bound_energy() {
     };
     double spin = 0, turned = 0;
     if (equation.a < world_.bodies.size()) {
-      const Speed &old = before_[static_cast<std::size_t>(at(equation.a))], &now = speeds_[equation.a];
+      const Speed &old = before_[static_cast<std::size_t>(at(equation.a))],
+                  &now = speeds_[equation.a];
       spin -= dot(equation.arm_a, old.w), turned -= dot(equation.arm_a, now.w - old.w);
     }
     if (equation.b < world_.bodies.size()) {
-      const Speed &old = before_[static_cast<std::size_t>(at(equation.b))], &now = speeds_[equation.b];
+      const Speed &old = before_[static_cast<std::size_t>(at(equation.b))],
+                  &now = speeds_[equation.b];
       spin += dot(equation.arm_b, old.w), turned += dot(equation.arm_b, now.w - old.w);
     }
     slope += equation.impulse * (spin + equation.bias_speed), size += equation.impulse * turned / 2;

@@ -31,10 +31,10 @@ class Impacts {
     std::size_t a, b;
     Vec line, arm_a, arm_b, response_a, response_b;
     double mass, bias_speed;
-    double target = 0;      // speed after the impact
+    double target = 0;  // speed after the impact
     double impulse = 0;
     bool one_sided = false, joint = false;
-    int across = 0;         // of friction, 1 or 2; the normal equation precedes both
+    int across = 0;  // of friction, 1 or 2; the normal equation precedes both
     double friction = 0;
   };
 

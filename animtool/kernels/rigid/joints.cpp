@@ -51,7 +51,8 @@ class RowWriter {
   // Axes without inertia, such as a rod's, have no equation.
   Row& add(Row row, double error, double bias_speed, int slot) {
     const double k = dot(row.line, row.line) * (a_.inverse_mass + b_.inverse_mass) +
-                     dot(row.arm_a, a_.angular_response(row.arm_a)) + dot(row.arm_b, b_.angular_response(row.arm_b));
+                     dot(row.arm_a, a_.angular_response(row.arm_a)) +
+                     dot(row.arm_b, b_.angular_response(row.arm_b));
     row.error = error, row.bias_speed = bias_speed, row.slot = slot;
     row.mass = k > 0 ? 1 / k : 0;
     row.high = UNLIMITED, row.low = -UNLIMITED;
@@ -77,7 +78,8 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   const Vec reach_a = slides ? arm_a + off : arm_a;
   const Vec anchor_velocity = a.velocity + cross(a.spin, slides ? off : Vec{});
   for (int i = slides ? 1 : 0; i < 3; ++i)
-    to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], anchor_velocity), SLOT_LINE + i);
+    to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], anchor_velocity),
+             SLOT_LINE + i);
   if (joint.kind == JointKind::FIXED || slides) {
     const Vec error = rotate(a.rotation, vector_of(between));
     for (int i = 0; i < 3; ++i)

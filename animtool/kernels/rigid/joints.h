@@ -25,19 +25,19 @@ struct Joint {
   std::ptrdiff_t a = -1;  // body; -1 for an animated frame
   std::size_t b = 0;      // body
   Frame on_a, on_b;
-  double low = 1, high = 0;       // of angle, slide or twist; none if low is above high
-  double swing[2] = {-1, -1};     // half-angles about y and z; none if negative
-  double target = 0;              // of the drive: angle or slide
-  Quaternion goal;                      // target of a ball's drive: b relative to a
+  double low = 1, high = 0;           // of angle, slide or twist; none if low is above high
+  double swing[2] = {-1, -1};         // half-angles about y and z; none if negative
+  double target = 0;                  // of the drive: angle or slide
+  Quaternion goal;                    // target of a ball's drive: b relative to a
   double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or per rad
-  double speed = 0;               // target speed of the drive's damping
-  double max_force = -1;               // largest force or torque of the drive; unlimited if negative
+  double speed = 0;                   // target speed of the drive's damping
+  double max_force = -1;              // largest force or torque of the drive; unlimited if negative
 };
 
 // Velocities of a body during a step.
 struct Speed {
   Vec v, w;
-  double inverse_mass = 0;  // 1 / mass
+  double inverse_mass = 0;                                  // 1 / mass
   double inverse_inertia[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};  // inverse inertia, of the world
 
   Vec angular_response(Vec a) const {
@@ -62,20 +62,27 @@ struct Softness {
 
 // One equation: along a line and about an axis of each body.
 struct Row {
-  Vec line;           // 0 for rotation rows
-  Vec arm_a, arm_b;   // moment arms of both bodies
-  double bias_speed = 0;   // speed added by the animation
-  double error = 0;   // constraint error: should be 0, or not below it
-  double curvature_speed = 0;    // additional error in a substep from curvature, over its time
+  Vec line;                    // 0 for rotation rows
+  Vec arm_a, arm_b;            // moment arms of both bodies
+  double bias_speed = 0;       // speed added by the animation
+  double error = 0;            // constraint error: should be 0, or not below it
+  double curvature_speed = 0;  // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half = 0;
-  double low = 0, high = 0;  // of the impulse
-  double give = 0, push = 0;   // of a drive: impulse by speed, and by position
+  double low = 0, high = 0;   // of the impulse
+  double give = 0, push = 0;  // of a drive: impulse by speed, and by position
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;
 };
 
 // Slots of a joint's rows in the impulses kept between steps.
-enum { SLOT_LINE = 0, SLOT_ROTATION = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
+enum {
+  SLOT_LINE = 0,
+  SLOT_ROTATION = 3,
+  SLOT_LOW = 6,
+  SLOT_HIGH = 7,
+  SLOT_SWING = 8,
+  SLOT_DRIVE = 9
+};
 constexpr std::size_t ROWS = 12;
 constexpr double FULL_CIRCLE = 2 * 3.14159265358979323846;  // [rad]
 

@@ -27,14 +27,14 @@ struct Box {
 };
 
 Box united(const Box& a, const Box& b) {
-  return {{std::min(a.low.x, b.low.x), std::min(a.low.y, b.low.y), std::min(a.low.z, b.low.z)},
-          {std::max(a.high.x, b.high.x), std::max(a.high.y, b.high.y),
-           std::max(a.high.z, b.high.z)}};
+  return {
+      {std::min(a.low.x, b.low.x), std::min(a.low.y, b.low.y), std::min(a.low.z, b.low.z)},
+      {std::max(a.high.x, b.high.x), std::max(a.high.y, b.high.y), std::max(a.high.z, b.high.z)}};
 }
 
 bool overlap(const Box& a, const Box& b) {
-  return a.low.x <= b.high.x && b.low.x <= a.high.x && a.low.y <= b.high.y &&
-         b.low.y <= a.high.y && a.low.z <= b.high.z && b.low.z <= a.high.z;
+  return a.low.x <= b.high.x && b.low.x <= a.high.x && a.low.y <= b.high.y && b.low.y <= a.high.y &&
+         a.low.z <= b.high.z && b.low.z <= a.high.z;
 }
 
 Box box_of(const PosedCore& p, Vec displacement, double slack) {
@@ -68,7 +68,8 @@ class Tree {
     };
     for (std::size_t i = 0; i < boxes.size(); ++i) {
       const Vec at = mid(i) - all.low;
-      const std::uint64_t code = spread_bits(cell(at.x, size.x)) | spread_bits(cell(at.y, size.y)) << 1 |
+      const std::uint64_t code = spread_bits(cell(at.x, size.x)) |
+                                 spread_bits(cell(at.y, size.y)) << 1 |
                                  spread_bits(cell(at.z, size.z)) << 2;
       keys[i] = code << 32 | i;
     }
@@ -120,8 +121,8 @@ class Tree {
 };
 
 bool convex(const Collider& c) {
-  return !c.container && (c.shape == Shape::SPHERE || c.shape == Shape::CAPSULE ||
-                          c.shape == Shape::BOX);
+  return !c.container &&
+         (c.shape == Shape::SPHERE || c.shape == Shape::CAPSULE || c.shape == Shape::BOX);
 }
 
 // A box about the origin of its frame.
@@ -220,8 +221,8 @@ class Finder {
       posed_[s].set(shape.core, poses_[shape.body]);
       const FreeMotion& g = motions_[shape.body];
       const double swept = length(g.spin) * step_ * world_.bodies[shape.body].reach;
-      boxes_.push_back(box_of(posed_[s].get(), g.velocity * step_,
-                              swept + SKIN * shape.core.reach));
+      boxes_.push_back(
+          box_of(posed_[s].get(), g.velocity * step_, swept + SKIN * shape.core.reach));
       owners_.push_back(s);
     }
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
@@ -274,9 +275,11 @@ class Finder {
     const Vec other = fixed ? motion->travel() * (1 / step_) : motions_[b].velocity;
     const Vec displacement = (other - motions_[a].velocity) * step_;
     const double spin = fixed ? motion->angle() : length(motions_[b].spin) * step_;
-    const double rotation_bound = length(motions_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
+    const double rotation_bound =
+        length(motions_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
     const double max_displacement = length(displacement) + rotation_bound;
-    const Axis axis = separating_axis(p, q, max_displacement + skin + p.core->radius + q.core->radius);
+    const Axis axis =
+        separating_axis(p, q, max_displacement + skin + p.core->radius + q.core->radius);
     const double gap = axis.gap - p.core->radius - q.core->radius;
     if (gap > max_displacement + skin) return;
     Contact contact;
@@ -287,7 +290,8 @@ class Finder {
       const Manifold manifold = manifold_of(p, q, skin + max_displacement);
       contact.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
     } else {
-      advance_to_impact(p, q, a, b, motion, contact, gap, axis, displacement, rotation_bound, size, max_displacement);
+      advance_to_impact(p, q, a, b, motion, contact, gap, axis, displacement, rotation_bound, size,
+                        max_displacement);
     }
     if (!contact.count) return;
     contact.first = i, contact.second = static_cast<std::int64_t>(owners_[j]);
@@ -310,8 +314,9 @@ class Finder {
   // Conservative advancement to the time of impact (Mirtich 1996, "Impulse-based dynamic
   // simulation"), and the contact there.
   void advance_to_impact(const PosedCore& p, const PosedCore& q, std::size_t a, std::size_t b,
-              const collide::Motion* motion, Contact& contact, double gap, Axis axis, Vec displacement,
-              double rotation_bound, double size, double max_displacement) {
+                         const collide::Motion* motion, Contact& contact, double gap, Axis axis,
+                         Vec displacement, double rotation_bound, double size,
+                         double max_displacement) {
     const double near = ARRIVAL_TOLERANCE * size, skin = p.core->radius + q.core->radius;
     Pose pose_a, pose_b;
     double fraction = 0;
@@ -341,7 +346,8 @@ class Finder {
     contact.take(manifold, poses_[contact.a], collider.motion.at(0));
     contact.motion = &collider.motion;
     contact.depenetration = collider.depenetration;
-    contact.material = combined(world_.shapes[s].material, {collider.restitution, collider.friction});
+    contact.material =
+        combined(world_.shapes[s].material, {collider.restitution, collider.friction});
     contacts_.push_back(contact);
   }
 
@@ -352,8 +358,7 @@ class Finder {
     const double at[3] = {local.x, local.y, local.z}, sign = wall % 2 ? -1 : 1;
     double inward[3] = {0, 0, 0};
     inward[wall / 2] = -sign;
-    return {c.size[wall / 2] - sign * at[wall / 2] - c.margin - radius,
-            pose.rotated(load(inward))};
+    return {c.size[wall / 2] - sign * at[wall / 2] - c.margin - radius, pose.rotated(load(inward))};
   }
 
   // Planes and containers: contact points with the normal at each.
@@ -371,17 +376,15 @@ class Finder {
     const int sides = collider.shape == Shape::BOX ? 6 : 1;
     for (std::size_t i = 0; i < sides * p.core->points.size(); ++i) {
       const Vec point = p.points[i / static_cast<std::size_t>(sides)];
-      const auto sample = sides == 1
-                             ? collide::sample(collider, pose, point, p.core->radius, reach)
-                             : from_wall(collider, pose, point, p.core->radius,
-                                         static_cast<int>(i) % sides);
+      const auto sample = sides == 1 ? collide::sample(collider, pose, point, p.core->radius, reach)
+                                     : from_wall(collider, pose, point, p.core->radius,
+                                                 static_cast<int>(i) % sides);
       if (sample.distance > reach) continue;
       const Vec n = -sample.normal;
       const ContactPoint touching{point + n * (p.core->radius + sample.distance / 2),
-                              sample.distance};
-      auto same = std::find_if(fields_.begin(), fields_.end(), [&](const auto& one) {
-        return dot(one.first, n) > 1 - 1e-9;
-      });
+                                  sample.distance};
+      auto same = std::find_if(fields_.begin(), fields_.end(),
+                               [&](const auto& one) { return dot(one.first, n) > 1 - 1e-9; });
       if (same == fields_.end()) same = fields_.insert(fields_.end(), {n, {}});
       same->second.push_back(touching);
     }
@@ -401,8 +404,9 @@ class Finder {
     const FreeMotion& g = motions_[world_.shapes[s].body];
     const Vec displacement = g.velocity * step_ - collider.motion.travel();
     const double rotation_bound = length(g.spin) * step_ * p.core->reach +
-                         collider.motion.angle() * length(p.centre - pose.origin);
-    const double reach = SKIN * p.core->reach + length(displacement) + rotation_bound + collider.margin;
+                                  collider.motion.angle() * length(p.centre - pose.origin);
+    const double reach =
+        SKIN * p.core->reach + length(displacement) + rotation_bound + collider.margin;
     Box local{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
     for (std::size_t i = 1; i < p.core->points.size(); ++i) {
       const Vec at = pose.to_local(p.points[i]);
@@ -442,8 +446,7 @@ class Finder {
   }
 
   // Returns whether a body is in front of a triangle.
-  bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
-                     double reach) {
+  bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose, double reach) {
     const PosedCore& p = posed_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
     Core core;
@@ -472,8 +475,8 @@ class Finder {
 
   // Whether a normal is within the normal cone of the surface: at an edge between those of its two
   // faces, so that sliding bodies do not catch on inner edges.
-  static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned,
-                        const Pose& pose, const Manifold& manifold, const PosedCore& q) {
+  static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned, const Pose& pose,
+                        const Manifold& manifold, const PosedCore& q) {
     const Vec n = manifold.normal, face = q.normals[0];
     const double cosine = dot(n, face);
     if (cosine > 1 - 1e-6) return true;
@@ -491,7 +494,8 @@ class Finder {
         pose.rotated(load(mesh.edge_normals + 9 * t + 3 * (turned ? 2 - side : side)));
     const Vec sum = turned ? -out_there : out_there;
     if (dot(sum, sum) == 0) return true;  // a boundary edge
-    const Vec other = direction(direction(sum, face) * (2 * dot(direction(sum, face), face)) - face, face);
+    const Vec other =
+        direction(direction(sum, face) * (2 * dot(direction(sum, face), face)) - face, face);
     const Vec along = q.points[(side + 1) % 3] - q.points[side];
     const Vec out = cross(along, face);
     if (dot(other, out) <= 1e-6) return false;  // flat, or concave
@@ -549,8 +553,8 @@ class Finder {
 }  // namespace
 
 std::vector<Contact> find_contacts(const World& world, const std::vector<State>& states,
-                                   const std::vector<Collider>& colliders,
-                                   const Settings& settings, double step) {
+                                   const std::vector<Collider>& colliders, const Settings& settings,
+                                   double step) {
   return Finder(world, states, colliders, settings, step).find();
 }
 

@@ -37,8 +37,8 @@ bool Solver::bounces() {
       const Vec velocity_a = a.velocity + cross(spin, pose.rotated(c.on_a[k]));
       const Vec theirs =
           c.b < 0 ? c.motion->displacement(other.to_world(c.on_b[k]), other) * (1 / step_)
-                  : states_[b].velocity + cross(spin_of(world_.bodies[b], states_[b]),
-                                                other.rotated(c.on_b[k]));
+                  : states_[b].velocity +
+                        cross(spin_of(world_.bodies[b], states_[b]), other.rotated(c.on_b[k]));
       if (dot(velocity_a - theirs, c.normal) > rest) return true;
     }
   }
@@ -211,7 +211,8 @@ void Solver::apply_forces(std::size_t i) {
 void Solver::iterate(const Island& island, bool pushing) {
   if (patches_.empty() && island.joints.empty()) return;
   const std::size_t size = points_.size() + island.joints.size() * 6;
-  const int limit = settings_.iterations * static_cast<int>(std::clamp<std::size_t>(SMALL / std::max<std::size_t>(size, 1), 1, MOST));
+  const int limit = settings_.iterations * static_cast<int>(std::clamp<std::size_t>(
+                                               SMALL / std::max<std::size_t>(size, 1), 1, MOST));
   double change = 0;
   int iteration = 0;
   do {
@@ -282,13 +283,15 @@ void Solver::store_velocity(std::size_t i) {
   s.momentum = momentum_of(i);
 }
 
-Report step_world(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
-                  std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
-                  const std::vector<Vec>& torques,
+Report step_world(const World& world, std::vector<State>& states,
+                  std::vector<StoredContact>& stored,
+                  std::vector<std::array<double, ROWS>>& joint_impulses,
+                  const std::vector<Vec>& forces, const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,
                   double step) {
-  Solver full(world, states, stored, joint_impulses, forces, torques, colliders, anchors, settings, step);
+  Solver full(world, states, stored, joint_impulses, forces, torques, colliders, anchors, settings,
+              step);
   if (settings.substeps == 1 || !full.bounces()) return full.run();
   // A bouncing body meets others than those in its path: contacts are found again in each substep.
   Settings small = settings;

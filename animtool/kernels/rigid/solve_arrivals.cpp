@@ -22,8 +22,8 @@ double Solver::until_impact(const Island& island, double remaining, double begin
     const double time = next_arrival(remaining, fraction);
     if (time > soon || !(time < remaining)) return time;
     for (const std::size_t i : island.bodies) pushed_[i] = 0;
-    Impacts impacts(world_, patches_, points_, island.joints, rows_, speeds_,
-                    settings_.tolerance, soon);
+    Impacts impacts(world_, patches_, points_, island.joints, rows_, speeds_, settings_.tolerance,
+                    soon);
     impacts.run([&](const Patch& patch) { return rest_speed(patch); }, pushed_);
     for (const std::size_t i : island.bodies) store_velocity(i);
   }
@@ -34,13 +34,16 @@ double Solver::next_arrival(double remaining, double fraction) {
   double first = remaining;
   for (Patch& patch : patches_) {
     if (!(patch.restitution > 0)) continue;
-    const double pull = normal_acceleration(patch, relative_acceleration(patch)), rest = rest_speed(patch);
+    const double pull = normal_acceleration(patch, relative_acceleration(patch)),
+                 rest = rest_speed(patch);
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
       const double into = -approach(patch, p), gap = std::max(p.current_gap, 0.0);
       // At the speed when the gap closes.
-      const double arrival_speed = std::sqrt(std::max(into * std::fabs(into) + 2 * pull * gap, 0.0));
-      p.will_bounce = arrival_speed > rest && 2 * gap < MAX_ARRIVAL * remaining * (into + arrival_speed);
+      const double arrival_speed =
+          std::sqrt(std::max(into * std::fabs(into) + 2 * pull * gap, 0.0));
+      p.will_bounce =
+          arrival_speed > rest && 2 * gap < MAX_ARRIVAL * remaining * (into + arrival_speed);
       if (!p.will_bounce) continue;
       p.force = p.across[0] = p.across[1] = 0;
       first = std::min(first, arrival(patch, p, fraction, first));
@@ -50,7 +53,8 @@ double Solver::next_arrival(double remaining, double fraction) {
 }
 
 double Solver::arrival(const Patch& patch, const Point& p, double fraction, double within) const {
-  double low = 0, high = within, at_low = p.current_gap, at_high = gap_at(patch, p, fraction, within);
+  double low = 0, high = within, at_low = p.current_gap,
+         at_high = gap_at(patch, p, fraction, within);
   if (at_low <= 0) return 0;
   if (at_high > 0) return within;
   const double near = TOUCHING * world_.bodies[patch.a].reach / 8;

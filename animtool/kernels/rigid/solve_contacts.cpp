@@ -63,7 +63,8 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
   const Vec lines[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
   for (int d = 0; d < 3; ++d) {
     p.arms_a[d] = cross(at_a, lines[d]), p.arms_b[d] = cross(at_b, lines[d]);
-    p.responses_a[d] = sa.angular_response(p.arms_a[d]), p.responses_b[d] = sb.angular_response(p.arms_b[d]);
+    p.responses_a[d] = sa.angular_response(p.arms_a[d]),
+    p.responses_b[d] = sb.angular_response(p.arms_b[d]);
     const double k = sa.inverse_mass + sb.inverse_mass + dot(p.arms_a[d], p.responses_a[d]) +
                      dot(p.arms_b[d], p.responses_b[d]);
     (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
@@ -75,17 +76,19 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
 void Solver::match_stored(Patch& patch) {
   const Contact& c = *patch.contact;
   const auto first = static_cast<std::int64_t>(c.first);
-  auto begin = std::lower_bound(stored_contacts_.begin(), stored_contacts_.end(), c, [&](const StoredContact& k, const Contact&) {
-    return k.first != first ? k.first < first : k.second < c.second;
-  });
+  auto begin = std::lower_bound(stored_contacts_.begin(), stored_contacts_.end(), c,
+                                [&](const StoredContact& k, const Contact&) {
+                                  return k.first != first ? k.first < first : k.second < c.second;
+                                });
   const double size = MATCH_DISTANCE * world_.bodies[c.a].reach;
   std::uint32_t matched = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     double least = size * size;
     int best = -1, i = 0;
-    for (auto it = begin; it != stored_contacts_.end() && it->first == first && it->second == c.second &&
-                          i < 32; ++it, ++i) {
+    for (auto it = begin;
+         it != stored_contacts_.end() && it->first == first && it->second == c.second && i < 32;
+         ++it, ++i) {
       const Vec off = it->at - p.on_a;
       if (!(matched >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
     }
@@ -100,12 +103,12 @@ void Solver::match_stored(Patch& patch) {
 void Solver::save(const Patch& patch) {
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     const Point& p = points_[k];
-    const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
-                      patch.tangents[1] * p.across[1];
+    const Vec force =
+        patch.normal * p.force + patch.tangents[0] * p.across[0] + patch.tangents[1] * p.across[1];
     // In the body's frame at the start of the step, in which it rotates little.
     const Vec local_force = poses_[patch.a].unrotated(force) * (1 / substep_);
-    next_contacts_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
-                      p.on_a, local_force});
+    next_contacts_.push_back({static_cast<std::int64_t>(patch.contact->first),
+                              patch.contact->second, p.on_a, local_force});
     if (-p.current_gap > report_.deepest) {
       report_.deepest = -p.current_gap;
       report_.first = static_cast<std::int64_t>(patch.contact->first);
@@ -128,7 +131,8 @@ void Solver::update_points(double fraction) {
       p.current_gap = p.gap + dot(patch.normal, far - at_a) - patch.skin;
       const Vec mid = touching_point(patch, at_a, far), off = mid - at - p.arm_a;
       const Vec far_off = fixed ? Vec{} : mid - states_[patch.b].at - p.arm_b;
-      if (dot(off, off) + dot(far_off, far_off) > patch.squared_arm_tolerance) set_arms(patch, p, mid);
+      if (dot(off, off) + dot(far_off, far_off) > patch.squared_arm_tolerance)
+        set_arms(patch, p, mid);
       if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
       p.bias_speed = dot(p.slide, patch.normal);
     }
@@ -193,8 +197,8 @@ double Solver::correct(Patch& patch, bool pushing) {
     const Vec off = b.v - a.v + p.slide;
     double to[2];
     for (int d = 0; d < 2; ++d) {
-      const double speed = dot(patch.tangents[d], off) + dot(p.arms_b[d + 1], b.w) -
-                           dot(p.arms_a[d + 1], a.w);
+      const double speed =
+          dot(patch.tangents[d], off) + dot(p.arms_b[d + 1], b.w) - dot(p.arms_a[d + 1], a.w);
       to[d] = p.across[d] - p.masses[d] * speed;
     }
     const double limit = patch.friction * p.force;

@@ -25,7 +25,7 @@ bool Solver::wake() {
   for (const StoredContact& one : stored_contacts_)
     if (one.second < shapes)
       groups_.join(world_.shapes[static_cast<std::size_t>(one.first)].body,
-           world_.shapes[static_cast<std::size_t>(one.second)].body);
+                   world_.shapes[static_cast<std::size_t>(one.second)].body);
   std::vector<char> woken_groups(count_, 0);
   const auto wake_group = [&](std::size_t i) { woken_groups[groups_.first_of(i)] = 1; };
   for (std::size_t i = 0; i < count_; ++i)
@@ -74,14 +74,15 @@ void Solver::make_islands() {
 void Solver::store_contacts() {
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
   for (const StoredContact& one : stored_contacts_) {
-    const bool both = sleeps(world_.shapes[static_cast<std::size_t>(one.first)].body) &&
-                      (one.second >= shapes ||
-                       sleeps(world_.shapes[static_cast<std::size_t>(one.second)].body));
+    const bool both =
+        sleeps(world_.shapes[static_cast<std::size_t>(one.first)].body) &&
+        (one.second >= shapes || sleeps(world_.shapes[static_cast<std::size_t>(one.second)].body));
     if (both) next_contacts_.push_back(one);
   }
-  std::stable_sort(next_contacts_.begin(), next_contacts_.end(), [](const StoredContact& a, const StoredContact& b) {
-    return a.first != b.first ? a.first < b.first : a.second < b.second;
-  });
+  std::stable_sort(next_contacts_.begin(), next_contacts_.end(),
+                   [](const StoredContact& a, const StoredContact& b) {
+                     return a.first != b.first ? a.first < b.first : a.second < b.second;
+                   });
   stored_contacts_ = std::move(next_contacts_);
 }
 
@@ -94,8 +95,11 @@ void Solver::update_sleep() {
       const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
       const double body_speed = length(s.velocity) + turning;
       speed = std::max(speed, body_speed);
-      const double factor = support_counts_[i] >= MIN_SUPPORTS ? 1 : support_counts_[i] ? PARTLY_SUPPORTED : UNSUPPORTED;
-      supported_all &= body_speed < settings_.sleep_speed * factor && (support_counts_[i] || supported(island));
+      const double factor = support_counts_[i] >= MIN_SUPPORTS ? 1
+                            : support_counts_[i]               ? PARTLY_SUPPORTED
+                                                               : UNSUPPORTED;
+      supported_all &=
+          body_speed < settings_.sleep_speed * factor && (support_counts_[i] || supported(island));
     }
     for (const std::size_t i : island.bodies) {
       const bool slow = speed < settings_.sleep_speed && supported_all;
@@ -103,7 +107,8 @@ void Solver::update_sleep() {
       least = std::min(least, states_[i].slow_time);
     }
     for (const std::size_t i : island.bodies) {
-      states_[i].slow_time = std::min(states_[i].slow_time, std::max(least, settings_.sleep_time / 2));
+      states_[i].slow_time =
+          std::min(states_[i].slow_time, std::max(least, settings_.sleep_time / 2));
       if (least >= settings_.sleep_time) states_[i].velocity = states_[i].momentum = {};
     }
   }

@@ -56,12 +56,14 @@ void Solver::apply_half(const Joint& joint, const Rows& rows) {
   }
 }
 
-Solver::Frames Solver::frames_of(std::size_t number, double fraction, const State* on_a, const State& on_b) const {
+Solver::Frames Solver::frames_of(std::size_t number, double fraction, const State* on_a,
+                                 const State& on_b) const {
   const Joint& joint = world_.joints[number];
   Frames frames;
   if (joint.a < 0) {
     const Pose pose = anchors_[number].at(fraction);
-    frames.a = {pose.to_world(joint.on_a.at), unit(rotation_of_pose(pose) * joint.on_a.rotation), {}, {}};
+    frames.a = {
+        pose.to_world(joint.on_a.at), unit(rotation_of_pose(pose) * joint.on_a.rotation), {}, {}};
     if (anchors_[number].moves()) {
       frames.a.velocity = anchors_[number].displacement(frames.a.at, pose) * (1 / step_);
       frames.a.spin = anchors_[number].rotation() * (1 / step_);
@@ -88,8 +90,8 @@ void Solver::write_rows(std::size_t number, std::size_t k, double fraction, bool
     }
   }
   const Frames f = frames_of(number, fraction, first_state(joint), states_[joint.b]);
-  rows_[k] = rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)],
-                     speeds_[joint.b], h_);
+  rows_[k] =
+      rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)], speeds_[joint.b], h_);
   for (std::size_t r = 0; r < rows_[k].count; ++r) {
     Row& row = rows_[k].of[r];
     const auto slot = static_cast<std::size_t>(row.slot);
@@ -109,8 +111,8 @@ void Solver::set_curvature(std::size_t number, Rows& rows, double end) {
   const State on_b = advanced(joint.b);
   const State on_a = joint.a < 0 ? State{} : advanced(static_cast<std::size_t>(joint.a));
   const Frames f = frames_of(number, end, &on_a, on_b);
-  const Rows after = rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)],
-                             speeds_[joint.b], h_);
+  const Rows after =
+      rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)], speeds_[joint.b], h_);
   for (std::size_t r = 0; r < rows.count; ++r) {
     Row& row = rows.of[r];
     if (row.kind == Row::DRIVE) continue;
@@ -118,7 +120,8 @@ void Solver::set_curvature(std::size_t number, Rows& rows, double end) {
       if (after.of[q].slot != row.slot) continue;
       const double change = after.of[q].error - row.error;
       const bool rotates = dot(row.line, row.line) == 0;
-      row.curvature_speed = (rotates ? std::remainder(change, FULL_CIRCLE) : change) / h_ - speed_of(joint, row);
+      row.curvature_speed =
+          (rotates ? std::remainder(change, FULL_CIRCLE) : change) / h_ - speed_of(joint, row);
     }
   }
 }
@@ -150,7 +153,8 @@ double Solver::correct(const Joint& joint, Rows& rows, bool pushing) {
     } else if (row.kind == Row::LIMIT && row.error > 0) {
       change = -row.mass * (speed + row.error / h_);
     } else if (pushing) {
-      const double correction_speed = std::clamp(joint_.bias * row.error, -MAX_CLOSING_SPEED, MAX_CLOSING_SPEED);
+      const double correction_speed =
+          std::clamp(joint_.bias * row.error, -MAX_CLOSING_SPEED, MAX_CLOSING_SPEED);
       const bool hard = hard_ && row.kind == Row::LOCK;
       change = -row.mass * (hard ? 1 : joint_.mass) * (speed + correction_speed) -
                (hard ? 0 : joint_.leak) * row.impulse;
@@ -162,7 +166,8 @@ double Solver::correct(const Joint& joint, Rows& rows, bool pushing) {
     const double by = to - row.impulse;
     row.impulse = to;
     if (by == 0) continue;
-    apply(first, joint.b, row.line, a.angular_response(row.arm_a), b.angular_response(row.arm_b), by);
+    apply(first, joint.b, row.line, a.angular_response(row.arm_a), b.angular_response(row.arm_b),
+          by);
     most = std::max(most, std::fabs(by) / row.mass);
   }
   return most;

@@ -24,9 +24,19 @@ class Solver {
          std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
          const std::vector<Vec>& torques, const std::vector<collide::Collider>& colliders,
          const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
-      : world_(world), states_(states), stored_contacts_(stored), joint_impulses_(joint_impulses), forces_(forces),
-        torques_(torques), colliders_(colliders), anchors_(anchors), settings_(settings),
-        step_(step), substep_(step / settings.substeps), h_(substep_), count_(states.size()) {}
+      : world_(world),
+        states_(states),
+        stored_contacts_(stored),
+        joint_impulses_(joint_impulses),
+        forces_(forces),
+        torques_(torques),
+        colliders_(colliders),
+        anchors_(anchors),
+        settings_(settings),
+        step_(step),
+        substep_(step / settings.substeps),
+        h_(substep_),
+        count_(states.size()) {}
 
   // Whether two approach so fast that they will bounce within the step.
   bool bounces();
@@ -115,7 +125,9 @@ class Solver {
 
   // Relative acceleration of the second body.
   Vec relative_acceleration(const Patch& patch) const;
-  static double normal_acceleration(const Patch& patch, Vec pull) { return -dot(pull, patch.normal); }
+  static double normal_acceleration(const Patch& patch, Vec pull) {
+    return -dot(pull, patch.normal);
+  }
 
   double approach(const Patch& patch, const Point& p) const {
     return speed_along(speeds_, patch, p, 0);
@@ -124,7 +136,8 @@ class Solver {
   // Applies forces for half a substep.
   void apply_forces(std::size_t i);
 
-  void apply(std::size_t a, std::size_t b, Vec line, Vec response_a, Vec response_b, double impulse) {
+  void apply(std::size_t a, std::size_t b, Vec line, Vec response_a, Vec response_b,
+             double impulse) {
     rigid::apply(speeds_, a, b, line, response_a, response_b, impulse);
   }
 
@@ -213,9 +226,9 @@ class Solver {
   std::vector<Pose> poses_;
   std::vector<char> pushed_;
   std::vector<int> support_counts_;  // number of supporting points
-  int parts_ = 1;  // substeps
+  int parts_ = 1;                    // substeps
   std::vector<Drives> drives_;
-  bool hard_ = false;  // whether joints are rigid, so that drives move the right mass
+  bool hard_ = false;    // whether joints are rigid, so that drives move the right mass
   bool bouncy_ = false;  // whether something may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;

@@ -17,8 +17,8 @@
 namespace animtool::rigid {
 
 using animtool::Quaternion;
-using collide::Vec;
 using collide::length;
+using collide::Vec;
 
 enum class Method : std::int64_t { SPLITTING, RK4, SYMPLECTIC_EULER, EULER };
 
@@ -75,7 +75,8 @@ inline void split_step(Spin& s, const InverseInertia& inverse_mass, double h) {
 }
 
 template <std::size_t HALF>
-inline void composed(Spin& s, const InverseInertia& inverse_mass, double h, const double (&fractions)[HALF]) {
+inline void composed(Spin& s, const InverseInertia& inverse_mass, double h,
+                     const double (&fractions)[HALF]) {
   for (std::size_t i = 0; i < HALF; ++i) split_step(s, inverse_mass, h * fractions[i]);
   for (std::size_t i = HALF - 1; i-- > 0;) split_step(s, inverse_mass, h * fractions[i]);
 }
@@ -93,10 +94,11 @@ inline void split(Spin& s, const InverseInertia& inverse_mass, double h) {
                                      -0.70624617255763935981, 0.08221359629355080023,
                                      0.79854399093482996340};
   static constexpr double eighth[] = {
-      0.13020248308889008088,  0.56116298177510838456, -0.38947496264484728641,
-      0.15884190655515560090,  -0.39590389413323757734, 0.18453964097831570709,
-      0.25837438768632204729,  0.29501172360931029887, -0.60550853383003451170};
-  const auto [least, most] = std::minmax({inverse_mass.of[0], inverse_mass.of[1], inverse_mass.of[2]});
+      0.13020248308889008088, 0.56116298177510838456,  -0.38947496264484728641,
+      0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
+      0.25837438768632204729, 0.29501172360931029887,  -0.60550853383003451170};
+  const auto [least, most] =
+      std::minmax({inverse_mass.of[0], inverse_mass.of[1], inverse_mass.of[2]});
   const double momentum = std::sqrt(s.p[0] * s.p[0] + s.p[1] * s.p[1] + s.p[2] * s.p[2]);
   const double angle_bound = h * momentum * (most - least);
   if (angle_bound == 0) {
@@ -132,8 +134,12 @@ inline Spin advanced(const Spin& s, const Rate& r, double h) {
 
 inline void spin_freely(Spin& s, const InverseInertia& inverse_mass, double h, Method method) {
   switch (method) {
-    case Method::SPLITTING: split(s, inverse_mass, h); break;
-    case Method::EULER: s = advanced(s, rate_of(s, inverse_mass), h); break;
+    case Method::SPLITTING:
+      split(s, inverse_mass, h);
+      break;
+    case Method::EULER:
+      s = advanced(s, rate_of(s, inverse_mass), h);
+      break;
     case Method::SYMPLECTIC_EULER: {
       const Spin after = advanced(s, rate_of(s, inverse_mass), h);
       std::copy_n(after.p, 3, s.p);
@@ -142,7 +148,8 @@ inline void spin_freely(Spin& s, const InverseInertia& inverse_mass, double h, M
     }
     case Method::RK4: {
       const Rate a = rate_of(s, inverse_mass), b = rate_of(advanced(s, a, h / 2), inverse_mass);
-      const Rate c = rate_of(advanced(s, b, h / 2), inverse_mass), d = rate_of(advanced(s, c, h), inverse_mass);
+      const Rate c = rate_of(advanced(s, b, h / 2), inverse_mass),
+                 d = rate_of(advanced(s, c, h), inverse_mass);
       s = advanced(advanced(advanced(advanced(s, a, h / 6), b, h / 3), c, h / 3), d, h / 6);
       break;
     }

@@ -19,8 +19,8 @@ struct Material {
 };
 
 struct Body {
-  double inverse_mass = 0;  // 1 / mass
-  InverseInertia inverse_inertia{};   // 1 / moments of inertia, of principal axes
+  double inverse_mass = 0;           // 1 / mass
+  InverseInertia inverse_inertia{};  // 1 / moments of inertia, of principal axes
   double reach = 0;
 };
 
@@ -41,10 +41,10 @@ struct World {
 struct Settings {
   Method method = Method::SPLITTING;
   int substeps = 8;
-  int iterations = 64;           // largest number of iterations of a substep
-  double tolerance = 1e-3;   // velocity change at convergence [m/s]
-  double sleep_speed = 0.02;      // speed below which bodies fall asleep [m/s]; 0 is never
-  double sleep_time = 0.5;         // time at that speed before sleep [s]
+  int iterations = 64;        // largest number of iterations of a substep
+  double tolerance = 1e-3;    // velocity change at convergence [m/s]
+  double sleep_speed = 0.02;  // speed below which bodies fall asleep [m/s]; 0 is never
+  double sleep_time = 0.5;    // time at that speed before sleep [s]
 };
 
 // A body in the world, with spin and momentum in the world.
@@ -62,11 +62,11 @@ struct StoredContact {
 };
 
 struct Report {
-  double deepest = 0;    // [m]
+  double deepest = 0;                    // [m]
   std::int64_t first = -1, second = -1;  // its shapes; colliders are numbered after them
-  double residual = 0;   // largest velocity change of the last iteration [m/s]
+  double residual = 0;                   // largest velocity change of the last iteration [m/s]
   std::int64_t contacts = 0, iterations = 0, awake = 0, unsolved = 0;
-  double drive_step = 0;       // step that would resolve the fastest oscillating drive [s], if any
+  double drive_step = 0;    // step that would resolve the fastest oscillating drive [s], if any
   std::int64_t drive = -1;  // its joint
 
   void record_drive(double step, std::size_t joint) {
@@ -86,14 +86,14 @@ struct Report {
 
 // A pair that may touch, and its contact: the second may be a collider.
 struct Contact {
-  std::size_t first = 0;        // shape
-  std::int64_t second = 0;      // shape, or collider after the shapes
-  std::size_t a = 0;            // body
-  std::ptrdiff_t b = -1;        // body; -1 for a collider
+  std::size_t first = 0;    // shape
+  std::int64_t second = 0;  // shape, or collider after the shapes
+  std::size_t a = 0;        // body
+  std::ptrdiff_t b = -1;    // body; -1 for a collider
   Material material;
-  double depenetration = 0;     // largest push-out speed of a collider [m/s]; 0 is unlimited
+  double depenetration = 0;  // largest push-out speed of a collider [m/s]; 0 is unlimited
   const collide::Motion* motion = nullptr;  // of a collider
-  Vec normal;                   // from the first to the second
+  Vec normal;                               // from the first to the second
   int count = 0;
   // Contact points in the frames of both bodies, and the gaps. Rolling shapes change their contact
   // point continuously: these are points of the first's core, and its surface is a radius away.
@@ -123,7 +123,7 @@ inline Pose pose_of(const State& s) {
 inline Vec spin_of(const Body& body, const State& s) {
   const Vec p = unrotate(s.rotation, s.momentum);
   return rotate(s.rotation, {p.x * body.inverse_inertia.of[0], p.y * body.inverse_inertia.of[1],
-                         p.z * body.inverse_inertia.of[2]});
+                             p.z * body.inverse_inertia.of[2]});
 }
 
 inline bool asleep(const State& s, const Settings& settings) {
@@ -137,9 +137,10 @@ std::vector<Contact> find_contacts(const World& world, const std::vector<State>&
                                    const Settings& settings, double step);
 
 // Takes a step; updates contacts and joint impulses.
-Report step_world(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
-                  std::vector<std::array<double, ROWS>>& joint_impulses, const std::vector<Vec>& forces,
-                  const std::vector<Vec>& torques,
+Report step_world(const World& world, std::vector<State>& states,
+                  std::vector<StoredContact>& stored,
+                  std::vector<std::array<double, ROWS>>& joint_impulses,
+                  const std::vector<Vec>& forces, const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,
                   double step);

@@ -84,8 +84,7 @@ void blend_frames(const Influences& in, const double* palette, const double* con
 }
 
 template <class On>
-void blend_frame(const Influences& in, const double* palette, const double* points,
-                 double* out) {
+void blend_frame(const Influences& in, const double* palette, const double* points, double* out) {
   using N = Four<On>;
   for (std::size_t v = 0; v < in.vertices; ++v, points += 3, out += 3) {
     N sum = 0.0;

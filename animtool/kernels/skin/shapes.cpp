@@ -26,8 +26,8 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
 }
 
 void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
-                const double* offsets, const double* weights,
-                const double* const (&from)[FRAMES], double* const (&to)[FRAMES]) {
+                const double* offsets, const double* weights, const double* const (&from)[FRAMES],
+                double* const (&to)[FRAMES]) {
   for (std::size_t v = 0; v < vertices; ++v) {
     // All frames are read before any is written: the last may be listed twice.
     Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
@@ -55,16 +55,15 @@ void add_frame(std::size_t vertices, const std::int64_t* first, const std::int32
 }  // namespace
 
 void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
-                In<std::int32_t, 1> columns, In<double, 2> offsets,
-                Filled<double, 3> out) {
+                In<std::int32_t, 1> columns, In<double, 2> offsets, Filled<double, 3> out) {
   check_offsets(points, weights, first, columns, offsets);
   const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
   const std::size_t vertices = points.shape(1), row = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
   const std::size_t stride = points.shape(0) == 1 ? 0 : row;
   if (frames == 1) {
-    add_frame(vertices, first.data(), columns.data(), offsets.data(), weights.data(),
-              points.data(), out.data());
+    add_frame(vertices, first.data(), columns.data(), offsets.data(), weights.data(), points.data(),
+              out.data());
     return;
   }
   std::vector<double> table(shapes * FRAMES);
@@ -78,8 +77,7 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
       to[l] = out.data() + g * row;
     }
     interleave(rows, shapes, table.data());
-    add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from,
-               to);
+    add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from, to);
   }
 }
 

@@ -88,8 +88,8 @@ void dual_frames(const Influences& in, const double* palette, const double* stre
     const Pair f = select(less(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
     const Vector3<Pair> axis = {d[0], d[1], d[2]}, across = cross(axis, p);
     const Vector3<Pair> turned = cross(
-        axis, {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5],
-               across.z + d[3] * p.z + d[6]});
+        axis,
+        {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5], across.z + d[3] * p.z + d[6]});
     scatter(Vector3<Pair>{p.x + f * (turned.x + d[3] * d[4] - d[7] * d[0]),
                           p.y + f * (turned.y + d[3] * d[5] - d[7] * d[1]),
                           p.z + f * (turned.z + d[3] * d[6] - d[7] * d[2])},
@@ -109,9 +109,9 @@ void columns_of(const double* transforms, std::size_t joints, double* out) {
 
 }  // namespace
 
-void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
-                 In<std::int32_t, 1> joints, In<double, 1> weights,
-                 In<double, 4> transforms, bool normalize, Filled<double, 3> out) {
+void skin_linear(In<double, 3> points, In<std::int64_t, 1> first, In<std::int32_t, 1> joints,
+                 In<double, 1> weights, In<double, 4> transforms, bool normalize,
+                 Filled<double, 3> out) {
   const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
   check::shape("transforms", transforms, {check::ANY, check::ANY, 3, 4});
   check::at_most("transforms", count, check::MAX_ROWS);
@@ -165,18 +165,16 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
     const std::size_t both[2] = {f, std::min(f + 1, frames - 1)};
     for (int i = 0; i < 2; ++i)
       dual_quaternions(rotations.data() + both[i] * count * 4,
-                       translations.data() + both[i] * count * 3, count,
-                       duals.data() + i * width);
+                       translations.data() + both[i] * count * 3, count, duals.data() + i * width);
     interleave({duals.data(), duals.data() + width}, width, palette.data());
     const double* const from[2] = {source.frame(both[0]), source.frame(both[1])};
     double* const to[2] = {result + both[0] * row, result + both[1] * row};
     if (stretches) {
       const double* of = stretches->data();
-      interleave({of + both[0] * count * 9, of + both[1] * count * 9}, count * 9,
-                 scaling.data());
+      interleave({of + both[0] * count * 9, of + both[1] * count * 9}, count * 9, scaling.data());
     }
-    (stretches ? dual_frames<true> : dual_frames<false>)(in, palette.data(), scaling.data(),
-                                                         from, to, normalize);
+    (stretches ? dual_frames<true> : dual_frames<false>)(in, palette.data(), scaling.data(), from,
+                                                         to, normalize);
   }
 }
 

@@ -94,7 +94,7 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
       const Vector3<N> d = here - column(x + offsets[b]), e = speed - column(v + offsets[b]);
       const Vector3<N> force =
           d * force_over_length(N::of(numbers), N::of(numbers + WIDE), N::of(numbers + 2 * WIDE),
-                      dot(d, d), dot(d, e));
+                                dot(d, d), dot(d, e));
       sum -= force;
       force.x.store(stored), force.y.store(stored + STORED), force.z.store(stored + 2 * STORED);
     }
@@ -105,7 +105,7 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
 // Adds the stored forces of some offsets at the second ends.
 template <class On, std::size_t... B>
 void pull_grouped(std::index_sequence<B...>, const std::size_t* offsets, const double* stored,
-                std::size_t begin, std::size_t end, double* forces) {
+                  std::size_t begin, std::size_t end, double* forces) {
   const std::size_t last = offsets[sizeof...(B) - 1];
   const std::size_t back[] = {begin + offsets[B]...};
   for (std::size_t n = (begin + offsets[0]) / WIDE * WIDE; n < end + last; n += WIDE) {
@@ -129,7 +129,7 @@ void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlan
     for (std::size_t k = 0; k < 3; ++k) {
       const auto add = [&](auto grouped) {
         pull_grouped<On>(grouped, offsets + b, planes.stored + (3 * b + k) * STORED, piece.begin,
-                      piece.end, planes.f + k * planes.height);
+                         piece.end, planes.f + k * planes.height);
       };
       if (count == 1) add(std::make_index_sequence<1>());
       if (count == 2) add(std::make_index_sequence<2>());

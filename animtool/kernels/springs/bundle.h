@@ -29,7 +29,7 @@ struct StrandBundle;
 struct SegmentContacts {
   void* all = nullptr;  // null if no feature is that fine
   bool (*resolve)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
-                 std::size_t near) = nullptr;
+                  std::size_t near) = nullptr;
   double reach = 0;  // segments of a particle this far from all colliders cannot touch them
 };
 
@@ -37,17 +37,17 @@ struct SegmentContacts {
 struct StrandSteps {
   std::size_t points, cells, substeps;
   double h;
-  double fall[3];  // velocity change by gravity in a step
-  double drag_factor;   // factor of velocities by drag
+  double fall[3];      // velocity change by gravity in a step
+  double drag_factor;  // factor of velocities by drag
   // Compliances: of folds, and of the fold at the root; of the pull to the animation, by
   // position and by velocity; of springs along the strand.
   double fold, root_fold, draw, draw_change, soft;
   double longest;  // largest length of springs along the strand, over their rest length
   std::size_t colliders;
-  const collide::Rod* rods;   // (steps, C)
+  const collide::Rod* rods;  // (steps, C)
   // Which colliders are rods, and for which the displacement of the surface is known (C,).
   const unsigned char *is_rod, *is_bounded;
-  std::size_t depth_rows;  // number of first colliders that have allowed depths
+  std::size_t depth_rows;     // number of first colliders that have allowed depths
   const double* thicknesses;  // (C,)
   // Common drift of each step (steps, 3), and displacement of rod surfaces relative to it
   // from each step to the end of the frame (steps + 1, C).
@@ -393,8 +393,7 @@ class BundleSolver {
     return false;
   }
 
-  unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to,
-                V& unmoved) {
+  unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to, V& unmoved) {
     const std::size_t row = step * plan_.colliders + c;
     const collide::Rod& rod = plan_.rods[row];
     double &shift = b_.shift[p], &due = b_.dues[p * plan_.colliders + c];
@@ -427,8 +426,7 @@ class BundleSolver {
 
   collide::WideSample<N> sample(std::size_t row, std::size_t c, bool end, const V& at) const {
     const collide::Rod& rod = plan_.rods[row];
-    if (plan_.is_rod[c])
-      return collide::sample_rod(end ? rod.end : rod.begin, rod.radius, at);
+    if (plan_.is_rod[c]) return collide::sample_rod(end ? rod.end : rod.begin, rod.radius, at);
     double points[WIDE_VECTOR], answers[WIDE][WIDE];
     at.store(points);
     for (std::size_t l = 0; l < WIDE; ++l) {

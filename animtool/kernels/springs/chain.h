@@ -35,8 +35,7 @@ class ChainFactor {
         const double* other = at(j);
         const std::size_t from = std::max(first, j > width_ ? j - width_ : 0);
         double sum = row[j + width_ - i];
-        for (std::size_t k = from; k < j; ++k)
-          sum -= row[k + width_ - i] * other[k + width_ - j];
+        for (std::size_t k = from; k < j; ++k) sum -= row[k + width_ - i] * other[k + width_ - j];
         row[j + width_ - i] = sum;
       }
       double pivot = row[width_];

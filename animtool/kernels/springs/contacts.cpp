@@ -10,15 +10,15 @@ namespace animtool {
 namespace {
 
 using collide::Collider;
+using collide::load;
 using collide::Mesh;
 using collide::Motion;
 using collide::Pose;
 using collide::Rod;
 using collide::Sample;
 using collide::Shape;
-using collide::Vec;
-using collide::load;
 using collide::store;
+using collide::Vec;
 
 // Impact speed, in steps of gravity, below which a contact is resting.
 constexpr double RESTING = 2;
@@ -36,21 +36,28 @@ constexpr double FIRST_SLACK = 0.25;
 double thickness_of(const Collider& c, double radius) {
   if (c.container) return collide::FAR;
   switch (c.shape) {
-    case Shape::PLANE: return collide::FAR;
-    case Shape::SPHERE: return c.size[3];
-    case Shape::CAPSULE: return c.size[6];
-    case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
+    case Shape::PLANE:
+      return collide::FAR;
+    case Shape::SPHERE:
+      return c.size[3];
+    case Shape::CAPSULE:
+      return c.size[6];
+    case Shape::BOX:
+      return std::min({c.size[0], c.size[1], c.size[2]});
     // With less, a particle at most reaches the surface.
-    case Shape::MESH: return collide::contact_distance(c, radius);
+    case Shape::MESH:
+      return collide::contact_distance(c, radius);
   }
   return 0;
 }
 
 // Adds the impulses of two spans of time.
-std::vector<double> sum_impulses(const std::vector<double>& first, const std::vector<double>& second) {
+std::vector<double> sum_impulses(const std::vector<double>& first,
+                                 const std::vector<double>& second) {
   std::vector<double> sum(first);
   for (std::size_t k = 0; k < sum.size(); ++k)
-    sum[k] = k % IMPULSE_WIDTH == IMPULSE_WIDTH - 1 ? std::max(sum[k], second[k]) : sum[k] + second[k];
+    sum[k] =
+        k % IMPULSE_WIDTH == IMPULSE_WIDTH - 1 ? std::max(sum[k], second[k]) : sum[k] + second[k];
   return sum;
 }
 
@@ -61,8 +68,7 @@ Rod::Axis axis_between(Vec a, Vec b) {
   store(a, axis.from);
   store(along, axis.along);
   axis.inverse = squared > 0 ? 1 / squared : 0;
-  const Vec out =
-      squared > 0 ? collide::across(along * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
+  const Vec out = squared > 0 ? collide::across(along * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
   store(out, axis.outward);
   return axis;
 }
@@ -98,9 +104,7 @@ double StepCollider::travel(Vec drift) const {
   return std::max(length(first), length(last));
 }
 
-double StepCollider::thickness(double radius) const {
-  return thickness_of(collider, radius);
-}
+double StepCollider::thickness(double radius) const { return thickness_of(collider, radius); }
 
 bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
   // A moving mesh is tested at the end of the step, in a frame that moves with it.
@@ -123,7 +127,8 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   if (!colliders) return;
   const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
   colliders_ = read_colliders(arrays);
-  check::numbers("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
+  check::numbers("colliders.poses", poses,
+                 {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
   check::not_negative("colliders.radius", radius);
   check::not_negative("colliders.tolerance", tolerance);
   if (depths) {
@@ -154,12 +159,12 @@ void MovingColliders::steps(std::int64_t cell, int substeps, double h,
   }
   for (int step = 0; step < substeps; ++step)
     for (std::size_t c = 0; c < colliders_.size(); ++c)
-      out.push_back(step_collider(colliders_[c],
-                         full[c].part(double(step) / substeps, double(step + 1) / substeps),
-                         h));
+      out.push_back(step_collider(
+          colliders_[c], full[c].part(double(step) / substeps, double(step + 1) / substeps), h));
 }
 
-StepCollider MovingColliders::step_collider(const Collider& c, const Motion& motion, double h) const {
+StepCollider MovingColliders::step_collider(const Collider& c, const Motion& motion,
+                                            double h) const {
   StepCollider built{};
   built.collider = c;
   built.collider.motion = motion;
@@ -184,8 +189,7 @@ StepCollider MovingColliders::step_collider(const Collider& c, const Motion& mot
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
-                               const SpringNetwork& network, std::int64_t cells,
-                               bool midpoints)
+                               const SpringNetwork& network, std::int64_t cells, bool midpoints)
     : network_(network),
       colliders_(colliders, network.particles(), cells),
       faces_(network, colliders_.radius()),
@@ -207,8 +211,7 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
 void SpringContacts::make_patches(std::size_t particles) {
   for (std::size_t c = 0; c < count_; ++c) {
     const bool rigid = c < colliders_.size();
-    const double margin =
-        rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
+    const double margin = rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
     const double contact_distance = colliders_.radius() + (rigid ? margin : 0);
     contact_distances_.push_back(colliders_.radius() + margin);
     const double* box = nullptr;
@@ -219,7 +222,8 @@ void SpringContacts::make_patches(std::size_t particles) {
     patched_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
       patches_.emplace_back(
-          particles, FIRST_SLACK * std::max(contact_distance, PATCH_SIZE * length(load(box + 3) - load(box))));
+          particles,
+          FIRST_SLACK * std::max(contact_distance, PATCH_SIZE * length(load(box + 3) - load(box))));
   }
 }
 
@@ -279,7 +283,7 @@ Out<double, 2> SpringContacts::impulses() const {
 }
 
 bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<double>& x,
-                            std::vector<double>* v, std::vector<std::uint8_t>* marks) {
+                             std::vector<double>* v, std::vector<std::uint8_t>* marks) {
   if (!any()) return false;
   step_colliders_ = cell_.data() + static_cast<std::size_t>(step) * count_;
   double travel = 0, angle = 0;
@@ -322,7 +326,7 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
 }
 
 void SpringContacts::resolve_midpoints(double travel, double angle, StepRows rows,
-                                    std::vector<std::uint8_t>* marks) {
+                                       std::vector<std::uint8_t>* marks) {
   const std::size_t particles = network_.particles();
   for (std::size_t e = 0; e < network_.edges.size() / 2; ++e) {
     const std::int32_t* ends = &network_.edges[2 * e];
@@ -382,7 +386,8 @@ double SpringContacts::clearance(std::size_t n, Vec x) {
 
 void SpringContacts::update_clearance(std::size_t n, Vec x, double clear) {
   double arm = 0;
-  for (std::size_t c = 0; c < count_; ++c) arm = std::max(arm, length(x - step_colliders_[c].end.origin));
+  for (std::size_t c = 0; c < count_; ++c)
+    arm = std::max(arm, length(x - step_colliders_[c].end.origin));
   clearances_[n] = std::max(clear, 0.0);
   arms_[n] = arm + 2 * clearances_[n];
 }
@@ -394,13 +399,14 @@ Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
 }
 
 SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n, bool end,
-                                           Vec point) {
+                                               Vec point) {
   const StepCollider& c = step_colliders_[index];
   const double radius = colliders_.radius();
   if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
-  const double contact_distance = collide::contact_distance(c.collider, radius), side = c.collider.container ? -1 : 1;
+  const double contact_distance = collide::contact_distance(c.collider, radius),
+               side = c.collider.container ? -1 : 1;
   MeshShift gone;
   KnotBoxes boxes{};
   if (c.surface >= 0) {
@@ -409,17 +415,17 @@ SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n,
     boxes = surface.boxes(c.duration);
   }
   auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
-  PatchHit hit = patches.query(mesh, c.collider.root, n, pose.to_local(point), gone,
-                             gone.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.container);
+  PatchHit hit =
+      patches.query(mesh, c.collider.root, n, pose.to_local(point), gone,
+                    gone.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.container);
   if (c.collider.two_sided) hit.sample = collide::unsided(hit.sample);
   const Vec out = pose.rotated(hit.sample.normal) * side;
   return {{side * hit.sample.distance - contact_distance, out}, hit.triangle};
 }
 
 Vec SpringContacts::transported(const StepCollider& c, const PatchHit& hit, bool end,
-                            Vec point) const {
-  if (c.surface < 0)
-    return c.collider.motion.displacement(point, end ? c.end : c.begin);
+                                Vec point) const {
+  if (c.surface < 0) return c.collider.motion.displacement(point, end ? c.end : c.begin);
   if (hit.triangle < 0) return {};
   const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
   return surface.shift(mesh_at(c, end), hit.triangle, point) * c.duration;
@@ -430,13 +436,13 @@ void SpringContacts::record_impulse(std::size_t c, double mass, Vec point, Vec c
   const Vec impulse = change * -mass, moment = cross(point, impulse);
   double* row = cell_impulses_.data() + IMPULSE_WIDTH * c;
   const double values[IMPULSE_WIDTH - 1] = {impulse.x, impulse.y, impulse.z,
-                                   moment.x,  moment.y,  moment.z};
+                                            moment.x,  moment.y,  moment.z};
   for (std::size_t k = 0; k < IMPULSE_WIDTH - 1; ++k) row[k] += values[k];
   masses_[c] += mass;
 }
 
 bool SpringContacts::resolve_particle(std::size_t n, double mass, double* before, double* x,
-                                double* v) {
+                                      double* v) {
   const Vec from = load(before);
   Vec to = load(x), unmoved = from;
   bool moved = false, pushed = true;
@@ -475,8 +481,7 @@ bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, doub
   return step_colliders_[c].sweep(h_, colliders_.radius(), from, to, v);
 }
 
-bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to,
-                                double* v) {
+bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to, double* v) {
   const StepCollider& c = step_colliders_[index];
   const double arm = length(from - c.begin.origin);
   const double displacement = length(to - from) + c.travel({}) + c.rotation() * arm;
@@ -507,8 +512,8 @@ void SpringContacts::flip_if_crossed(const StepCollider& c, Vec from, Vec to, Sa
   hit = {-(hit.distance + off) - off, -hit.normal};
 }
 
-bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
-                          Vec& unmoved, double* v) {
+bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, Vec& unmoved,
+                          double* v) {
   const StepCollider& c = step_colliders_[index];
   const double allowed = depth(index, n);
   PatchHit view = query(index, n, true, to);

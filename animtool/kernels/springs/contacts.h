@@ -46,8 +46,7 @@ struct StepCollider {
   double thickness(double radius) const;
   // Stops a particle whose displacement may cross the collider; returns whether it did. With
   // a velocity, that is stopped too.
-  bool sweep(double h, double radius, collide::Vec from, collide::Vec& to,
-             double* v) const;
+  bool sweep(double h, double radius, collide::Vec from, collide::Vec& to, double* v) const;
 };
 
 // Colliders over cells of time.
@@ -74,7 +73,8 @@ class MovingColliders {
   void steps(std::int64_t cell, int substeps, double h, std::vector<StepCollider>& out) const;
 
  private:
-  StepCollider step_collider(const collide::Collider& c, const collide::Motion& motion, double h) const;
+  StepCollider step_collider(const collide::Collider& c, const collide::Motion& motion,
+                             double h) const;
   const double* poses(std::int64_t cell) const {
     return poses_ + static_cast<std::size_t>(cell) * 14 * colliders_.size();
   }
@@ -101,7 +101,7 @@ class SpringContacts {
   // speed: their start position moves too. Returns whether any was moved. With marks, tests only
   // marked particles, and edges with one; moved particles are marked.
   bool resolve(int step, std::vector<double>& before, std::vector<double>& x,
-              std::vector<double>* v, std::vector<std::uint8_t>* marks = nullptr);
+               std::vector<double>* v, std::vector<std::uint8_t>* marks = nullptr);
   // Impulses on rigid colliders (C, 7): impulse and moment about the origin, and the largest
   // mass in contact in one step.
   Out<double, 2> impulses() const;
@@ -118,14 +118,14 @@ class SpringContacts {
   bool resolve_faces(StepRows rows);
   // Collides midpoints of edges, given the displacement of colliders, and the arm of rotations.
   void resolve_midpoints(double travel, double angle, StepRows rows,
-                      std::vector<std::uint8_t>* marks);
+                         std::vector<std::uint8_t>* marks);
   double depth(std::size_t c, std::size_t n) const;
   // Returns whether a particle is moved; also updates its distances from all colliders.
   bool resolve_particle(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
             collide::Vec& unmoved, double* v);
   void flip_if_crossed(const StepCollider& c, collide::Vec from, collide::Vec to,
-                 collide::Sample& hit) const;
+                       collide::Sample& hit) const;
   bool sweep(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   bool sweep_mesh(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   // Distance of a particle from a collider at the start or end of the step.
@@ -133,7 +133,7 @@ class SpringContacts {
   collide::Mesh mesh_at(const StepCollider& c, bool end) const;
   // Displacement of the surface there in the step.
   collide::Vec transported(const StepCollider& c, const PatchHit& hit, bool end,
-                       collide::Vec point) const;
+                           collide::Vec point) const;
   // Records the impulse of a collider on a particle.
   void record_impulse(std::size_t c, double mass, collide::Vec point, collide::Vec change);
   // Distance of the nearest collider, negative inside.

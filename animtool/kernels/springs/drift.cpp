@@ -40,7 +40,8 @@ void RelativeMotion::build(const std::vector<double>& x, double width) {
   adjacent_.clear();
   for (const auto& [at, number] : numbers)
     for (std::int32_t k = 0; k < 27; ++k) {
-      const auto other = numbers.find({at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1});
+      const auto other =
+          numbers.find({at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1});
       if (other != numbers.end() && other->second > number)
         adjacent_.push_back({number, other->second});
     }
@@ -55,7 +56,7 @@ double RelativeMotion::extent(const Range& one, const Range& other) {
 
 template <class Shift>
 Drift RelativeMotion::relative(const std::vector<double>& from, const std::vector<double>& to,
-                         Shift shift) {
+                               Shift shift) {
   constexpr double FAR = std::numeric_limits<double>::infinity();
   std::fill(ranges_.begin(), ranges_.end(), Range{{FAR, FAR, FAR}, {-FAR, -FAR, -FAR}});
   for (std::size_t n = 0; n < cells_.size(); ++n) {
@@ -88,7 +89,7 @@ Drift RelativeMotion::between(const std::vector<double>& from, const std::vector
 }
 
 Drift RelativeMotion::between(const std::vector<double>& from, const std::vector<double>& to,
-                          const RigidMotion& shift) {
+                              const RigidMotion& shift) {
   return relative(from, to, shift);
 }
 

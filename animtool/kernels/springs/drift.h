@@ -37,9 +37,9 @@ class RelativeMotion {
   static double extent(const Range& one, const Range& other);
 
   double width_ = 0;
-  std::vector<std::uint32_t> cells_;                             // of particles
+  std::vector<std::uint32_t> cells_;                               // of particles
   std::vector<std::pair<std::uint32_t, std::uint32_t>> adjacent_;  // cells
-  std::vector<Range> ranges_;                                    // of cells
+  std::vector<Range> ranges_;                                      // of cells
 };
 
 }  // namespace animtool

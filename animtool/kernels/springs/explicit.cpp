@@ -71,8 +71,7 @@ Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particle
   return result;
 }
 
-std::tuple<double, double> spring_energy(const SpringNetwork& network,
-                                         In<double, 2> positions) {
+std::tuple<double, double> spring_energy(const SpringNetwork& network, In<double, 2> positions) {
   check::shape("positions", positions, {network.particles(), 3});
   double energy = 0, longest = 0;
   for (const Spring& spring : network.lines.springs) {
@@ -152,8 +151,10 @@ class Explicit {
     const bool has_forces = run_.has_other_forces(), has_contacts = contacts_.any();
     in_rows_ = has_forces || has_contacts;
     if (!in_columns_) begin();
-    const PlaneSteps steps{inverse_masses_.data(), drags_.data(),
-                           {network.gravity[0], network.gravity[1], network.gravity[2]}, h};
+    const PlaneSteps steps{inverse_masses_.data(),
+                           drags_.data(),
+                           {network.gravity[0], network.gravity[1], network.gravity[2]},
+                           h};
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
       run_.sample_surroundings(t, h);
@@ -162,7 +163,8 @@ class Explicit {
         pulls.read(rate_.data(), buffers_.f);
       }
       pulls.step(steps, buffers_);
-      network.set_pinned(t + h, h, buffers_.x.data(), buffers_.x.data(), buffers_.v.data(), strides_);
+      network.set_pinned(t + h, h, buffers_.x.data(), buffers_.x.data(), buffers_.v.data(),
+                         strides_);
       if (has_contacts) before_ = run_.x;
       if (in_rows_) write();
       if (!has_contacts) continue;
@@ -215,8 +217,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
     steps.tear();
   }
   steps.end();
-  return {ended_state(run), ended_torn(run), contacts.unresolved,
-          contacts.impulses()};
+  return {ended_state(run), ended_torn(run), contacts.unresolved, contacts.impulses()};
 }
 
 }  // namespace animtool

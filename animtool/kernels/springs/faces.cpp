@@ -12,11 +12,11 @@ namespace animtool {
 namespace {
 
 using collide::Collider;
+using collide::load;
 using collide::Mesh;
 using collide::Shape;
-using collide::Vec;
-using collide::load;
 using collide::store;
+using collide::Vec;
 using shapes::row_of;
 
 // No point of an edge that is stretched to twice its length is farther than this from both ends
@@ -29,12 +29,8 @@ constexpr double FLAT = 1e-3;
 // Contact searches in a step, and iterations of resolving contacts.
 constexpr int MAX_SEARCHES = 2, MAX_ITERATIONS = 6;
 
-Vec min_of(Vec a, Vec b) {
-  return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
-}
-Vec max_of(Vec a, Vec b) {
-  return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
-}
+Vec min_of(Vec a, Vec b) { return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)}; }
+Vec max_of(Vec a, Vec b) { return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)}; }
 // Whether boxes are at most this far apart along each axis.
 bool overlap(Vec low, Vec high, Vec other_low, Vec other_high, double reach) {
   return low.x <= other_high.x + reach && high.x >= other_low.x - reach &&
@@ -45,8 +41,8 @@ bool overlap(Vec low, Vec high, Vec other_low, Vec other_high, double reach) {
 FineFeatures box_features(const double* half) {
   FineFeatures features;
   for (int k = 0; k < 8; ++k)
-    features.points.push_back({k & 1 ? half[0] : -half[0], k & 2 ? half[1] : -half[1],
-                            k & 4 ? half[2] : -half[2]});
+    features.points.push_back(
+        {k & 1 ? half[0] : -half[0], k & 2 ? half[1] : -half[1], k & 4 ? half[2] : -half[2]});
   for (std::int32_t k = 0; k < 8; ++k)
     for (const std::int32_t axis : {1, 2, 4})
       if (!(k & axis)) features.lines.push_back({k, k | axis});
@@ -116,7 +112,8 @@ FineFeatures collider_features(const Collider& c, double radius, double longest)
   const double distance = collide::contact_distance(c, radius);
   FineFeatures features;
   switch (c.shape) {
-    case Shape::PLANE: return {};
+    case Shape::PLANE:
+      return {};
     case Shape::SPHERE:
       if (!(c.size[3] + distance < longest)) return {};
       features.points = {load(c.size)};
@@ -128,8 +125,12 @@ FineFeatures collider_features(const Collider& c, double radius, double longest)
       features.lines = {{0, 1}};
       features.radius = c.size[6] + distance;
       return features;
-    case Shape::BOX: features = box_features(c.size); break;
-    case Shape::MESH: features = mesh_features(c, longest, distance); break;
+    case Shape::BOX:
+      features = box_features(c.size);
+      break;
+    case Shape::MESH:
+      features = mesh_features(c, longest, distance);
+      break;
   }
   features.radius = std::max(distance, MIN_DISTANCE * longest);
   features.is_built = true;
@@ -155,16 +156,17 @@ void FaceContacts::add(const Collider& c) {
 }
 
 bool FaceContacts::resolve(std::size_t index, const StepCollider& c, double h,
-                          const std::vector<std::int32_t>& near, StepRows rows) {
+                           const std::vector<std::int32_t>& near, StepRows rows) {
   moved.clear();
   if (index >= features_.size()) return false;
   FineFeatures& features = features_[index];
-  if (!features.is_built && is_near(c, near, rows)) features = collider_features(c.collider, radius_, network_.longest_edge);
+  if (!features.is_built && is_near(c, near, rows))
+    features = collider_features(c.collider, radius_, network_.longest_edge);
   if (!features.any()) return false;
   if (!collect_elements(features, c, near, rows)) return false;
   start_ = from_, end_ = to_;
-  Separation separation(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_, to_,
-                  true);
+  Separation separation(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_,
+                        to_, true);
   bool has_contacts = false;
   for (int search = 0; search < MAX_SEARCHES; ++search) {
     find_contacts(features, c);
@@ -204,7 +206,7 @@ static bool may_touch(const FineFeatures& features, const Collider& c, Vec p, do
 }
 
 bool FaceContacts::is_near(const StepCollider& c, const std::vector<std::int32_t>& near,
-                              const StepRows& rows) const {
+                           const StepRows& rows) const {
   const double reach = reach_ + collide::contact_distance(c.collider, radius_);
   return std::any_of(near.begin(), near.end(), [&](std::int32_t n) {
     const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
@@ -214,7 +216,7 @@ bool FaceContacts::is_near(const StepCollider& c, const std::vector<std::int32_t
 }
 
 bool FaceContacts::collect_elements(const FineFeatures& features, const StepCollider& c,
-                        const std::vector<std::int32_t>& near, const StepRows& rows) {
+                                    const std::vector<std::int32_t>& near, const StepRows& rows) {
   from_.clear();
   to_.clear();
   particles_.clear();
@@ -224,7 +226,8 @@ bool FaceContacts::collect_elements(const FineFeatures& features, const StepColl
   for (const std::int32_t n : near) {
     const Vec from = c.begin.to_local(row_of(rows.before.data(), n));
     const Vec to = c.end.to_local(row_of(rows.x.data(), n));
-    if (!may_touch(features, c.collider, to, reach_ + features.radius + length(to - from))) continue;
+    if (!may_touch(features, c.collider, to, reach_ + features.radius + length(to - from)))
+      continue;
     marked.push_back(n);
     marked_[static_cast<std::size_t>(n)] = 1;
   }
@@ -298,7 +301,8 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
         sides_reached(c.collider.size, one.low, one.high, features.radius) < one.count)
       continue;
     if (features.of_triangle.empty()) {
-      for (std::int32_t k = 0; k < (one.count == 2 ? lines : count); ++k) add_contacts(features, one, k);
+      for (std::int32_t k = 0; k < (one.count == 2 ? lines : count); ++k)
+        add_contacts(features, one, k);
       continue;
     }
     const Vec off{features.radius, features.radius, features.radius};
@@ -316,14 +320,15 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
   }
 }
 
-void FaceContacts::add_contacts(const FineFeatures& features, const Element& one, std::int32_t feature) {
+void FaceContacts::add_contacts(const FineFeatures& features, const Element& one,
+                                std::int32_t feature) {
   const auto first = static_cast<std::int32_t>(particles_.size());
   const auto number = static_cast<std::size_t>(feature);
   if (one.count == 3) {
     const Vec p = features.points[number];
     if (overlap(p, p, one.low, one.high, features.radius))
-      add_pair<shapes::CornerPair>({first + feature, one.corners[0], one.corners[1], one.corners[2]},
-                                    features.radius);
+      add_pair<shapes::CornerPair>(
+          {first + feature, one.corners[0], one.corners[1], one.corners[2]}, features.radius);
     return;
   }
   const auto [i, j] = features.lines[number];
@@ -331,7 +336,7 @@ void FaceContacts::add_contacts(const FineFeatures& features, const Element& one
   const Vec b = features.points[static_cast<std::size_t>(j)];
   if (overlap(min_of(a, b), max_of(a, b), one.low, one.high, features.radius))
     add_pair<shapes::EdgePair>({one.corners[0], one.corners[1], first + i, first + j},
-                                features.radius);
+                               features.radius);
 }
 
 template <class Shape>

@@ -50,7 +50,7 @@ class FaceContacts {
   // Moves edges and faces out of the features of a collider; returns whether any moved.
   // Moved particles are recorded with their change of velocity.
   bool resolve(std::size_t index, const StepCollider& c, double h,
-              const std::vector<std::int32_t>& near, StepRows rows);
+               const std::vector<std::int32_t>& near, StepRows rows);
   struct MovedParticle {
     std::int32_t particle;
     double shift;
@@ -66,9 +66,9 @@ class FaceContacts {
   };
 
   bool is_near(const StepCollider& c, const std::vector<std::int32_t>& near,
-                  const StepRows& rows) const;
+               const StepRows& rows) const;
   bool collect_elements(const FineFeatures& features, const StepCollider& c,
-            const std::vector<std::int32_t>& near, const StepRows& rows);
+                        const std::vector<std::int32_t>& near, const StepRows& rows);
   std::int32_t slot(std::int32_t particle, const StepCollider& c, const StepRows& rows);
   void add_element(const std::int32_t* corners, int count, const StepCollider& c,
                    const StepRows& rows);

@@ -67,7 +67,7 @@ SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t parti
 }
 
 std::vector<SpringForces::Band> SpringForces::build_bands(const std::vector<Spring>& springs,
-                                                      std::vector<std::size_t>& banded) const {
+                                                          std::vector<std::size_t>& banded) const {
   const std::vector<std::size_t> order = order_by_offset(springs);
   std::vector<Band> bands;
   for (std::size_t k = 0; k < order.size();) {
@@ -88,7 +88,7 @@ std::vector<SpringForces::Band> SpringForces::build_bands(const std::vector<Spri
 }
 
 SpringForces::Band SpringForces::band_of(const std::vector<Spring>& springs,
-                                       const std::vector<std::size_t>& chosen) {
+                                         const std::vector<std::size_t>& chosen) {
   const std::size_t first = low(springs[chosen.front()]) / WIDE * WIDE;
   const std::size_t last = (low(springs[chosen.back()]) / WIDE + 1) * WIDE;
   Band band{offset(springs[chosen.front()]), first, last, {}};
@@ -129,8 +129,7 @@ void SpringForces::build_piece(std::size_t begin, std::size_t end, std::vector<c
     for (const Band* band : bands) {
       const Numbers& padded = band->numbers;
       for (const std::vector<double>* column : {&padded.rest, &padded.stiffness, &padded.damping})
-        for (std::size_t l = 0; l < WIDE; ++l)
-          numbers_.push_back((*column)[n - band->first + l]);
+        for (std::size_t l = 0; l < WIDE; ++l) numbers_.push_back((*column)[n - band->first + l]);
     }
 }
 
@@ -160,7 +159,7 @@ void SpringForces::write(const std::vector<double>& columns, double* rows) const
 }
 
 void SpringForces::set(const double* x, const double* v, ForceBuffers& buffers,
-                      double* forces) const {
+                       double* forces) const {
   if (!has_bands()) {
     std::fill_n(forces, ROW * particles_, 0.0);
   } else {
@@ -174,8 +173,8 @@ void SpringForces::set(const double* x, const double* v, ForceBuffers& buffers,
 }
 
 void SpringForces::add_unbanded(const double* x, const double* v, double* forces) const {
-  const SpringColumns columns{unbanded_ends_.data(), unbanded_.rest.data(), unbanded_.stiffness.data(),
-                              unbanded_.damping.data()};
+  const SpringColumns columns{unbanded_ends_.data(), unbanded_.rest.data(),
+                              unbanded_.stiffness.data(), unbanded_.damping.data()};
   spring_loops().add_forces(columns, unbanded_.rest.size(), x, v, forces);
 }
 

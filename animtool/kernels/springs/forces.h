@@ -60,7 +60,7 @@ class SpringForces {
 
   static Band band_of(const std::vector<Spring>& springs, const std::vector<std::size_t>& chosen);
   std::vector<Band> build_bands(const std::vector<Spring>& springs,
-                              std::vector<std::size_t>& banded) const;
+                                std::vector<std::size_t>& banded) const;
   void build_pieces(std::vector<Band> bands);
   void build_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands);
   BandPieces pieces() const;

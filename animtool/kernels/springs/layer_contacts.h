@@ -47,8 +47,8 @@ class LayerContacts {
   // Adds the picked pairs with a marked particle that passed through each other since the start of
   // the step.
   void collect_passed(const SpringLayers& layers, const std::vector<double>& from,
-                   const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
-                   const Tangles& tangles, std::vector<LayerHit>& passed) const;
+                      const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
+                      const Tangles& tangles, std::vector<LayerHit>& passed) const;
   // Drops piercing pairs that are back on their side, or moved away.
   void drop_resolved(const SpringLayers& layers, const std::vector<double>& x);
   // Records pairs that changed sides since the start of the step.
@@ -57,7 +57,7 @@ class LayerContacts {
  private:
   // The largest relative displacement of the elements.
   static double relative_shift(const FourParticles& who, const std::vector<double>& before,
-                         const std::vector<double>& x);
+                               const std::vector<double>& x);
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
                        const std::vector<double>& x) const;
   static bool is_through(std::int32_t side, const Shape& now) {
@@ -72,16 +72,18 @@ class LayerContacts {
 
 template <class Kind>
 void LayerContacts<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
-                          const std::vector<double>& displacements, double reach) {
+                               const std::vector<double>& displacements, double reach) {
   const auto most = [&](const std::int32_t* first, const std::int32_t* last) {
     double far = 0;
-    for (; first != last; ++first) far = std::max(far, displacements[static_cast<std::size_t>(*first)]);
+    for (; first != last; ++first)
+      far = std::max(far, displacements[static_cast<std::size_t>(*first)]);
     return far;
   };
   picked_.clear();
   for (const LayerPair& one : listed_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
-    const double nearer = most(&who[0], &who[Kind::FIRST]) + most(&who[Kind::FIRST], who.data() + 4);
+    const double nearer =
+        most(&who[0], &who[Kind::FIRST]) + most(&who[Kind::FIRST], who.data() + 4);
     if (one.gap - nearer - one.distance > reach) continue;
     if (length(Shape(who.data(), x.data()).nearest().off) - one.distance <= reach)
       picked_.push_back(one);
@@ -90,8 +92,8 @@ void LayerContacts<Kind>::pick(const SpringLayers& layers, const std::vector<dou
 
 template <class Kind>
 void LayerContacts<Kind>::find(const SpringLayers& layers, const std::vector<double>& before,
-                          const std::vector<double>& x, double most, double more,
-                          const Tangles* tangles) {
+                               const std::vector<double>& x, double most, double more,
+                               const Tangles* tangles) {
   const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
     return std::all_of(first, last, [&](std::int32_t n) { return tangles->has(n); });
   };
@@ -117,8 +119,9 @@ void LayerContacts<Kind>::find(const SpringLayers& layers, const std::vector<dou
 }
 
 template <class Kind>
-double LayerContacts<Kind>::relative_shift(const FourParticles& who, const std::vector<double>& before,
-                                const std::vector<double>& x) {
+double LayerContacts<Kind>::relative_shift(const FourParticles& who,
+                                           const std::vector<double>& before,
+                                           const std::vector<double>& x) {
   collide::Vec shifts[4];
   for (std::size_t k = 0; k < 4; ++k)
     shifts[k] = shapes::row_of(x.data(), who[k]) - shapes::row_of(before.data(), who[k]);
@@ -133,9 +136,9 @@ double LayerContacts<Kind>::relative_shift(const FourParticles& who, const std::
 
 template <class Kind>
 std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
-                                     const std::vector<double>& x) const {
-  const auto known = std::lower_bound(crossed.begin(), crossed.end(),
-                                      Piercing{hit.first, hit.second, 0});
+                                          const std::vector<double>& x) const {
+  const auto known =
+      std::lower_bound(crossed.begin(), crossed.end(), Piercing{hit.first, hit.second, 0});
   if (known != crossed.end() && known->first == hit.first && known->second == hit.second)
     return known->side;
   if (hit.gap > hit.travel) return 0;
@@ -143,10 +146,11 @@ std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector
                               Shape(hit.who.data(), x.data()));
 }
 
-// Whether one of them is on the wrong side of a neighbour of the other, so that its side of the other
-// means nothing.
+// Whether one of them is on the wrong side of a neighbour of the other, so that its side of the
+// other means nothing.
 template <class Kind>
-bool LayerContacts<Kind>::is_next_to_crossed(const SpringLayers& layers, const LayerHit& hit) const {
+bool LayerContacts<Kind>::is_next_to_crossed(const SpringLayers& layers,
+                                             const LayerHit& hit) const {
   const auto is_through = [&](std::int32_t who, const auto& touches) {
     auto one = std::lower_bound(through_.begin(), through_.end(), std::pair(who, -1));
     for (; one != through_.end() && one->first == who; ++one)
@@ -159,28 +163,31 @@ bool LayerContacts<Kind>::is_next_to_crossed(const SpringLayers& layers, const L
 template <class Kind>
 void LayerContacts<Kind>::separate(const SpringLayers& layers, Separation& separation) const {
   for (const LayerHit& hit : hits_)
-    if (hit.side || through_.empty() || !is_next_to_crossed(layers, hit)) separation.separate<Shape>(hit);
+    if (hit.side || through_.empty() || !is_next_to_crossed(layers, hit))
+      separation.separate<Shape>(hit);
 }
 
 template <class Kind>
-void LayerContacts<Kind>::collect_passed(const SpringLayers& layers, const std::vector<double>& from,
-                                 const std::vector<double>& x,
-                                 const std::vector<std::uint8_t>& moved,
-                                 const Tangles& tangles, std::vector<LayerHit>& passed) const {
+void LayerContacts<Kind>::collect_passed(const SpringLayers& layers,
+                                         const std::vector<double>& from,
+                                         const std::vector<double>& x,
+                                         const std::vector<std::uint8_t>& moved,
+                                         const Tangles& tangles,
+                                         std::vector<LayerHit>& passed) const {
   const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
     return std::all_of(first, last, [&](std::int32_t n) { return tangles.has(n); });
   };
   for (const LayerPair& one : picked_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
-    if (std::none_of(who.begin(), who.end(), [&](std::int32_t n) { return moved[static_cast<std::size_t>(n)]; }))
+    if (std::none_of(who.begin(), who.end(),
+                     [&](std::int32_t n) { return moved[static_cast<std::size_t>(n)]; }))
       continue;
     if (!shapes::paths_overlap(who.data(), Kind::FIRST, from.data(), x.data())) continue;
     const std::int32_t side =
         shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));
     if (!side) continue;
     // Tangled pairs have no known side.
-    if (tangled(&who[0], &who[Kind::FIRST]) && tangled(&who[Kind::FIRST], who.data() + 4))
-      continue;
+    if (tangled(&who[0], &who[Kind::FIRST]) && tangled(&who[Kind::FIRST], who.data() + 4)) continue;
     passed.push_back({one.first, one.second, side, who, 0, 0, one.distance});
   }
 }
@@ -194,7 +201,8 @@ void LayerContacts<Kind>::drop_resolved(const SpringLayers& layers, const std::v
 }
 
 template <class Kind>
-void LayerContacts<Kind>::record_crossings(const std::vector<double>& before, const std::vector<double>& x) {
+void LayerContacts<Kind>::record_crossings(const std::vector<double>& before,
+                                           const std::vector<double>& x) {
   crossed.clear();
   for (const LayerHit& hit : hits_) {
     if (!hit.side && hit.gap > 2 * hit.travel) continue;

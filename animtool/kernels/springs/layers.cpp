@@ -80,8 +80,8 @@ class PathLengths {
 
 }  // namespace
 
-SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
-                           double thickness0, double friction0, double speed0)
+SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness0,
+                           double friction0, double speed0)
     : thickness(thickness0),
       friction(friction0),
       speed(speed0),
@@ -120,9 +120,9 @@ void SpringLayers::collect_adjacent(const SpringNetwork& network) {
 
 bool SpringLayers::joined(std::int32_t i, std::int32_t j) const {
   const auto from = static_cast<std::size_t>(i);
-  return std::binary_search(adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from]),
-                            adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from + 1]),
-                            j);
+  return std::binary_search(
+      adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from]),
+      adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from + 1]), j);
 }
 
 double SpringLayers::reduced(double at_rest, bool joined) const {

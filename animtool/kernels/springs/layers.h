@@ -14,8 +14,8 @@ namespace animtool {
 class SpringLayers {
  public:
   // `rest` are positions at rest (N, 3); `speed` is that of separating pairs that start too close.
-  SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness,
-               double friction, double speed);
+  SpringLayers(const SpringNetwork& network, In<double, 2> rest, double thickness, double friction,
+               double speed);
 
   std::size_t particles() const { return particles_; }
   std::size_t triangles() const { return corners_.size() / 3; }

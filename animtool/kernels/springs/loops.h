@@ -23,9 +23,9 @@ struct SpringLoops {
 };
 
 template <class On>
-constexpr SpringLoops spring_loops_on{
-    add_forces<On>,      accelerate_rows<On>, advance_rows<On>, project_all<On>, rows_to_planes<On>,
-    planes_to_rows<On>, pull_planes<On>,     step_planes<On>,  advance_bundle<On>};
+constexpr SpringLoops spring_loops_on{add_forces<On>,  accelerate_rows<On>, advance_rows<On>,
+                                      project_all<On>, rows_to_planes<On>,  planes_to_rows<On>,
+                                      pull_planes<On>, step_planes<On>,     advance_bundle<On>};
 
 const SpringLoops* springs_in_quads();  // null where the processor has no such registers
 const SpringLoops& spring_loops();      // those for this processor

@@ -7,12 +7,13 @@
 
 namespace animtool {
 
+using collide::load;
 using collide::Mesh;
 using collide::Nearest;
 using collide::Vec;
-using collide::load;
 
-double MeshPatches::displacement_since(const Patch& patch, Vec p, const MeshShift& motion, bool& in_knot) {
+double MeshPatches::displacement_since(const Patch& patch, Vec p, const MeshShift& motion,
+                                       bool& in_knot) {
   const MeshShift& then = patch.motion;
   const double displacement =
       length(p - patch.at - (motion.drift - then.drift)) + std::abs(motion.spread - then.spread);
@@ -26,8 +27,8 @@ double MeshPatches::displacement_since(const Patch& patch, Vec p, const MeshShif
 }
 
 MeshPatches::PatchHit MeshPatches::query(const Mesh& mesh, std::int32_t root, std::size_t n, Vec p,
-                                     const MeshShift& motion, const KnotBoxes* boxes, double contact_distance,
-                                     bool bound) {
+                                         const MeshShift& motion, const KnotBoxes* boxes,
+                                         double contact_distance, bool bound) {
   Patch& patch = patches_[n];
   bool in_knot;
   const double displacement = displacement_since(patch, p, motion, in_knot);
@@ -44,7 +45,8 @@ MeshPatches::PatchHit MeshPatches::query(const Mesh& mesh, std::int32_t root, st
   return {collide::sample_nearest(mesh, best, p), best.triangle};
 }
 
-Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p, double displacement) const {
+Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p,
+                             double displacement) const {
   Nearest best;
   const Candidates& candidates = candidates_[static_cast<std::size_t>(patch.location)];
   double max_useful_distance = collide::FAR;
@@ -61,9 +63,9 @@ void MeshPatches::invalidate() {
   for (Patch& patch : patches_) patch.slack = patch.knot_slack = -1;
 }
 
-MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root,
-                                       Vec p, const KnotBoxes* boxes, double contact_distance,
-                                       bool bound) {
+MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
+                                          const KnotBoxes* boxes, double contact_distance,
+                                          bool bound) {
   patch.count = 0;
   patch.slack = patch.knot_slack = -1;
   if (bound) {
@@ -81,7 +83,8 @@ MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::i
   if (bound && hit.distance < 0) search(patch, mesh, root, p, boxes, collide::FAR);
   patch.distance = std::sqrt(near.squared);
   patch.last = last_ = near.triangle;
-  const double excess = hit.distance - contact_distance, min_distance = min_distance_ - contact_distance, reach = 2 * patch.next_slack;
+  const double excess = hit.distance - contact_distance,
+               min_distance = min_distance_ - contact_distance, reach = 2 * patch.next_slack;
   if (bound && excess > reach) {
     // Far away: a bound suffices, in the interval or while particle and mesh move alike.
     patch.slack = excess / 2;
@@ -100,15 +103,16 @@ MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::i
 }
 
 Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
-                                 const KnotBoxes* boxes, double contact_distance) {
+                            const KnotBoxes* boxes, double contact_distance) {
   nearby_.clear();
   Nearest best;
   double farthest = collide::FAR;
   const auto update_reach = [&] {
     // Far away, the nearest triangle and close alternatives suffice.
     const double distance = std::sqrt(best.squared), more = 2 * patch.next_slack;
-    const double reach =
-        distance > contact_distance + more ? std::max(distance, contact_distance + 2 * more) : distance + more;
+    const double reach = distance > contact_distance + more
+                             ? std::max(distance, contact_distance + 2 * more)
+                             : distance + more;
     farthest = reach * reach;
   };
   // Consecutive particles are close to each other.
@@ -121,7 +125,8 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
   patch.shift = {};
   if (boxes) {
     const std::int32_t* corner = mesh.triangles + 3 * patch.last;
-    for (int k = 0; k < 3; ++k) patch.shift = patch.shift + load(mesh.shifts + 3 * corner[k]) * (1.0 / 3);
+    for (int k = 0; k < 3; ++k)
+      patch.shift = patch.shift + load(mesh.shifts + 3 * corner[k]) * (1.0 / 3);
   }
   const double shift[3] = {patch.shift.x, patch.shift.y, patch.shift.z};
   patch.back = boxes ? boxes->back : 0;
@@ -133,7 +138,8 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
     for (int k = 0; k < 3; ++k) {
       const double low = go[k] - shift[k], high = go[3 + k] - shift[k];
       box[k] = at[k] + fraction * go[k] + std::min({0.0, remaining * low, -patch.back * high});
-      box[3 + k] = at[3 + k] + fraction * go[3 + k] + std::max({0.0, remaining * high, -patch.back * low});
+      box[3 + k] =
+          at[3 + k] + fraction * go[3 + k] + std::max({0.0, remaining * high, -patch.back * low});
     }
     return collide::squared_to_box(p, box);
   };
@@ -155,7 +161,8 @@ Nearest MeshPatches::search(Patch& patch, const Mesh& mesh, std::int32_t root, V
     return farthest;
   });
   min_distance_ = std::sqrt(farthest);
-  for (const NearbyTriangle& one : nearby_) min_distance_ = std::min(min_distance_, one.min_distance);
+  for (const NearbyTriangle& one : nearby_)
+    min_distance_ = std::min(min_distance_, one.min_distance);
   return best;
 }
 
@@ -194,7 +201,8 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
   check::between("colliders.surfaces", cells_per_knot_, 1, MAX_LASTING);
   check::between("colliders.surfaces", first_, 0, cells_per_knot_ - 1);
   const std::int64_t knots = (first_ + cells + cells_per_knot_ - 1) / cells_per_knot_ + 1;
-  check::numbers("colliders.surfaces", points_, {static_cast<std::size_t>(knots), surface_->points(), 3});
+  check::numbers("colliders.surfaces", points_,
+                 {static_cast<std::size_t>(knots), surface_->points(), 3});
   check::finite("colliders.surfaces", numbers_.data(), numbers_.size());
   shifts_.resize(3 * surface_->points());
   surface_->fit(points_.data(), points_.data(), bounds_);
@@ -202,7 +210,8 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
 }
 
 bool MovingSurface::begin_cell(std::int64_t cell, double length) {
-  const std::int64_t knot = (first_ + cell) / cells_per_knot_, over = (first_ + cell) % cells_per_knot_;
+  const std::int64_t knot = (first_ + cell) / cells_per_knot_,
+                     over = (first_ + cell) % cells_per_knot_;
   knot_start_ = static_cast<double>(over) / static_cast<double>(cells_per_knot_);
   if (begin_ && knot == last_) return true;
   const bool is_next = begin_ && knot == last_ + 1, begins = !begin_;

@@ -45,7 +45,8 @@ class MeshPatches {
   // The distance of the mesh from a point of its frame; with `bound`, a lower bound suffices if it
   // exceeds the contact distance.
   PatchHit query(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
-             const MeshShift& motion, const KnotBoxes* boxes, double contact_distance, bool bound);
+                 const MeshShift& motion, const KnotBoxes* boxes, double contact_distance,
+                 bool bound);
   // Invalidates the cache.
   void invalidate();
 
@@ -75,17 +76,19 @@ class MeshPatches {
     std::int32_t triangle;
   };
 
-  // Displacement since the cache was filled, negative if it is invalid; `in_knot` tells whether it is
-  // relative to the nearest triangle.
-  static double displacement_since(const Patch& patch, collide::Vec p, const MeshShift& motion, bool& in_knot);
+  // Displacement since the cache was filled, negative if it is invalid; `in_knot` tells whether it
+  // is relative to the nearest triangle.
+  static double displacement_since(const Patch& patch, collide::Vec p, const MeshShift& motion,
+                                   bool& in_knot);
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
                            double displacement) const;
   PatchHit gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-               const KnotBoxes* boxes, double contact_distance, bool bound);
+                  const KnotBoxes* boxes, double contact_distance, bool bound);
   // The nearest triangle, starting from the last one, and all nearby ones.
   collide::Nearest search(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
-                               collide::Vec p, const KnotBoxes* boxes, double contact_distance);
-  // Stores nearby triangles, if they are few: by their distance in the rest of the interval, or now.
+                          collide::Vec p, const KnotBoxes* boxes, double contact_distance);
+  // Stores nearby triangles, if they are few: by their distance in the rest of the interval, or
+  // now.
   bool store_candidates(Patch& patch, double reach, bool in_knot);
 
   std::vector<Patch> patches_;
@@ -111,7 +114,9 @@ class MovingSurface {
   // Moves on to a cell. Returns whether the motion is continuous.
   bool begin_cell(std::int64_t cell, double length);
   // The elapsed fraction of the knot interval at a fraction of the cell.
-  double knot_fraction(double fraction) const { return knot_start_ + fraction / static_cast<double>(cells_per_knot_); }
+  double knot_fraction(double fraction) const {
+    return knot_start_ + fraction / static_cast<double>(cells_per_knot_);
+  }
   // The collider at a fraction of the knot interval, and its motion until then.
   collide::Collider collider(double fraction) const;
   MeshShift shift_until(double fraction) const;

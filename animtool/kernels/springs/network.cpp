@@ -19,8 +19,7 @@ std::vector<std::int32_t> particles_of(const char* name, const std::int64_t* val
   return {values, values + size};
 }
 
-Track track_of(const char* name, const In<double, 3>& path, std::size_t points,
-               std::size_t knots) {
+Track track_of(const char* name, const In<double, 3>& path, std::size_t points, std::size_t knots) {
   check::shape(name, path, {path.shape(0) == 1 ? 1 : knots, points, 3});
   check::finite(name, path);
   return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
@@ -37,8 +36,7 @@ void check_column(const char* name, const In<double, 1>& column, std::size_t spr
   }
 }
 
-std::vector<double> finite_column(const char* name, const In<double, 1>& column,
-                                  std::size_t size) {
+std::vector<double> finite_column(const char* name, const In<double, 1>& column, std::size_t size) {
   check::shape(name, column, {size});
   check::finite(name, column);
   return {column.data(), column.data() + column.size()};
@@ -56,9 +54,9 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
       air_drag(arrays.air_drag),
       air_lift(arrays.air_lift),
       knots(copied(arrays.knots)) {
-  const auto& [masses, particle_drags, ends, rest, stiffness, damping, limit, faces, pull, drag, lift,
-               times, pins, pinned_path, anchor_particles, anchor_stiffnesses, anchor_dampings, anchor_path, winds] =
-      arrays;
+  const auto& [masses, particle_drags, ends, rest, stiffness, damping, limit, faces, pull, drag,
+               lift, times, pins, pinned_path, anchor_particles, anchor_stiffnesses,
+               anchor_dampings, anchor_path, winds] = arrays;
   const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MAX_ROWS);
@@ -82,13 +80,14 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   check::ascending("knots", knots.data(), knots.size());
   check::shape("pinned", pins, {check::ANY});
   check::shape("anchors", anchor_particles, {check::ANY});
-  anchor_stiffness = finite_column("anchor_stiffness", anchor_stiffnesses, anchor_particles.shape(0));
+  anchor_stiffness =
+      finite_column("anchor_stiffness", anchor_stiffnesses, anchor_particles.shape(0));
   anchor_damping = finite_column("anchor_damping", anchor_dampings, anchor_particles.shape(0));
   for (std::size_t s = 0; s < springs; ++s) {
     const std::int64_t* pair = ends.data() + 2 * s;
-    lines.springs.push_back({static_cast<std::int32_t>(pair[0]),
-                             static_cast<std::int32_t>(pair[1]), rest.data()[s],
-                             stiffness.data()[s], damping.data()[s], limit.data()[s]});
+    lines.springs.push_back({static_cast<std::int32_t>(pair[0]), static_cast<std::int32_t>(pair[1]),
+                             rest.data()[s], stiffness.data()[s], damping.data()[s],
+                             limit.data()[s]});
     lines.numbers.push_back(static_cast<std::int32_t>(s));
   }
   lines.prepare(count);
@@ -150,8 +149,8 @@ void SpringNetwork::sample_track(const Track& track, const KnotPosition& spot, d
   for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.fraction;
 }
 
-void SpringNetwork::add_anchor_forces(const double* points, const double* speeds,
-                                      const double* x, const double* v, double* forces) const {
+void SpringNetwork::add_anchor_forces(const double* points, const double* speeds, const double* x,
+                                      const double* v, double* forces) const {
   for (std::size_t a = 0; a < anchors.size(); ++a) {
     const std::size_t at = ROW * static_cast<std::size_t>(anchors[a]);
     for (std::size_t k = 0; k < 3; ++k)
@@ -286,8 +285,7 @@ void SpringRun::sample_surroundings(double t, double h) {
     return;
   }
   SpringNetwork::sample_track(network.anchor_track, network.spot(t - h), points_before.data());
-  for (std::size_t k = 0; k < points.size(); ++k)
-    speeds[k] = (points[k] - points_before[k]) / h;
+  for (std::size_t k = 0; k < points.size(); ++k) speeds[k] = (points[k] - points_before[k]) / h;
 }
 
 bool SpringRun::has_other_forces() const {
@@ -322,18 +320,20 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
                                         std::size_t particles) {
   Groups components(particles);
   for (std::size_t s = 0; s < springs; ++s)
-    components.join(static_cast<std::size_t>(ends[2 * s]), static_cast<std::size_t>(ends[2 * s + 1]));
+    components.join(static_cast<std::size_t>(ends[2 * s]),
+                    static_cast<std::size_t>(ends[2 * s + 1]));
   const auto low = [&](std::int64_t s) { return std::min(ends[2 * s], ends[2 * s + 1]); };
   std::vector<std::int64_t> component(springs);
   for (std::size_t s = 0; s < springs; ++s)
-    component[s] = static_cast<std::int64_t>(components.first_of(static_cast<std::size_t>(ends[2 * s])));
+    component[s] =
+        static_cast<std::int64_t>(components.first_of(static_cast<std::size_t>(ends[2 * s])));
   const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
   std::vector<std::int64_t> order(springs), level(springs), block(springs);
   for (std::size_t s = 0; s < springs; ++s) order[s] = static_cast<std::int64_t>(s);
   std::sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
     const auto key = [&](std::int64_t s) {
-      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(s)], low(s),
-                                         high(s), s};
+      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(s)], low(s), high(s),
+                                         s};
     };
     return key(a) < key(b);
   });

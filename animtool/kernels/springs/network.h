@@ -88,8 +88,7 @@ class SpringNetwork : public SpringElements {
   // rows of particles.
   void add_anchor_forces(const double* points, const double* speeds, const double* x,
                          const double* v, double* forces) const;
-  void add_air_forces(const double* wind, const double* x, const double* v,
-                      double* forces) const;
+  void add_air_forces(const double* wind, const double* x, const double* v, double* forces) const;
 
   // Moves pinned particles to their track at a time, with the velocity from their positions before,
   // which may be the same array.
@@ -125,8 +124,8 @@ class SpringRun {
   bool tear();
 
   const SpringNetwork& network;
-  std::size_t size;  // of x and v
-  std::vector<double> x, v;           // in rows
+  std::size_t size;          // of x and v
+  std::vector<double> x, v;  // in rows
   std::vector<std::uint8_t> torn;
 
   // Springs that are not torn.

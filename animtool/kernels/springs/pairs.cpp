@@ -11,8 +11,8 @@ namespace animtool {
 
 namespace {
 
-using collide::Vec;
 using collide::load;
+using collide::Vec;
 using shapes::row_of;
 
 // A bounding box of points, enlarged by a reach.
@@ -31,9 +31,7 @@ struct Box {
     }
   }
 
-  double widest() const {
-    return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]});
-  }
+  double widest() const { return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]}); }
   // Whether it overlaps the bounding box of two points.
   bool overlaps(Vec a, Vec b) const {
     return std::max(a.x, b.x) >= low[0] && std::min(a.x, b.x) <= high[0] &&
@@ -96,8 +94,8 @@ std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
   return hit;
 }
 
-std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
-                                           const std::vector<double>& x, double reach) {
+std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers, const std::vector<double>& x,
+                                           double reach) {
   const double max_gap = layers.max_edge_distance() + reach;
   std::vector<double> middles(ROW * layers.edges()), lengths(layers.edges());
   // The longer of two edges finds the shorter, whose midpoint is within this distance.
@@ -136,8 +134,8 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
       if (!(gap <= max_gap)) return;
       const double distance = layers.edge_distance(first, second);
       if (distance > 0 && gap - distance <= reach)
-        hit.push_back({static_cast<std::int32_t>(first), static_cast<std::int32_t>(second),
-                         distance, gap});
+        hit.push_back(
+            {static_cast<std::int32_t>(first), static_cast<std::int32_t>(second), distance, gap});
     });
   }
   sort(hit, layers.edges());

@@ -25,7 +25,8 @@ using Through = std::vector<std::pair<std::int32_t, std::int32_t>>;
 // Triangles, and corners of others.
 struct TrianglesAndCorners {
   using Shape = shapes::CornerPair;
-  static constexpr std::size_t FIRST = 1;  // number of the four particles that belong to the first element
+  static constexpr std::size_t FIRST =
+      1;  // number of the four particles that belong to the first element
 
   static FourParticles who(const SpringLayers& layers, std::int32_t triangle,
                            std::int32_t particle) {
@@ -38,7 +39,7 @@ struct TrianglesAndCorners {
   }
   template <class IsThrough>
   static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t triangle,
-                         std::int32_t particle, IsThrough is_through) {
+                                 std::int32_t particle, IsThrough is_through) {
     return is_through(particle, [&](std::int32_t other) {
       const std::int32_t *one = layers.corners(static_cast<std::size_t>(triangle)),
                          *two = layers.corners(static_cast<std::size_t>(other));
@@ -55,8 +56,7 @@ struct EdgesAndEdges {
   using Shape = shapes::EdgePair;
   static constexpr std::size_t FIRST = 2;
 
-  static FourParticles who(const SpringLayers& layers, std::int32_t first,
-                           std::int32_t second) {
+  static FourParticles who(const SpringLayers& layers, std::int32_t first, std::int32_t second) {
     const std::int32_t *one = layers.ends(static_cast<std::size_t>(first)),
                        *other = layers.ends(static_cast<std::size_t>(second));
     return {one[0], one[1], other[0], other[1]};
@@ -66,8 +66,8 @@ struct EdgesAndEdges {
     through.push_back({second, first});
   }
   template <class IsThrough>
-  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t first, std::int32_t second,
-                         IsThrough is_through) {
+  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t first,
+                                 std::int32_t second, IsThrough is_through) {
     const auto relative = [&](std::int32_t edge) {
       return [&layers, edge](std::int32_t other) {
         const std::int32_t *one = layers.ends(static_cast<std::size_t>(edge)),

@@ -104,7 +104,7 @@ class Projection {
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
       anchor_compliances_.push_back(
           compliance_of(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
-               masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
+                        masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
     excess_.assign(run_.lines().springs.size(), 0.0);
     collect_limited();
   }
@@ -126,14 +126,13 @@ class Projection {
   void predict(double h) {
     const SpringNetwork& network = run_.network;
     before_ = run_.x;
-    const bool windy = (network.air_drag != 0 || network.air_lift != 0) &&
-                       !network.triangles.empty();
+    const bool windy =
+        (network.air_drag != 0 || network.air_lift != 0) && !network.triangles.empty();
     if (windy) {
       forces_.assign(run_.size, 0.0);
       network.add_air_forces(run_.wind, run_.x.data(), run_.v.data(), forces_.data());
     }
-    const double fall[3] = {h * network.gravity[0], h * network.gravity[1],
-                            h * network.gravity[2]};
+    const double fall[3] = {h * network.gravity[0], h * network.gravity[1], h * network.gravity[2]};
     double *x = run_.x.data(), *v = run_.v.data();
     for (std::size_t n = 0; n < network.particles(); ++n) {
       const double inverse = network.inverse_masses[n];
@@ -150,7 +149,7 @@ class Projection {
   void project(double* excess) {
     const SpringLines& lines = run_.lines();
     const ComplianceColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
-                              changes_.data(), weights_.data()};
+                                    changes_.data(), weights_.data()};
     spring_loops().project(columns, lines.runs.data(), lines.runs.size(), run_.x.data(),
                            before_.data(), excess);
   }
@@ -160,7 +159,9 @@ class Projection {
   void resolve(int step, double h) {
     contacts_.resolve(step, before_, run_.x, nullptr);
     if (!(limit_ > 0)) return;
-    const auto resolve_contacts = [&] { contacts_.resolve(step, before_, run_.x, nullptr, &moved_); };
+    const auto resolve_contacts = [&] {
+      contacts_.resolve(step, before_, run_.x, nullptr, &moved_);
+    };
     moved_.assign(run_.network.particles(), 1);
     self_.prevent_piercing(h, start_, before_, run_.x, moved_, resolve_contacts);
     for (int pass = 0; pass < LAST_PASSES; ++pass) {
@@ -295,7 +296,9 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     double strain = projection.advance_cell(i, grid.start(i), substeps);
     total_steps += substeps;
     const double bound = limit > 0 ? std::max(stretch, BEYOND_LIMIT * limit) : stretch;
-    const auto has_new_crossings = [&] { return limit > 0 && self.crossings() > self.start_crossings(); };
+    const auto has_new_crossings = [&] {
+      return limit > 0 && self.crossings() > self.start_crossings();
+    };
     bool improves = true;
     while ((!(strain <= bound) || has_new_crossings()) && substeps < max_substeps && improves) {
       substeps = std::min(2 * substeps, max_substeps);
@@ -319,9 +322,9 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     }
     if (run.tear()) projection.forget();
   }
-  return {ended_state(run), ended_torn(run), substeps, calm, largest_strain, total_steps,
-          contacts.touched, contacts.unresolved, self.ended(), self.piercing(),
-          contacts.impulses()};
+  return {ended_state(run), ended_torn(run), substeps,           calm,
+          largest_strain,   total_steps,     contacts.touched,   contacts.unresolved,
+          self.ended(),     self.piercing(), contacts.impulses()};
 }
 
 }  // namespace animtool

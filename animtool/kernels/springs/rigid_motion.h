@@ -25,7 +25,8 @@ class RigidMotion {
     Vec sums[3];  // of ends, times the components of starts
     for (std::size_t i = 0; i < count; ++i) {
       const Vec arm = (from(i) - start_) * weight(i), at = to(i) - end_;
-      sums[0] = sums[0] + at * arm.x, sums[1] = sums[1] + at * arm.y, sums[2] = sums[2] + at * arm.z;
+      sums[0] = sums[0] + at * arm.x, sums[1] = sums[1] + at * arm.y,
+      sums[2] = sums[2] + at * arm.z;
     }
     for (int k = 0; k < MAX_ROTATIONS; ++k) {
       Vec axis;

@@ -29,7 +29,7 @@ struct ComplianceColumns {
 // ends dotted with the offsets. Coincident ends have no direction, and no force.
 template <class N>
 N force_over_length(const N& rest, const N& stiffness, const N& damping, const N& square,
-          const N& closing) {
+                    const N& closing) {
   const N over = inverse(square), length = rest * (sqrt(square) * over);
   return stiffness * (1.0 - length) + damping * (closing * over);
 }
@@ -51,8 +51,8 @@ void add_to_row(const Vector3<One<On>>& shift, double* row) {
 
 // Adds the forces of springs to rows of particles.
 template <class On>
-void add_forces(const SpringColumns& springs, std::size_t count, const double* x,
-               const double* v, double* forces) {
+void add_forces(const SpringColumns& springs, std::size_t count, const double* x, const double* v,
+                double* forces) {
   using N = Four<On>;
   std::size_t s = 0;
   for (; s + WIDE <= count; s += WIDE) {
@@ -65,8 +65,8 @@ void add_forces(const SpringColumns& springs, std::size_t count, const double* x
       e[l] = N::of(v + j) - N::of(v + i);
     }
     double pulls[WIDE];
-    force_over_length(N::of(springs.rest + s), N::of(springs.stiffness + s), N::of(springs.damping + s),
-            dots(d, d), dots(d, e))
+    force_over_length(N::of(springs.rest + s), N::of(springs.stiffness + s),
+                      N::of(springs.damping + s), dots(d, d), dots(d, e))
         .store(pulls);
     for (std::size_t l = 0; l < WIDE; ++l) {
       double* f = forces + ROW * static_cast<std::size_t>(ends[2 * l]);
@@ -82,7 +82,7 @@ void add_forces(const SpringColumns& springs, std::size_t count, const double* x
     const auto d = row_at<On>(x + j) - row_at<On>(x + i);
     const auto e = row_at<On>(v + j) - row_at<On>(v + i);
     const auto force = d * force_over_length<One<On>>(springs.rest[s], springs.stiffness[s],
-                                            springs.damping[s], dot(d, d), dot(d, e));
+                                                      springs.damping[s], dot(d, d), dot(d, e));
     add_to_row<On>(force, forces + i);
     add_to_row<On>(-force, forces + j);
   }
@@ -93,7 +93,8 @@ struct ParticleColumns {
   const double *inverse_masses, *drags;
 };
 
-// Converts rows of forces to accelerations, 0 for pinned particles. `fall` is the gravity, as a row.
+// Converts rows of forces to accelerations, 0 for pinned particles. `fall` is the gravity, as a
+// row.
 template <class On>
 void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* fall,
                      const double* v, double* rows) {
@@ -143,8 +144,7 @@ void project_four(const ComplianceColumns& springs, std::size_t s, double* x, co
     (beyond * size).store(longer);
     size.store(lengths);
     for (std::size_t l = 0; l < WIDE; ++l)
-      excess[s + l] =
-          longer[l] - pulls[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
+      excess[s + l] = longer[l] - pulls[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
   }
   for (std::size_t l = 0; l < WIDE; ++l) {
     double* p = x + ROW * static_cast<std::size_t>(ends[2 * l]);
@@ -165,7 +165,7 @@ void project_one(const ComplianceColumns& springs, std::size_t s, double* x, con
   const N square = dot(d, d), over = inverse(square), size = sqrt(square);
   const N beyond = if_distinct(square, 1.0 - springs.rest[s] * (size * over));
   const N pull = springs.length[s] * beyond + springs.change[s] * (dot(d, e) * over);
-  const double *weights = springs.weights + 2 * s;
+  const double* weights = springs.weights + 2 * s;
   if (excess) ((beyond - pull * (weights[0] + weights[1])) * size).store(excess + s);
   add_to_row<On>(d * (pull * weights[0]), x + i);
   add_to_row<On>(-(d * (pull * weights[1])), x + j);

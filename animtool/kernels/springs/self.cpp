@@ -12,8 +12,8 @@ namespace animtool {
 
 namespace {
 
-using collide::Vec;
 using collide::load;
+using collide::Vec;
 
 // Largest relative displacement in a step that is tested for crossings [thickness].
 constexpr double MAX_TRAVEL = 4;
@@ -27,9 +27,8 @@ constexpr double UNTANGLING_SPEED = 1;
 constexpr double CELL_EDGES = 4, CELL = 8;
 
 RigidMotion common_motion(const std::vector<double>& from, const std::vector<double>& to) {
-  return {
-      from.size() / ROW, [&](std::size_t n) { return load(&from[ROW * n]); },
-      [&](std::size_t n) { return load(&to[ROW * n]); }, [](std::size_t) { return 1.0; }};
+  return {from.size() / ROW, [&](std::size_t n) { return load(&from[ROW * n]); },
+          [&](std::size_t n) { return load(&to[ROW * n]); }, [](std::size_t) { return 1.0; }};
 }
 
 void check_layers(const SpringLayers& layers, const SpringNetwork& network) {
@@ -61,8 +60,8 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
   };
   for (std::size_t c = 0; c < crossed.size(); c += 3) {
     const std::int64_t* one = crossed.data() + c;
-    const bool corner = layers_ && within(one[0], layers_->particles()) &&
-                        within(one[1], layers_->triangles());
+    const bool corner =
+        layers_ && within(one[0], layers_->particles()) && within(one[1], layers_->triangles());
     const std::int64_t edge =
         layers_ && one[0] >= 0 ? one[0] - std::int64_t(layers_->particles()) : -1;
     const bool edges = layers_ && within(edge, layers_->edges()) && edge < one[1] &&
@@ -94,7 +93,7 @@ void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
 }
 
 void SelfContacts::rebuild_cells(double h, const std::vector<double>& before,
-                               const std::vector<double>& x) {
+                                 const std::vector<double>& x) {
   longest_ = 0;
   for (std::size_t e = 0; e < layers_->edges(); ++e)
     longest_ = std::max(longest_, length(shapes::Segment(layers_->ends(e), x.data()).shift()));
@@ -120,8 +119,7 @@ bool SelfContacts::cells_cover() const {
   return total_drift_ + need_ + layers_->thickness + 2 * longest_ <= motion_.width();
 }
 
-void SelfContacts::list(double h, const std::vector<double>& before,
-                        const std::vector<double>& x) {
+void SelfContacts::list(double h, const std::vector<double>& before, const std::vector<double>& x) {
   if (cells_cover() && near_list_.covers(need_)) return;
   const double d = layers_->thickness;
   if (!cells_cover() || !pair_list_.covers(need_)) {
@@ -165,7 +163,7 @@ void SelfContacts::separate(double h, std::vector<double>& before, std::vector<d
 }
 
 bool SelfContacts::find_passed(double h, const std::vector<double>& from,
-                          const std::vector<double>& x, std::vector<std::uint8_t>& moved) {
+                               const std::vector<double>& x, std::vector<std::uint8_t>& moved) {
   passed_corners_.clear();
   passed_edges_.clear();
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return false;
@@ -181,9 +179,9 @@ bool SelfContacts::find_passed(double h, const std::vector<double>& from,
 }
 
 void SelfContacts::separate_passed(double h, std::vector<double>& before,
-                               std::vector<double>& x) const {
+                                   std::vector<double>& x) const {
   Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x,
-                  true);
+                        true);
   for (const LayerHit& hit : passed_corners_) separation.separate<TrianglesAndCorners::Shape>(hit);
   for (const LayerHit& hit : passed_edges_) separation.separate<EdgesAndEdges::Shape>(hit);
   separation.end();
@@ -198,7 +196,8 @@ void SelfContacts::record_passed() {
   edges_.sort_crossed();
 }
 
-void SelfContacts::record_crossings(const std::vector<double>& before, const std::vector<double>& x) {
+void SelfContacts::record_crossings(const std::vector<double>& before,
+                                    const std::vector<double>& x) {
   if (!layers_ || tangles_) return;
   corners_.record_crossings(before, x);
   edges_.record_crossings(before, x);

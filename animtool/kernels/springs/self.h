@@ -43,7 +43,7 @@ class SelfContacts {
   // since the last call; moved particles are marked. Does nothing unless tangles are resolved.
   template <class Settle>
   void prevent_piercing(double h, const std::vector<double>& from, std::vector<double>& before,
-                  std::vector<double>& x, std::vector<std::uint8_t>& moved, Settle resolve);
+                        std::vector<double>& x, std::vector<std::uint8_t>& moved, Settle resolve);
   // Records pairs that changed sides in the step, unless piercing is prevented.
   void record_crossings(const std::vector<double>& before, const std::vector<double>& x);
 
@@ -64,16 +64,14 @@ class SelfContacts {
     double reach = -1, drift = 0;
 
     bool covers(double need) const { return need + drift <= reach; }
-    void begin(const std::vector<double>& x, double reach0) {
-      at = x, reach = reach0, drift = 0;
-    }
+    void begin(const std::vector<double>& x, double reach0) { at = x, reach = reach0, drift = 0; }
   };
 
   void read(const In<std::int64_t, 2>& crossed);
   // Finds marked pairs that pass through each other in the step, and marks only these; returns
   // whether there are any.
   bool find_passed(double h, const std::vector<double>& from, const std::vector<double>& x,
-              std::vector<std::uint8_t>& moved);
+                   std::vector<std::uint8_t>& moved);
   void record_passed();
   void separate_passed(double h, std::vector<double>& before, std::vector<double>& x) const;
   // Measures the relative displacement of nearby elements in a step; the second rebuilds the cells.
@@ -96,7 +94,7 @@ class SelfContacts {
   Listing pair_list_, near_list_;
   RelativeMotion motion_;
   std::vector<double> displacements_;  // since pairs were listed, relative to a rigid motion of all
-  double longest_ = 0;  // longest edge when cells were built
+  double longest_ = 0;                 // longest edge when cells were built
   // Relative displacement of nearby elements in a step, and the tested part of it.
   double travel_ = 0, max_travel_ = 0, need_ = 0, rate_needed_ = 0;
   double total_drift_ = 0;  // largest relative displacement of all since
@@ -104,8 +102,8 @@ class SelfContacts {
 
 template <class Settle>
 void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
-                              std::vector<double>& before, std::vector<double>& x,
-                              std::vector<std::uint8_t>& moved, Settle resolve) {
+                                    std::vector<double>& before, std::vector<double>& x,
+                                    std::vector<std::uint8_t>& moved, Settle resolve) {
   if (!layers_ || !tangles_ || pair_list_.reach < 0) return;
   corners_.drop_resolved(*layers_, x);
   edges_.drop_resolved(*layers_, x);

@@ -10,8 +10,8 @@
 
 namespace animtool {
 
-// No particle moves by more than this many times the separation: a single free particle with a small
-// weight would be thrown away.
+// No particle moves by more than this many times the separation: a single free particle with a
+// small weight would be thrown away.
 constexpr double MAX_RATIO = 10;
 // Smallest effective weight, over the largest inverse mass: with less, particles move less.
 constexpr double MIN_WEIGHT = 1e-3;
@@ -26,14 +26,14 @@ struct LayerHit {
   double gap, travel, distance;
 };
 
-// Separation in one step. Momentum is conserved. If elements only return to the contact distance, the
-// previous positions move too, so that no velocity is added.
+// Separation in one step. Momentum is conserved. If elements only return to the contact distance,
+// the previous positions move too, so that no velocity is added.
 class Separation {
  public:
   // `return_shift` is the largest separation in the step without added speed. With `at_ends`,
   // piercing edges are separated even if they are closest at an end.
   Separation(double friction, double return_shift, const std::vector<double>& inverse_masses,
-          std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
+             std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
       : friction_(friction),
         max_return_(return_shift),
         inverse_masses_(inverse_masses),
@@ -89,7 +89,7 @@ bool Separation::separate(const LayerHit& hit) {
 }
 
 inline void Separation::move(const LayerHit& hit, const double* fraction, collide::Vec out,
-                          double contact_shift, double return_shift) {
+                             double contact_shift, double return_shift) {
   if (return_shift > 0 && !shifts_) shifted_ = before_, shifts_ = true;
   std::vector<double>& was = shifts_ ? shifted_ : before_;
   double weights[4], full = 0, farthest = 0, lightest = 0;

@@ -80,8 +80,9 @@ struct CornerPair {
   double height() const { return dot(p - triangle.a, normal()); }
   CornerPair until(const CornerPair& end, double fraction) const {
     const Triangle &from = triangle, &to = end.triangle;
-    return {between(p, end.p, fraction), {between(from.a, to.a, fraction), between(from.b, to.b, fraction),
-                                       between(from.c, to.c, fraction)}};
+    return {between(p, end.p, fraction),
+            {between(from.a, to.a, fraction), between(from.b, to.b, fraction),
+             between(from.c, to.c, fraction)}};
   }
   // Three vectors that are coplanar when the corner is in the plane of the triangle.
   std::array<Vec, 3> spans() const {
@@ -103,8 +104,7 @@ struct CornerPair {
 struct EdgePair {
   Segment first, second;
 
-  EdgePair(const std::int32_t* who, const double* rows)
-      : first(who, rows), second(who + 2, rows) {}
+  EdgePair(const std::int32_t* who, const double* rows) : first(who, rows), second(who + 2, rows) {}
   EdgePair(const Segment& one, const Segment& other) : first(one), second(other) {}
 
   Nearest nearest() const {
@@ -136,9 +136,7 @@ struct EdgePair {
     return {one(first, end.first), one(second, end.second)};
   }
   // Three vectors that are coplanar when the edges are.
-  std::array<Vec, 3> spans() const {
-    return {first.a - second.a, first.shift(), second.shift()};
-  }
+  std::array<Vec, 3> spans() const { return {first.a - second.a, first.shift(), second.shift()}; }
   // Whether the lines are nearest at points of both edges.
   bool faces() const {
     const Vec d = first.shift(), e = second.shift(), r = first.a - second.a;
@@ -147,7 +145,8 @@ struct EdgePair {
     if (!(area > PARALLEL * dd * ee)) return false;
     const double s = (de * dot(e, r) - ee * dot(d, r)) / area;
     const double t = (dd * dot(e, r) - de * dot(d, r)) / area;
-    return s >= -BOUNDARY_MARGIN && s <= 1 + BOUNDARY_MARGIN && t >= -BOUNDARY_MARGIN && t <= 1 + BOUNDARY_MARGIN;
+    return s >= -BOUNDARY_MARGIN && s <= 1 + BOUNDARY_MARGIN && t >= -BOUNDARY_MARGIN &&
+           t <= 1 + BOUNDARY_MARGIN;
   }
 };
 
@@ -227,7 +226,7 @@ struct Volume {
 
 // Whether the bounding boxes of the paths of the first particles and of the others overlap.
 inline bool paths_overlap(const std::int32_t* who, std::size_t first, const double* from,
-                      const double* to) {
+                          const double* to) {
   for (std::size_t k = 0; k < 3; ++k) {
     double low[2], high[2];
     for (std::size_t side = 0; side < 2; ++side) {
@@ -244,8 +243,8 @@ inline bool paths_overlap(const std::int32_t* who, std::size_t first, const doub
   return true;
 }
 
-// The side (1 or -1) from which the first has pierced the second at the end of linear paths, 0 if it
-// has not: it may have gone around, or come back.
+// The side (1 or -1) from which the first has pierced the second at the end of linear paths, 0 if
+// it has not: it may have gone around, or come back.
 template <class Pair>
 std::int32_t passed_from(const Pair& from, const Pair& to) {
   const Volume volume(from.spans(), to.spans());

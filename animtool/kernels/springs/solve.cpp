@@ -166,8 +166,7 @@ class Implicit {
       }
       const double n[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                            a[0] * b[1] - a[1] * b[0]};
-      const double slows =
-          s * 2 * bound * std::sqrt(dot3(flow, flow)) * std::sqrt(dot3(n, n)) / 6;
+      const double slows = s * 2 * bound * std::sqrt(dot3(flow, flow)) * std::sqrt(dot3(n, n)) / 6;
       for (int c = 0; c < 3; ++c)
         for (int k = 0; k < 3; ++k)
           blocks_[9 * static_cast<std::size_t>(corners[c]) + 4 * static_cast<std::size_t>(k)] +=
@@ -372,7 +371,7 @@ class PinImpulses {
 class CellSolver {
  public:
   CellSolver(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps,
-           PinImpulses& pulls)
+             PinImpulses& pulls)
       : run_(run),
         contacts_(contacts),
         implicit_(run, tolerance),
@@ -429,9 +428,8 @@ class CellSolver {
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> earlier, In<std::uint8_t, 1> torn,
-                            double origin, std::int64_t first, double cell,
-                            std::int64_t cells, int substeps, bool two_steps,
-                            double tolerance,
+                            double origin, std::int64_t first, double cell, std::int64_t cells,
+                            int substeps, bool two_steps, double tolerance,
                             const std::optional<SpringColliders>& colliders,
                             std::optional<In<double, 2>> supplied) {
   const Cells grid{origin, first, cell, cells};
@@ -481,9 +479,9 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   SpringRun back = run;
   back.x = solver.before.x;
   back.v = solver.before.v;
-  return {ended_state(run),          ended_state(back), solver.known,        ended_torn(run),
-          solver.steps, solver.corrections(), unsolved,
-          contacts.unresolved, contacts.impulses(), pulls.arrays()};
+  return {ended_state(run),    ended_state(back),    solver.known, ended_torn(run),
+          solver.steps,        solver.corrections(), unsolved,     contacts.unresolved,
+          contacts.impulses(), pulls.arrays()};
 }
 
 }  // namespace animtool

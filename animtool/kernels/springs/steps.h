@@ -4,7 +4,6 @@
 #include <optional>
 #include <tuple>
 
-
 #include "springs/contacts.h"
 #include "springs/self.h"
 
@@ -17,9 +16,7 @@ struct Cells {
   double cell;
   std::int64_t count;
 
-  double start(std::int64_t i) const {
-    return origin + static_cast<double>(first + i) * cell;
-  }
+  double start(std::int64_t i) const { return origin + static_cast<double>(first + i) * cell; }
 };
 
 // Largest number of steps of a cell and of a call, and of cells from the origin.
@@ -37,15 +34,15 @@ using SpringsStepped =
 // states, torn springs, steps per cell, calm cells so far, largest strain, total steps, particles
 // in contact and left inside colliders, piercings of the surface by itself (C, 3), their counts,
 // impulses on colliders
-using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
-                                    std::int64_t, std::int64_t, std::int64_t,
-                                    Out<std::int64_t, 2>, SelfPiercing, Out<double, 2>>;
+using SpringsProjected =
+    std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double, std::int64_t, std::int64_t,
+               std::int64_t, Out<std::int64_t, 2>, SelfPiercing, Out<double, 2>>;
 // states, states before, whether these are known, torn springs, steps, corrections, unsolved cells,
 // particles left inside colliders, impulses on colliders, and, on request, on the carriers of
 // pinned particles (2, H, 6): impulses and moments about the origin of all steps, then of the last
-using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
-                                 std::int64_t, std::int64_t, std::int64_t, std::int64_t,
-                                 Out<double, 2>, Out<double, 3>>;
+using SpringsSolved =
+    std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>, std::int64_t,
+               std::int64_t, std::int64_t, std::int64_t, Out<double, 2>, Out<double, 3>>;
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
 
@@ -78,9 +75,8 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,
-                            double origin, std::int64_t first, double cell,
-                            std::int64_t cells, int substeps, bool two_steps,
-                            double tolerance,
+                            double origin, std::int64_t first, double cell, std::int64_t cells,
+                            int substeps, bool two_steps, double tolerance,
                             const std::optional<SpringColliders>& colliders,
                             std::optional<In<double, 2>> pulls);
 

@@ -15,9 +15,9 @@ namespace animtool {
 
 namespace {
 
-using collide::Vec;
 using collide::load;
 using collide::store;
+using collide::Vec;
 
 std::size_t bundles_of(std::size_t strands) { return (strands + WIDE - 1) / WIDE; }
 
@@ -41,9 +41,9 @@ std::vector<double> interleaved(In<double, 2> rows, std::size_t strands, std::si
 class FrameColliders {
  public:
   // The common drift is that of the first particle, whose path is known.
-  FrameColliders(const MovingColliders& colliders,
-                 const std::optional<SpringColliders>& arrays, std::size_t cells,
-                 int substeps, double h, const double* targets, std::size_t particles)
+  FrameColliders(const MovingColliders& colliders, const std::optional<SpringColliders>& arrays,
+                 std::size_t cells, int substeps, double h, const double* targets,
+                 std::size_t particles)
       : colliders_(colliders), h_(h), count_(colliders.size()) {
     const auto surfaces = arrays ? std::get<5>(*arrays).size() : 0;
     count_ += surfaces;
@@ -52,8 +52,7 @@ class FrameColliders {
     for (std::size_t cell = 0; cell < cells; ++cell) {
       const double* now = targets + 3 * particles * cell;
       double drift[3];
-      for (std::size_t k = 0; k < 3; ++k)
-        drift[k] = (now[3 * particles + k] - now[k]) / substeps;
+      for (std::size_t k = 0; k < 3; ++k) drift[k] = (now[3 * particles + k] - now[k]) / substeps;
       rigid.clear();
       colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rigid);
       for (std::size_t s = 0; s < surfaces; ++s) {
@@ -144,9 +143,9 @@ class FrameColliders {
 
   const MovingColliders& colliders_;
   double h_;
-  std::size_t count_;  // colliders and moving meshes
+  std::size_t count_;                  // colliders and moving meshes
   std::vector<MovingSurface> moving_;  // (cells, S)
-  std::vector<StepCollider> rows_;  // (steps, C)
+  std::vector<StepCollider> rows_;     // (steps, C)
   std::vector<collide::Rod> rods_;
   std::vector<double> drifts_, lookahead_, thicknesses_;
   std::vector<unsigned char> is_rod_, is_bounded_;
@@ -155,9 +154,9 @@ class FrameColliders {
 // Buffers for one bundle at a time, and the frame's arrays.
 class Bundles {
  public:
-  Bundles(const SpringStrands& strands, const StrandSteps& plan,
-          const MovingColliders& colliders, const FrameColliders& frame,
-          const CarrierColliders& own, const double* targets, const double* state, double* out)
+  Bundles(const SpringStrands& strands, const StrandSteps& plan, const MovingColliders& colliders,
+          const FrameColliders& frame, const CarrierColliders& own, const double* targets,
+          const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
@@ -239,8 +238,8 @@ class Bundles {
   }
 
   // One strand among rigid colliders.
-  static bool resolve_segments(void* all, StrandBundle& bundle, std::size_t step,
-                              std::size_t lane, std::size_t near) {
+  static bool resolve_segments(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
+                               std::size_t near) {
     auto& self = *static_cast<Bundles*>(all);
     FaceContacts& segments = self.segments_of(lane);
     if (!segments.any()) return false;
@@ -248,8 +247,7 @@ class Bundles {
     self.near_segments_.assign(bundle.at_segments, bundle.at_segments + near);
     const auto each = [&](auto&& move) {
       for (std::size_t p = 0; p < points; ++p)
-        for (std::size_t k = 0; k < 3; ++k)
-          move(ROW * p + k, WIDE_VECTOR * p + WIDE * k + lane);
+        for (std::size_t k = 0; k < 3; ++k) move(ROW * p + k, WIDE_VECTOR * p + WIDE * k + lane);
     };
     each([&](std::size_t to, std::size_t from) {
       self.row_before_[to] = bundle.unmoved[from], self.row_[to] = bundle.x[from];
@@ -257,15 +255,16 @@ class Bundles {
     bool moved = false;
     for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
       if (!segments.resolve(c, self.frame_.row(step, c), self.plan_.h, self.near_segments_,
-                           {self.row_before_, self.row_, nullptr}))
+                            {self.row_before_, self.row_, nullptr}))
         continue;
       moved = true;
       for (const FaceContacts::MovedParticle& one : segments.moved)
         bundle.shift[static_cast<std::size_t>(one.particle)] += one.shift;
     }
-    if (moved) each([&](std::size_t from, std::size_t to) {
-      bundle.unmoved[to] = self.row_before_[from], bundle.x[to] = self.row_[from];
-    });
+    if (moved)
+      each([&](std::size_t from, std::size_t to) {
+        bundle.unmoved[to] = self.row_before_[from], bundle.x[to] = self.row_[from];
+      });
     return moved;
   }
 
@@ -395,8 +394,7 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
   built.fold = compliance_of(fold_, 0, 2, h);
   built.root_fold = compliance_of(fold_, 0, 1, h);
   built.draw = compliance_of(draw_, draw_damping_, 1, h);
-  built.draw_change =
-      draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
+  built.draw_change = draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
   built.soft = 1 / (stiffness_ * h * h);
   built.longest = 1 + stretch_;
   return built;
@@ -404,8 +402,8 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
-                               const std::optional<SpringColliders>& colliders,
-                               std::size_t threads, const CarrierColliders& own) {
+                               const std::optional<SpringColliders>& colliders, std::size_t threads,
+                               const CarrierColliders& own) {
   const std::size_t count = strands.strands() * strands.points();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
@@ -421,15 +419,15 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::int64_t touched = 0, inside = 0;
   double stretch = 0;
   StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
-  const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(),
-                             count);
+  const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(), count);
   frame.fill(plan);
   const std::size_t bundles = bundles_of(strands.strands());
   const std::size_t max_workers = std::max<std::size_t>(1, bundles / MIN_BUNDLES);
   std::vector<Bundles> workers;
   workers.reserve(std::min(threads, max_workers));
   while (workers.size() < std::min(threads, max_workers))
-    workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(), out.get());
+    workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(),
+                         out.get());
   advance_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t step_count = 0;

@@ -6,13 +6,13 @@
 #include <utility>
 #include <vector>
 
-
 #include "springs/bundle.h"
 #include "springs/contacts.h"
 
 namespace animtool {
 
-// states (2, N, 3); largest numbers of particles in contact and left inside colliders; largest strain
+// states (2, N, 3); largest numbers of particles in contact and left inside colliders; largest
+// strain
 using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
 
 // Rigid colliders of the carrier, which only particles collide with: index of the first, and count.
@@ -21,8 +21,8 @@ using CarrierColliders = std::pair<std::size_t, std::size_t>;
 class SpringStrands {
  public:
   SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity, double drag,
-                double stiffness, double fold_stiffness, double draw_stiffness,
-                double draw_damping, double stretch);
+                double stiffness, double fold_stiffness, double draw_stiffness, double draw_damping,
+                double stretch);
 
   std::size_t strands() const { return strands_; }
   std::size_t points() const { return points_; }
@@ -34,7 +34,9 @@ class SpringStrands {
   // Constants of a frame of cells with a number of steps.
   StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
 
-  const double* rests(std::size_t bundle) const { return rests_.data() + bundle * WIDE * springs(); }
+  const double* rests(std::size_t bundle) const {
+    return rests_.data() + bundle * WIDE * springs();
+  }
   const double* folds(std::size_t bundle) const { return folds_.data() + bundle * WIDE * points_; }
 
  private:
@@ -51,7 +53,7 @@ class SpringStrands {
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
-                               const std::optional<SpringColliders>& colliders,
-                               std::size_t threads, const CarrierColliders& own);
+                               const std::optional<SpringColliders>& colliders, std::size_t threads,
+                               const CarrierColliders& own);
 
 }  // namespace animtool

@@ -9,9 +9,9 @@
 
 namespace animtool {
 
-using collide::Vec;
 using collide::load;
 using collide::store;
+using collide::Vec;
 
 double pierces_at(const shapes::Segment& edge, const shapes::Triangle& t) {
   const Vec normal = cross(t.b - t.a, t.c - t.a);
@@ -129,7 +129,8 @@ void Tangles::part(double shift, std::vector<double>& before, std::vector<double
     if (!(dot(out, out) > 0)) continue;
     const shapes::Nearest near = triangle.nearest(edge.at(fraction));
     const std::int32_t who[5] = {ends[0], ends[1], corners[0], corners[1], corners[2]};
-    const double shares[5] = {1 - fraction, fraction, near.fraction[1], near.fraction[2], near.fraction[3]};
+    const double shares[5] = {1 - fraction, fraction, near.fraction[1], near.fraction[2],
+                              near.fraction[3]};
     double full = 0, lightest = 0;
     for (std::size_t k = 0; k < 5; ++k) {
       const double inverse = inverse_masses_[static_cast<std::size_t>(who[k])];

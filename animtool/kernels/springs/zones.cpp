@@ -8,8 +8,8 @@
 
 namespace animtool {
 
-using collide::Vec;
 using collide::store;
+using collide::Vec;
 using shapes::row_of;
 
 namespace {
@@ -38,8 +38,7 @@ void ImpactZones::join(const std::vector<LayerHit>& passed) {
   parents_.resize(inverse_masses_.size(), -1);
   for (const LayerHit& hit : passed) {
     const std::int32_t first = first_of(hit.who[0]);
-    for (const std::int32_t n : hit.who)
-      parents_[static_cast<std::size_t>(first_of(n))] = first;
+    for (const std::int32_t n : hit.who) parents_[static_cast<std::size_t>(first_of(n))] = first;
   }
 }
 

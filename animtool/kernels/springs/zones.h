@@ -24,14 +24,12 @@ class ImpactZones {
   // Joins the four particles of each hit.
   void join(const std::vector<LayerHit>& passed);
   // Moves each zone by the mean rigid motion of its particles in the step.
-  void move(const std::vector<double>& from, std::vector<double>& before,
-            std::vector<double>& x);
+  void move(const std::vector<double>& from, std::vector<double>& before, std::vector<double>& x);
 
  private:
   std::int32_t first_of(std::int32_t n);
-  void move_one(const std::int32_t* members, std::size_t count,
-                const std::vector<double>& from, std::vector<double>& before,
-                std::vector<double>& x) const;
+  void move_one(const std::int32_t* members, std::size_t count, const std::vector<double>& from,
+                std::vector<double>& before, std::vector<double>& x) const;
 
   const std::vector<double>& inverse_masses_;
   std::vector<std::int32_t> parents_;  // of particles, -1 outside zones
