@@ -129,6 +129,7 @@ def test_processes_that_do_not_begin_end_the_run(
         list(find_executor("processes").load()(work(tmp_path, 1, jobs=1)))
 
 
+@pytest.mark.slow
 def test_answers_that_make_no_sense_cost_their_items(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,7 @@ def clip_on(folder: Path, rig: str, channels: str) -> Clip:
     return load_clip_of(write_clip(folder, channels))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clamp", [False, True])
 @pytest.mark.parametrize(
     ("rig", "channels"),

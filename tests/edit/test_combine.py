@@ -35,6 +35,7 @@ def z_up(take: Take) -> Take:
     return reorient(TakeStream.of(take), UpAxis.Z).collect()
 
 
+@pytest.mark.slow
 @given(pairs())
 def test_the_up_axis_of_the_other_take_does_not_matter(both: tuple[Take, Take]) -> None:
     take, other = both

@@ -104,6 +104,7 @@ def test_no_way_is_looked_for_where_no_pose_could_be_on_it(
     assert searched
 
 
+@pytest.mark.slow
 def test_a_jump_that_cannot_be_avoided_is_named() -> None:
     problem = planar()
     points = around(0.1, 20)

@@ -97,6 +97,7 @@ def test_names_are_drawn_as_they_are(tmp_path: Path) -> None:
     assert (tmp_path / "p.svg").stat().st_size
 
 
+@pytest.mark.slow
 def test_settings_without_an_error_or_with_none_at_all_have_no_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

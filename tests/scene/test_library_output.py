@@ -59,6 +59,7 @@ def specs(folder: Path, name: str) -> list[str]:
     return found.ExportToString().splitlines()
 
 
+@pytest.mark.slow
 def test_takes_come_one_by_one(folder: Path) -> None:
     for name in PASSES:
         done = add(folder, name)

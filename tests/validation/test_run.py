@@ -98,6 +98,7 @@ def test_what_cannot_be_read_always_counts(tmp_path: Path) -> None:
     assert report.exit_code(exit_zero=True) is ExitCode.MALFORMED
 
 
+@pytest.mark.slow
 def test_errors_of_other_processes_come_back(leg: Path) -> None:
     text = leg.with_name("a.txt")
     text.touch()
@@ -231,6 +232,7 @@ def test_a_name_with_a_null_byte() -> None:
     assert caught.value.code == "IO001"
 
 
+@pytest.mark.slow
 def test_processes_do_not_matter(leg: Path) -> None:
     for i in range(5):
         leg.with_name(f"leg{i}.rig.yaml").write_text(KNEE, "utf-8")

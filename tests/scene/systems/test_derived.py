@@ -199,6 +199,7 @@ def test_what_blows_up_is_stopped(tmp_path: Path) -> None:
         run(tmp_path, speed=1e18).at(1.0)
 
 
+@pytest.mark.slow
 def test_copies_that_turn_in_place_are_measured_by_angles(tmp_path: Path) -> None:
     ((_, trial),) = system_trials([system(tmp_path, copies=True)], TIMES)
     table = measure(trial)

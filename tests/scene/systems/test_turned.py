@@ -115,6 +115,7 @@ def test_an_emitter_goes_with_a_prim(tmp_path: Path) -> None:
     assert tmp_path / "set.usda" in load_scene(path).systems[0].setup.files
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("stage")
 @pytest.mark.parametrize("closed", ["false", "true"])
 def test_a_mesh_that_changes_shape_lifts_what_lies_on_it(

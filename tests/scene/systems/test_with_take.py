@@ -238,6 +238,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "plain.usdc"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some_quick(FORMS, 3))
 def test_every_form_has_the_same(name: str, plain: Path, tmp_path: Path) -> None:
     path = scene(tmp_path)

@@ -63,6 +63,7 @@ def test_a_clip_is_traded_by_bytes_and_by_keys() -> None:
     assert {row.setting.method for row in keys.rows} == {KEYS}
 
 
+@pytest.mark.slow
 def test_what_is_recommended_keeps_its_budget_when_it_is_baked_again() -> None:
     path = SUITE_FOLDER / "arm.clip.yaml"
     (samples, _) = measure_tradeoffs(path, budget=2e-3).tables

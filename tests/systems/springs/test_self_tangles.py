@@ -93,6 +93,7 @@ ways = st.lists(st.tuples(shares, shares, shares), min_size=6, max_size=6)
 weights = st.lists(st.floats(0.1, 10), min_size=6, max_size=6)
 
 
+@pytest.mark.slow
 @given(ways, weights, st.floats(0, 1))
 @settings(max_examples=examples(100))
 def test_edges_keep_momentum_and_without_friction_their_spin(
@@ -110,6 +111,7 @@ def test_edges_keep_momentum_and_without_friction_their_spin(
             np.testing.assert_allclose(spin, 0, atol=1e-13)
 
 
+@pytest.mark.slow
 @given(ways, weights)
 @settings(max_examples=examples(100))
 def test_edges_are_parted_alike_whichever_comes_first(

@@ -444,6 +444,7 @@ def test_a_blow_up_has_the_line_of_its_system(tmp_path: Path) -> None:
     assert {fault.path for fault in error.value.faults} == {str(path)}
 
 
+@pytest.mark.slow
 def test_a_joint_carries(root: Path, tmp_path: Path) -> None:
     clip = root / "samples/stride/stride.clip.yaml"
     take = animtool.open_source(clip).collect()

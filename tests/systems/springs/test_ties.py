@@ -302,6 +302,7 @@ def test_frames_do_not_matter(tmp_path: Path, step: float) -> None:
             assert_array_equal(row.points, fine[name][5 * k].points)
 
 
+@pytest.mark.slow
 def test_within_a_step_a_body_is_where_its_rope_is(tmp_path: Path) -> None:
     lamp = ball(0.1, name="lamp", mass=2.0, at=[0, -0.1, 0])
     run = Tied(

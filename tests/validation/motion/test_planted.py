@@ -122,6 +122,7 @@ def test_there_are_forty_and_every_rule_has_one() -> None:
     assert {rule.code for rule in RULES} <= codes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_the_clean_samples_have_no_finding(name: str, outcomes: Outcomes) -> None:
     found = findings(outcomes.take(name))
