@@ -101,7 +101,8 @@ def solved(arrays: dict[str, Any], goals: np.ndarray, method: int) -> Any:
     return _kernels.solve_ik(
         **arrays, starts=none, targets=goals, reachable=goals,
         stretches=np.ones((1, 1)), rests=none, rest_weight=0.0,
-        length_tolerance=1e-6, angle_tolerance=1e-6, damping=1e-3, iterations=50, restarts=0, seed=1, seconds=0.0, ordered=False,
+        length_tolerance=1e-6, angle_tolerance=1e-6, damping=1e-3, iterations=50,
+        restarts=0, seed=1, seconds=0.0, ordered=False,
         warm=False, method=method,
     )  # fmt: skip
 
