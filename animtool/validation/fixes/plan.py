@@ -8,8 +8,9 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault
-from animtool.core.readers import FBX, GLTF, READERS, USD
+from animtool.core.readers import READERS, USD
 from animtool.core.record import dataclass
+from animtool.documents.yaml_values import SUFFIXES
 from animtool.validation.fixes.draft import FileDraft, FixStep, has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report
@@ -96,12 +97,12 @@ def is_package(path: Path) -> bool:
 
 
 def has_fixes(path: Path) -> bool:
-    """Return whether files of a kind can be fixed: texts and USD.
+    """Return whether files of a kind can be fixed: documents and USD.
 
-    >>> has_fixes(Path("walk.bvh")), has_fixes(Path("fox.glb"))
-    (True, False)
+    >>> [has_fixes(Path(name)) for name in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
+    [True, True, False, False]
     """
-    return READERS.get(path.suffix.lower()) not in {GLTF, FBX}
+    return path.suffix.lower() in SUFFIXES or is_layer(path)
 
 
 def _open_draft(path: Path) -> FileDraft:
