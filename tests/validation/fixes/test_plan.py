@@ -159,12 +159,13 @@ def _codes(faults: Sequence[Fault]) -> list[str]:
 
 def test_names_of_a_bvh_are_found_and_not_fixed(tmp_path: Path) -> None:
     path = tmp_path / "walk.bvh"
+    channels = "CHANNELS 3 Xrotation Yrotation Zrotation"
     path.write_text(
-        "HIERARCHY\nROOT a.b\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n"
-        "JOINT a_b\n{\nOFFSET 0 1 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n"
+        f"HIERARCHY\nROOT a:b\n{{\nOFFSET 0 0 0\n{channels}\n"
+        f"JOINT a.b\n{{\nOFFSET 0 1 0\n{channels}\n"
         "End Site\n{\nOFFSET 0 1 0\n}\n}\n}\n"
         "MOTION\nFrames: 2\nFrame Time: 0.041666667\n0 0 0 0 0 0\n1 0 0 2 0 0\n"
     )
     report = with_fixable(validate_files([path]))
-    assert "RIG221" in [fault.code for fault in report.findings]
+    assert "RIG219" in [fault.code for fault in report.findings]
     assert not report.fixable
