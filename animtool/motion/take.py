@@ -16,6 +16,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
@@ -276,3 +277,6 @@ class TakeStream:
             tracks=take.tracks,
             points=frozenset(take.motion.points),
         )
+
+
+rename_attributes(TakeStream, altered="is_altered")
