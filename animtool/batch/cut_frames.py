@@ -154,9 +154,6 @@ class CutContext:
             default: Time stated by the timeline [s]; None if it states none.
             rate: Frames per second counted by the time codes.
             drop: Whether they are drop-frame.
-
-        Raises:
-            ValueError: The stated text is not a time code at this rate.
         """
         texts = [
             level.first_timecode for level in (self.options, self.clip, self.timeline)

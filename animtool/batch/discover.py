@@ -157,11 +157,7 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, sorted by name or in timeline order.
-
-    Raises:
-        StrictError: Warnings are errors, and the batch itself has one.
-    """
+    """Return the items of a batch, sorted by name or in timeline order."""
     spec = with_timeline(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
@@ -215,11 +211,7 @@ def find_batch(spec: BatchSpec) -> Batch:
 
 
 def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
-    """Return the variables of the first item of each scene of a batch, by path.
-
-    Raises:
-        AnimtoolError: Inputs, a timeline or overrides cannot be read.
-    """
+    """Return the variables of the first item of each scene of a batch, by path."""
     from animtool.documents.variables import SceneValues
 
     spec = _with_scene_input(with_timeline(spec))

@@ -169,11 +169,7 @@ def _comment(event: Event, line: str) -> None:
 
 
 def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
-    """Return an EDL as an OpenTimelineIO timeline, with notices.
-
-    Raises:
-        FormatError: Time codes are invalid at the rate (BAT041).
-    """
+    """Return an EDL as an OpenTimelineIO timeline, with notices."""
     return _TimelineBuilder(edl, rate).built()
 
 

@@ -62,11 +62,7 @@ def cuts_of(spec: BatchSpec) -> CutList:
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
-    """Return a batch with the frame rate of the command line.
-
-    Raises:
-        OptionError: What is for timelines is given without one (CLI002).
-    """
+    """Return a batch with the frame rate of the command line."""
     flags = []
     if spec.cuts is None:
         flags = (

@@ -74,10 +74,6 @@ def span_of(shown: ShownClip) -> Span:
     """Return the media range that a clip shows.
 
     Backwards, a clip plays its range from the last frame to the first.
-
-    Raises:
-        ValueError: Its range is invalid, or its timing is unsupported
-            (`UnsupportedTimeError`).
     """
     trimmed_range = shown.clip.trimmed_range()
     start, length = (
@@ -100,11 +96,7 @@ def span_of(shown: ShownClip) -> Span:
 
 
 def speed_of(item: Any) -> Fraction:
-    """Return the speed of an item relative to its content.
-
-    Raises:
-        ValueError: It is too fast, or its speed varies.
-    """
+    """Return the speed of an item relative to its content."""
     speed = Fraction(1)
     for effect in item.effects:
         if not getattr(effect, "enabled", True):

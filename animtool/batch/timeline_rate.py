@@ -26,9 +26,6 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     """Return the frame rate of an EDL's time codes.
 
     It is that of a comment (``* FPS: 25``), else the one asked for, else the project's.
-
-    Raises:
-        OptionError: Nothing states it (BAT054), or two do (BAT051).
     """
     path = str(edl.path)
     if edl.fps is not None:
@@ -61,11 +58,6 @@ def timeline_rate(
         path: Its file.
         stated: What its metadata states.
         requested_fps: What options ask for.
-
-    Raises:
-        FormatError: Its global start time has no rate (BAT041).
-        OptionError: No rate is known (BAT054), or the one asked for is not that of
-            the timeline (BAT051).
     """
     path_text, begin = str(path), timeline.global_start_time
     if stated is None and begin is not None and begin.rate > 0:

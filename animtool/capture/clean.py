@@ -227,9 +227,6 @@ def clean(
         keep_noise: Whether to skip filtering.
         cutoff: Filter every joint at this frequency [Hz]; None chooses one for the
             translations and one for the rotations of each joint.
-
-    Raises:
-        OptionError: A number is out of range (CAP001).
     """
     options = CleanOptions(spikes, keep_noise, cutoff)
     for check in _checks(options).values():

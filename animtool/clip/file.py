@@ -48,12 +48,7 @@ class ClipFile:
     rig: Path | None  # resolved path of its rig file; None if it names none
 
     def needed_rig(self) -> Path:
-        """Return the rig that the clip names.
-
-        Raises:
-            FormatError: It names no rig and has other faults.
-            OptionError: It names no rig (CLIP011).
-        """
+        """Return the rig that the clip names."""
         if self.rig is None:
             check_clip(self)
             path = str(self.document.path)
@@ -66,11 +61,7 @@ class ClipFile:
 
 
 def open_clip(path: Path | str) -> ClipFile:
-    """Read a clip file; `load_clip` checks it against its rig.
-
-    Raises:
-        FormatError: It is not a clip file of a known version.
-    """
+    """Read a clip file; `load_clip` checks it against its rig."""
     return clip_of_document(read_document(Path(path)))
 
 
@@ -91,11 +82,6 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
     Args:
         file: The clip.
         path: The rig file; None uses the rig named by the clip.
-
-    Raises:
-        FormatError: Has every fault of the rig, and those of the clip that do not
-            depend on it.
-        OptionError: The clip names no rig (CLIP011).
     """
     rig_path = file.needed_rig() if path is None else path
     if path is None and not exists(rig_path):
@@ -127,10 +113,6 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
     Args:
         file: Content of the file.
         rig: Rig whose controls, shapes and joints are the targets.
-
-    Raises:
-        FormatError: Has every fault: unknown keys, values of the wrong type or width,
-            unknown targets, key times out of order, handles that point backwards.
     """
     return _ClipReader(file.document, file.model, rig).clip()
 
@@ -144,11 +126,7 @@ def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
 
 
 def check_clip(file: ClipFile) -> None:
-    """Check a clip file without its rig: any target is valid.
-
-    Raises:
-        FormatError: Has every fault that does not need the rig.
-    """
+    """Check a clip file without its rig: any target is valid."""
     _ClipReader(file.document, file.model, None).clip()
 
 

@@ -92,10 +92,6 @@ def keyed_take(
         tolerance: Largest error of any joint > 0 [m].
         joint_tolerances: Tolerances by joint name or pattern > 0 [m].
         base: Base of an additive take; its controls stay at their defaults.
-
-    Raises:
-        OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
-        FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     other_tolerances = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, other_tolerances)

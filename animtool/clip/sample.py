@@ -80,9 +80,6 @@ def sample_channels(
         rig: Rig of the clip.
         times: Times in any order; ascending times are fastest.
         clamp: Clamp controls to their ranges and joints to their limits.
-
-    Raises:
-        FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     values = evaluate_channels(channels, times)
     sampled_motion = sample_values(values, rig, times, clamp=clamp)

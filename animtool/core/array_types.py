@@ -22,9 +22,6 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         shape: One entry per axis: a length, or a letter for any length.
         name: Name of the array in messages.
 
-    Raises:
-        ValueError: The shape is another one, or the values are not numbers.
-
     >>> as_floats([[0, 1, 2]], ("F", 3), "positions").dtype
     dtype('float64')
     """
@@ -56,9 +53,6 @@ def output_array(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     """Return the caller's output array, or a new one of zeros.
 
     For many frames, allocating memory takes about as long as the arithmetic.
-
-    Raises:
-        ValueError: It has another shape or type, or is not contiguous.
 
     >>> output_array(None, (1, 2)).tolist()
     [[0.0, 0.0]]

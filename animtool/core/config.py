@@ -25,11 +25,7 @@ _LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPT
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of TOML text.
-
-    Raises:
-        ValueError: It is malformed, or nested deeper than 50.
-    """
+    """Return the tables of TOML text."""
     import tomllib
 
     long_key = _LONG_KEY.search(text)

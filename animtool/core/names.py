@@ -117,9 +117,6 @@ def check_unused(
         in_batch: Whether a batch defines them, and not the command line.
         has_scene: Whether there is a scene that could use them.
 
-    Raises:
-        OptionError: Has a fault for each of them (SCN031).
-
     >>> check_unused(["shot"], ["shot", "rate"])
     """
     names, where = sorted(used), None if path is None else str(path)
@@ -181,9 +178,6 @@ def scaled_decimal(value: float, unit: float) -> str:
 
 def yaml_scalar(value: str) -> str:
     """Return text quoted for YAML.
-
-    Raises:
-        FormatError: It contains a control character, which readers refuse (DOC023).
 
     >>> yaml_scalar("hips"), yaml_scalar("no: 1"), yaml_scalar("12")
     ('hips', '"no: 1"', '"12"')

@@ -87,9 +87,6 @@ def find_page(topic: str) -> PageEntry:
     Args:
         topic: A topic such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
 
-    Raises:
-        OptionError: No page has that name, or several have (CLI009).
-
     >>> find_page("Desk-Lamp").name
     'tutorials/desk-lamp'
     """

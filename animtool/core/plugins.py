@@ -172,11 +172,7 @@ class FormatTable(Generic[Entry]):
     kind: type[Entry]
 
     def find(self, path: Path) -> Entry | None:
-        """Return the entry of a file's suffix; None if there is none.
-
-        Raises:
-            OptionError: The plug-in for it cannot be loaded (IO003).
-        """
+        """Return the entry of a file's suffix; None if there is none."""
         suffix = path.suffix.lower()
         if suffix in self.builtin:
             return self.builtin[suffix]

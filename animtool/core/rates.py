@@ -86,9 +86,6 @@ def rate_from_frame_time(text: str) -> RateChoice:
     of the integers 1 to 1000 and N·1000/1001 within 2.5e-4; else the reciprocal of the
     printed decimal.
 
-    Raises:
-        ValueError: The text is not a positive finite decimal number.
-
     >>> str(rate_from_frame_time("0.0333333").fps)
     '30'
     >>> str(rate_from_frame_time("0.0417083750417").fps)
@@ -155,9 +152,6 @@ def rate_from_float(fps: float) -> Fraction:
     An integer or N·1000/1001 if the float equals one of them to 5e-6, or is the usual
     decimal for one; else the float's exact value rounded to a denominator below 1e6.
 
-    Raises:
-        ValueError: The rate is not positive and finite.
-
     >>> rate_from_float(23.976023976023978)
     Fraction(24000, 1001)
     """
@@ -192,9 +186,6 @@ _BROADCAST_RATES = {
 def exact_number(text: FractionLike) -> Fraction:
     """Return an exact number from ``24``, ``23.976`` or ``24000/1001``.
 
-    Raises:
-        ValueError: The text is not a number, or has too many digits.
-
     >>> exact_number("1e-3")
     Fraction(1, 1000)
     """
@@ -210,9 +201,6 @@ def parse_rate(text: FractionLike) -> Fraction:
     """Return a rate from ``24``, ``23.976`` or ``24000/1001``.
 
     A fraction is used as it is.
-
-    Raises:
-        RateError: The value is not a positive number.
 
     >>> parse_rate("29.97")
     Fraction(30000, 1001)

@@ -287,9 +287,6 @@ def reader_of(path: Path) -> Reader | None:
 
     A timeline named .xml has no reader.
 
-    Raises:
-        OptionError: The plug-in that has it cannot be loaded (IO003).
-
     >>> reader_of(Path("walk.txt")) is None
     True
     """
@@ -313,11 +310,6 @@ def readable_suffixes() -> list[str]:
 
 def find_reader(path: Path) -> Reader:
     """Return the reader of a file by its suffix, plug-ins included.
-
-    Raises:
-        FormatError: None has its suffix, and there is no such file (IO001).
-        OptionError: None has its suffix (IO002), or the plug-in that has it cannot
-            be loaded (IO003).
 
     >>> find_reader(Path("walk.BVH")).about
     'Biovision Hierarchy'

@@ -258,9 +258,6 @@ class FrameRange:
     def of(frames: FrameRangeLike) -> FrameRange:
         """Return a range from its first and last frame and an optional step.
 
-        Raises:
-            ValueError: It is none.
-
         >>> FrameRange.of((1, 40))
         FrameRange(first=1, last=40, step=1)
         """

@@ -104,11 +104,7 @@ _TOKEN = re.compile(r"\s*(?:(\})|'([^']+)'|(\*)?(?:(\w+)=)?([\w.]*)([?+#~]*)(\{)
 
 @cache
 def parse_template(template: str) -> tuple[JsonKey, ...]:
-    """Return the keys of a template.
-
-    Raises:
-        ValueError: It is malformed.
-    """
+    """Return the keys of a template."""
     return tuple(_parse_keys(_tokens(template)))
 
 

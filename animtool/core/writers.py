@@ -166,9 +166,6 @@ _TABLE = FormatTable(WRITERS, PLUGIN_GROUP, Writer)
 def writer_of(path: Path) -> Writer | None:
     """Return the writer of a file by its suffix; None if there is none.
 
-    Raises:
-        OptionError: The plug-in that has it cannot be loaded (IO003).
-
     >>> writer_of(Path("walk.MOT")).about
     'OpenSim motion'
     """
@@ -179,10 +176,6 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     """Return the writer of a take.
 
     folders: whether an output may be a folder, which the hint then mentions.
-
-    Raises:
-        OptionError: The file type does not contain motion (OUT004), or the plug-in for
-            its suffix cannot be loaded (IO003).
     """
     writer = writer_of(path)
     if writer is not None and writer.holds_motion:

@@ -161,11 +161,7 @@ _DAMAGE_ERRORS = (
 
 @contextmanager
 def archive_errors(path: Path) -> Iterator[None]:
-    """Turn exceptions of reading an archive into `ArrayError`.
-
-    Raises:
-        FormatError: The file changed while it was read (IO004).
-    """
+    """Turn exceptions of reading an archive into `ArrayError`."""
     try:
         yield
     except ArrayError:
@@ -340,11 +336,7 @@ class Archive:
 
 
 def _configured_limit(path: Path) -> int | None:
-    """Return the configured size limit of archives [byte]; None for no limit.
-
-    Raises:
-        ArrayError: The environment variable is not a number.
-    """
+    """Return the configured size limit of archives [byte]; None for no limit."""
     text = os.environ.get(ARRAY_LIMIT_VARIABLE)
     if text:
         if not (text.isascii() and text.isdecimal() and len(text) < 10):

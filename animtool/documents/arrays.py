@@ -48,34 +48,18 @@ class Archives:
             self._open.popitem()[1].close()
 
     def header(self, path: Path, key: str) -> ArrayHeader:
-        """Return the header of an array without its values.
-
-        Raises:
-            ValueError: The file or array is missing, not numeric, or larger
-                than the limit.
-            FormatError: The file changed while it was read (IO004).
-        """
+        """Return the header of an array without its values."""
         with archive_errors(path):
             stored_array = self._archive(path).header(key)
         return ArrayHeader(stored_array.shape, stored_array.dtype.kind)
 
     def stored(self, path: Path, key: str) -> npt.NDArray[Any]:
-        """Return an array in its stored type, read-only.
-
-        Raises:
-            ValueError: The file or array is missing, not numeric, or larger
-                than the limit.
-            FormatError: The file changed while it was read (IO004).
-        """
+        """Return an array in its stored type, read-only."""
         with archive_errors(path):
             return self._archive(path).values(key)
 
     def has(self, path: Path, key: str) -> bool:
-        """Return whether an array exists.
-
-        Raises:
-            ValueError: The file is missing.
-        """
+        """Return whether an array exists."""
         with archive_errors(path):
             return self._archive(path).has(key)
 
@@ -89,20 +73,12 @@ class Archives:
             return self._archive(path).text(key)
 
     def texts(self, path: Path, key: str) -> list[str]:
-        """Return a list of texts stored as a one-dimensional array.
-
-        Raises:
-            ValueError: The file or list is missing.
-        """
+        """Return a list of texts stored as a one-dimensional array."""
         with archive_errors(path):
             return self._archive(path).texts(key)
 
     def names(self, path: Path) -> list[str]:
-        """Return the names of the arrays of a file.
-
-        Raises:
-            ValueError: The file is missing.
-        """
+        """Return the names of the arrays of a file."""
         with archive_errors(path):
             return self._archive(path).names
 

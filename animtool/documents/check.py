@@ -75,9 +75,6 @@ def validate_document(document: Document, model: type[Model]) -> Model:
     Each faulty value is replaced by a placeholder that `Document.add` ignores,
     so that the rest can be checked before `Document.check` raises all at once. A key
     that is nearly right counts as given, and its value is not checked.
-
-    Raises:
-        FormatError: No placeholder fits.
     """
     value: Any = document.value
     while True:

@@ -195,11 +195,7 @@ class Document:
         *,
         at_key: bool = False,
     ) -> None:
-        """Record a fault at a location, or its key, unless it is a placeholder.
-
-        Raises:
-            FormatError: Too many faults; checking stops.
-        """
+        """Record a fault at a location, or its key, unless it is a placeholder."""
         if not self.is_placeholder(location):
             fault = self.fault(code, location, message, hint)
             if at_key:
@@ -287,12 +283,7 @@ def positioned(fault: Fault) -> Fault:
     "DOC007", DOCUMENT, "write the name of a file that ends in .yaml or .json"
 )
 def read_document(path: Path) -> Document:
-    """Read a YAML or JSON file.
-
-    Raises:
-        FormatError: It cannot be read, is not YAML, contains an anchor, alias or tag, a
-            duplicate key, or is not a mapping.
-    """
+    """Read a YAML or JSON file."""
     return document_of(read_text(path), path)
 
 
@@ -302,10 +293,6 @@ def document_of(text: str, path: Path) -> Document:
     Args:
         text: YAML or JSON.
         path: Path of the file, for messages and references.
-
-    Raises:
-        FormatError: It is not YAML, contains an anchor, alias or tag, a duplicate
-            key, or is not a mapping.
     """
     try:
         value, marks = read_values(text, path)
@@ -346,12 +333,7 @@ def kind_named(path: Path, default: str = "rig") -> str:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file.
-
-    Raises:
-        FormatError: It cannot be read, is too large, changes while read, or is not
-            UTF-8.
-    """
+    """Return the text of a file."""
     with open_input(path, None) as file:
         if file.state.size > MAX_TEXT_BYTES:
             message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"

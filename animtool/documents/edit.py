@@ -73,10 +73,6 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
         text: The file's text without a byte order mark.
         path: Path of the file; the suffix selects JSON or YAML.
         edits: At most one per location.
-
-    Raises:
-        EditError: An edit does not apply, or the new text would not parse as the old
-            one with the edits.
     """
     edits = list(edits)
     page = _SourceText.of(text, json=path.suffix == ".json")

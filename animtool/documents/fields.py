@@ -81,9 +81,6 @@ def shared_key(text: str, example: Any) -> Any:
 def check_numbers(value: Any) -> Any:
     """Return options unchanged; refuse numbers beyond `MAX_NUMBER`.
 
-    Raises:
-        ValueError: A number is too large or not finite.
-
     >>> check_numbers({"drag": [{"linear": 1e39}]})
     Traceback (most recent call last):
     ValueError: drag.linear is 1e+39, not a finite number up to 1e+18

@@ -176,12 +176,6 @@ def migrate(
         check: Write nothing.
         strict: Treat warnings as errors, and write nothing.
         table: Migration steps between versions, by kind.
-
-    Raises:
-        FormatError: The faults of every file.
-        OptionError: A file needs to be replaced, and ``overwrite`` is off.
-        OutputError: A file cannot be written.
-        StrictError: A warning occurred and ``strict`` is on.
     """
     plans = _plan_migrations(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)

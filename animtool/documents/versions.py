@@ -96,9 +96,6 @@ def version_of(
         document: A file.
         table: Migration steps between versions, by kind.
         kind: Expected kind; None allows every kind in the table.
-
-    Raises:
-        FormatError: It has another kind (DOC009), or an unknown version (DOC012).
     """
     kinds_in_file = [name for name in FILE_KINDS if name in document.value]
     path_kind = kind_named(document.path, "")

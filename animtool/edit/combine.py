@@ -106,10 +106,6 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         other: A take of the same joints.
         is_additive: Whether its values are deltas: rotations of these are in the frames
             of the joints, whatever the up axis.
-
-    Raises:
-        OptionError: The joints differ, or both have shapes or controls, and these
-            differ (SCN017).
     """
     check_same_rig(rig, other.rig)
     shapes = _order("shapes", rig.shapes, other.rig.shapes)

@@ -13,9 +13,6 @@ from animtool.core.errors import Fault, OptionError
 def exact_fraction(number: float, name: str) -> Fraction:
     """Return the fraction that a decimal literal denotes.
 
-    Raises:
-        OptionError: It is not finite (SCN013).
-
     >>> exact_fraction(0.1, "pivot")
     Fraction(1, 10)
     """

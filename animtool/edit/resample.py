@@ -75,10 +75,6 @@ def plan_samples(
             per frame.
         hold: Keep every frame of the range; outside the take, its first or last pose is
             held.
-
-    Raises:
-        OptionError: The range has no frame of the take, the options exclude each
-            other, or there would be more than 10 million samples.
     """
     ratio = clock.rate / fps  # source frames per time code
     frame_span = Fraction(clock.count - 1) / ratio

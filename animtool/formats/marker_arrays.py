@@ -51,11 +51,6 @@ def read_markers(
         up: Its up axis; None is that in the text ``up``, or Y.
         fps: The frame rate, if the file has a wrong one or none.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
-
-    Raises:
-        FormatError: It cannot be read, has no such array, or one that does not contain
-            positions (MKR012), no rate (MKR010), or no frames or points (MKR013).
-        OptionError: fps is not a frame rate (SCN022).
     """
     text, array_name = split_reference(str(path), "")
     path = Path(text)
@@ -180,10 +175,6 @@ def write_marker_arrays(
 
     Returns:
         Warnings about data that the format cannot store: none.
-
-    Raises:
-        OptionError: The file exists (OUT001).
-        OutputError: The file cannot be written (OUT002).
     """
     from animtool.core.files.output import check_outputs, write_arrays
 

@@ -51,11 +51,6 @@ def open_markers(
         up: Its up axis; None is the stated axis, or Y.
         fps: The frame rate, if the file states a wrong one or none.
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names.
-
-    Raises:
-        FormatError: It cannot be read or is malformed.
-        OptionError: The suffix is not that of a marker file (IO002), or fps is not a
-            frame rate (SCN022).
     """
     path = Path(path)
     opener = find_reader(file_of(path)).markers_opener(path)
@@ -65,12 +60,6 @@ def open_markers(
 def write_markers(
     markers: Markers, output: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write markers in the format of a suffix; return notices about lost data.
-
-    Raises:
-        OptionError: The suffix is not that of a marker file (OUT004), the file exists
-            (OUT001), or the format cannot store the markers.
-        OutputError: The file cannot be written (OUT002).
-    """
+    """Write markers in the format of a suffix; return notices about lost data."""
     output = Path(output)
     return marker_writer(output)(markers, output, overwrite=overwrite)

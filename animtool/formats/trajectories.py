@@ -68,12 +68,7 @@ class MarkerFile:
         self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
 
     def rate(self, stated_rate: float | None, fps: FractionLike | None) -> Fraction:
-        """Return the frame rate: the option, else the stated one.
-
-        Raises:
-            FormatError: There is neither (MKR010).
-            OptionError: The option is not a frame rate (SCN022).
-        """
+        """Return the frame rate: the option, else the stated one."""
         if fps is not None:
             return rate_option(fps)
         is_valid = stated_rate is not None and math.isfinite(stated_rate)
@@ -89,11 +84,7 @@ class MarkerFile:
     def unit(
         self, stated_unit: str | None, option: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
-        """Return the length unit: the option, else the stated one, else the default.
-
-        Raises:
-            FormatError: The file states an unknown unit (MKR011).
-        """
+        """Return the length unit: the option, else the stated one, else the default."""
         if option is not None:
             return LengthUnit(option)
         if stated_unit is None or not stated_unit.strip():

@@ -51,10 +51,6 @@ _ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
 def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     """Return the chains of a rig that match names or patterns; no pattern is all.
 
-    Raises:
-        OptionError: The rig has no chains (TGT019), or none matches a pattern (TGT001),
-            with a fault for each such pattern.
-
     >>> rig = Rig("a", (Joint("a", -1),), chains=(IkChain("arm", "a", "a"),))
     >>> [chain.name for chain in chains_of(rig, ["a*"])]
     ['arm']
@@ -105,9 +101,6 @@ def match_take(
         chains: Chains of the rig.
         path: Path of the targets file.
         reduce: Tolerance of keys [m], > 0; for rotations at a point 3 cm from the tip.
-
-    Raises:
-        OptionError: A joint that a chain hangs from is scaled (TGT016).
     """
     part, indices = sub_rig(take.rig, [chain.tip for chain in chains])
     refuse_scales(take, [(chain.name, chain.tip) for chain in chains])

@@ -44,10 +44,6 @@ def rig_and_tracks(
         take: Input of the pass.
         options: Options of the pass.
         folder: Folder of relative paths.
-
-    Raises:
-        FormatError: The targets or the rig are malformed.
-        OptionError: No targets are named (TGT013).
     """
     path = folder / _targets(options)
     if options.rig is not None:

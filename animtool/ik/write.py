@@ -39,9 +39,6 @@ def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
     Args:
         tracks: With constants, keys and arrays, whose names contain their files.
         units: Units of the file.
-
-    Raises:
-        ValueError: A value follows a prim, which cannot be written.
     """
     writer = _TargetsWriter(units)
     return TargetsText("\n".join(writer.lines(tracks)) + "\n", writer.arrays)

@@ -284,11 +284,6 @@ def evaluate(
     A BEZIER handle longer than its segment is shortened to it with the same slope,
     independent of the other handle, so that time never runs backwards.
 
-    Raises:
-        ValueError: The arrays do not fit, times do not ascend within a curve, a
-            number is not finite, or a BEZIER handle points away from its segment.
-            Only handles of segments that use them are checked.
-
     >>> ease = Curves(
     ...     first=np.array([0, 2]),
     ...     times=np.array([0.0, 3.0]),

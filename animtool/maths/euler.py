@@ -18,9 +18,6 @@ ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 def axes_of(order: str) -> tuple[int, int, int]:
     """Return the axis indices of an order.
 
-    Raises:
-        ValueError: The order does not name X, Y and Z once each.
-
     >>> axes_of("ZXY")
     (2, 0, 1)
     """

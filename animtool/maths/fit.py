@@ -80,10 +80,6 @@ def fit_keys(
     Returns:
         The keys; a single one if all samples are within the tolerance of the first.
 
-    Raises:
-        ValueError: A shape does not fit, a value is not finite, a tolerance or its
-            scale is not above 0, anchors do not ascend, or ``within`` is reversed.
-
     References:
         C. L. Lawson, Contributions to the theory of linear least maximum
         approximation, 1961, for the weights.

@@ -76,9 +76,6 @@ def squad(q: ArrayLike, u: ArrayLike) -> FloatArray:
     Returns:
         Unit quaternions ``(U, 4)``.
 
-    Raises:
-        ValueError: A shape does not fit, or a key is zero or not finite.
-
     References:
         K. Shoemake, Quaternion calculus and fast animation, SIGGRAPH course notes,
         1987: s = q·exp(-(log(q⁻¹·next) + log(q⁻¹·previous))/4).
@@ -165,9 +162,6 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
 
     Returns:
         Unit quaternions ``(U, 4)``.
-
-    Raises:
-        ValueError: A shape does not fit, or a key is zero or not finite.
 
     References:
         M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
@@ -267,10 +261,6 @@ def evaluate_rotations(
     Returns:
         Unit quaternions ``(F, 4)`` or ``(F, C, 4)``, of continuous sign in the order
         of ``at``. At its time a key is returned exactly, normalised.
-
-    Raises:
-        ValueError: A shape does not fit, times do not ascend, a number is not finite,
-            a key is zero, or a kind is unknown.
 
     References:
         M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit

@@ -84,9 +84,6 @@ class DriverRun:
             times: Times of its frames, for reports ``(F,)``.
             coordinates: Unwrapped joint coordinates that override the motion's, by name
                 such as ``elbow.angle``.
-
-        Raises:
-            FormatError: A driver has no value at some frame (CLIP015).
         """
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.

@@ -27,9 +27,6 @@ def drive_take(take: Take) -> Take:
     """Return a take with driven joints, shapes and controls evaluated.
 
     Adds a notice for each joint whose driver exceeds its limits.
-
-    Raises:
-        FormatError: A driver has no value at some frame (CLIP015).
     """
     if not take.rig.is_driven:
         return take

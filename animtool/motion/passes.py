@@ -210,11 +210,7 @@ class PassContext:
                 self.notices.append(notice)
 
     def take(self, path: Path | None, option: str = "take") -> Take:
-        """Return the take that an option names.
-
-        Raises:
-            OptionError: The option names no take (SCN024).
-        """
+        """Return the take that an option names."""
         return self.open(self.folder / required_take_path(path, option))
 
 

@@ -127,12 +127,6 @@ def write_page(
         output: Path of the page, ``.html``.
         options: What the page shows.
         overwrite: Replace an existing page.
-
-    Raises:
-        FormatError: A file cannot be read, or is malformed.
-        OptionError: A file shows nothing (PRV001), the page is no ``.html`` (PRV002)
-            or exists (OUT001), or it would be too large (PRV003).
-        OutputError: The page cannot be written.
     """
     paths = [Path(file) for file in files]
     check_page_output(output, paths, overwrite=overwrite)

@@ -136,10 +136,6 @@ def open_file(
         options: How to read it.
         all_files: All files of the page; an option may apply to some of them only.
         context: Keeps resources open until the page is built.
-
-    Raises:
-        FormatError: It cannot be read, or is malformed.
-        OptionError: A file of its kind cannot be shown by itself (PRV001).
     """
     for kind, hint in _NOT_SHOWN_HINTS.items():
         if has_kind_suffix(path, kind):

@@ -33,10 +33,6 @@ def page_steps(
         files: As in `animtool.preview.build.write_page`.
         output: Path of the page; None is a temporary file.
         options: What the page shows.
-
-    Raises:
-        FormatError: A file cannot be read, or is malformed.
-        OptionError: A file shows nothing (PRV001).
     """
     options = options or PreviewOptions()
     steps: list[PlanStep] = []

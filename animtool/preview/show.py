@@ -87,12 +87,6 @@ class Preview:
             path: ``.html``, or any output of `animtool.write_pictures`.
             overwrite: Replace an existing file.
             pictures: Appearance of a picture or film.
-
-        Raises:
-            OptionError: The suffix is neither of a page nor of a picture (PRV002), or
-                the file exists (OUT001); for pictures also as for
-                `animtool.write_pictures`.
-            OutputError: It cannot be written (OUT002).
         """
         from animtool.core.files.output import check_outputs, write_parts
         from animtool.preview.pictures.kinds import picture_kind

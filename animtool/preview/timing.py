@@ -135,12 +135,7 @@ def timeline_of(
     fps: Fraction,
     options: PreviewOptions,
 ) -> Timeline:
-    """Return the timeline that covers all files.
-
-    Raises:
-        OptionError: No requested frame is in the files (CLI005), or there are too many
-            frames (PRV003).
-    """
+    """Return the timeline that covers all files."""
     spans = [
         _range_in_stage(timed, _authored_range(files[timed.file], fps))
         for timed in timed_takes

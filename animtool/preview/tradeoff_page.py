@@ -40,10 +40,6 @@ def write_tradeoff_page(
         output: Path of the page.
         overwrite: Replace an existing page.
         calling: How texts refer to arguments: as options or in Python.
-
-    Raises:
-        OptionError: The page exists (OUT001).
-        OutputError: It cannot be written.
     """
     check_outputs([output], [report.source], overwrite=overwrite)
     write_parts(output, (part.encode() for part in page_parts(report, calling)))

@@ -56,9 +56,6 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
 
     Args:
         path: A USD file.
-
-    Raises:
-        FormatError: It cannot be opened.
     """
     from animtool.usd.takes.stage_takes import read_characters
 

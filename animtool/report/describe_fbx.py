@@ -12,11 +12,7 @@ from animtool.report.describe_gltf import GltfClip, GltfContents
 
 
 def fbx_contents(path: Path | str) -> GltfContents:
-    """Return the contents of an FBX file.
-
-    Raises:
-        FormatError: It is malformed; see `animtool.formats.fbx.read.read_fbx`.
-    """
+    """Return the contents of an FBX file."""
     scene = open_fbx(path)
     skeletons = characters(scene) if scene.nodes else ()
     clips = [

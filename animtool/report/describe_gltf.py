@@ -49,11 +49,7 @@ class GltfDescription:
 
 
 def gltf_contents(path: Path | str) -> GltfContents:
-    """Return the contents of a glTF file.
-
-    Raises:
-        FormatError: It is malformed; see `animtool.formats.gltf.read.read_gltf`.
-    """
+    """Return the contents of a glTF file."""
     return _contents(open_gltf(path))
 
 

@@ -131,9 +131,6 @@ def render(
         lines: Line templates.
         printers: Printers in addition to `PRINTED`.
 
-    Raises:
-        AttributeError: No field has a name used in a template.
-
     >>> lines = ["{path}: {joints:n joint}", "  notes  [{notes:list}|none]"]
     >>> render({"path": "a.bvh", "joints": 1, "notes": []}, lines)
     ['a.bvh: 1 joint', '  notes  none']

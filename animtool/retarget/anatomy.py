@@ -98,9 +98,6 @@ def find_anatomy(
             None is the rest pose. Only sides and fingers depend on it, and only if
             names do not tell.
         by_names: Whether names are used.
-
-    Raises:
-        OptionError: Unknown preset (MAP003).
     """
     names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:

@@ -76,11 +76,7 @@ class _StanceTracks:
 
 
 def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Take:
-    """Return a take whose root does not drift; its local pose is unchanged.
-
-    Raises:
-        FormatError: The map file cannot be read, or names an unknown joint.
-    """
+    """Return a take whose root does not drift; its local pose is unchanged."""
     path = None if options.map is None else context.folder / options.map
     try:
         joint_map = map_joints(take.rig, take.rig, map_file=path)

@@ -152,9 +152,6 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
 
     A joint is matched by its name, by its name in the source file, and by either
     without namespace and prefix.
-
-    Raises:
-        FormatError: Neither skeleton has a joint of that name (MAP001).
     """
     document, model = file.document, file.model
     rigs = {"source": source, "target": target}

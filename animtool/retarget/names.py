@@ -232,11 +232,7 @@ def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def find_preset(name: str) -> Preset:
-    """Return a shipped convention.
-
-    Raises:
-        OptionError: Unknown preset (MAP003).
-    """
+    """Return a shipped convention."""
     table = presets()
     if name not in table:
         hint = nearest(name, sorted(table))

@@ -208,11 +208,6 @@ def retarget_stream(
         options: Retargeting options.
         same: Whether feet are also planted on legs like those of the source.
         props: Tracks of the take that hands may grip.
-
-    Raises:
-        FormatError: The map file cannot be read, or names an unknown joint; or
-            too little is paired (MAP010), or limbs have no length (MAP011).
-        OptionError: Nothing maps (MAP004), or the take lacks the rest frame (MAP006).
     """
     _check_bound(options)
     as_rig = options.rest == "rig"
@@ -308,11 +303,7 @@ def _pair_joints(
 def _rest_frame(
     blocks: Iterator[Motion], frame: int | None
 ) -> tuple[FloatArray | None, Iterator[Motion]]:
-    """Return local rotations of the rest frame ``(J, 4)``, and all blocks.
-
-    Raises:
-        OptionError: There is no such frame (MAP006).
-    """
+    """Return local rotations of the rest frame ``(J, 4)``, and all blocks."""
     if frame is None:
         return None, blocks
     buffered, count = [], 0

@@ -119,9 +119,6 @@ def driving_order(rig: Rig) -> list[str]:
 
     This includes joints that mimic such a joint, and controls that a driven control
     drives. Shapes are last.
-
-    Raises:
-        DriverCycleError: A target depends on itself.
     """
     dependencies: dict[str, dict[str, None]] = {}
     for joint in rig.joints:
@@ -208,12 +205,7 @@ class DriverPlan:
 
     @staticmethod
     def of(rig: Rig) -> DriverPlan:
-        """Return the plan of a rig.
-
-        Raises:
-            OptionError: A driver reads an input that the rig lacks (RIG008, RIG012,
-                RIG033), or a target depends on itself (RIG032), with every such fault.
-        """
+        """Return the plan of a rig."""
         drivers = [
             *(joint.driven for joint in rig.joints),
             *(shape.driven for shape in rig.shapes),

@@ -62,9 +62,6 @@ def forward_kinematics(
             memory takes longer than the arithmetic. Of as many frames; must not overlap
             the inputs.
 
-    Raises:
-        ValueError: A shape does not fit the rig.
-
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
     >>> quarter = [0, 0, 0.5**0.5, 0.5**0.5]

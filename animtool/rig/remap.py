@@ -95,11 +95,7 @@ class ShapeLinks:
 
 
 def load_remap(path: Path | str) -> RemapFile:
-    """Load a remap file; `link_shapes` checks its shape names.
-
-    Raises:
-        FormatError: It cannot be read or is malformed, with every fault.
-    """
+    """Load a remap file; `link_shapes` checks its shape names."""
     return parse_remap(read_document(Path(path)))
 
 
@@ -129,9 +125,6 @@ def link_shapes(
 
     Names are equal, or spellings of the same ARKit name, such as
     ``blendShape1.eyeBlink_L``.
-
-    Raises:
-        FormatError: A named shape is missing (FAC001).
     """
     source_index, target_index = _shapes_by_name(source), _shapes_by_name(target)
     links: list[ShapeLink] = []

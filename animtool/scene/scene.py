@@ -175,11 +175,6 @@ class Scene:
         Args:
             keeps: Whether passes write files of their own, as in a bake.
             progress: Called with the fraction done, 0 to 1, until the blocks are read.
-
-        Raises:
-            FormatError: A source is malformed, or a pass cannot be applied to it,
-                with the pass's place; the blocks may raise it too.
-            OptionError: An option does not apply to the source.
         """
         slow_passes = sum(entry.pass_.tells for entry in self.passes)
         block_progress = (
@@ -208,10 +203,6 @@ class Scene:
         """Yield the source and the result of each pass, as takes and as streams.
 
         Props that no pass retimes are not included. Passes write no file.
-
-        Raises:
-            FormatError: As `open`, at the step that raises it.
-            OptionError: Likewise.
         """
         source = self._source()
         props = self._open_props(source)
@@ -227,9 +218,6 @@ class Scene:
         """Return the result of a pass on a take, with its preroll.
 
         It writes no file.
-
-        Raises:
-            FormatError: It cannot be applied to the take; the blocks may raise it too.
         """
         return self._apply_pass(stream, entry, self._context(keeps=False))
 
@@ -359,10 +347,6 @@ class Scene:
 
         Args:
             stop: Last pass to run, by name or number; the first is 1, and 0 runs none.
-
-        Raises:
-            OptionError: There is none of that name or number, or there are several of
-                that name (SCN043).
         """
         names = [entry.pass_.name for entry in self.passes]
         numbers = [i for i, name in enumerate(names, 1) if name == stop]

@@ -134,11 +134,7 @@ class EnergyWatch:
 
 
 def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
-    """Return sample times as an array; they must be finite and ascending.
-
-    Raises:
-        OptionError: The times cannot be integrated over (SIM002).
-    """
+    """Return sample times as an array; they must be finite and ascending."""
     times = np.asarray(values, np.float64)
     message, hint = "", None
     if times.ndim != 1 or not len(times):
@@ -158,12 +154,7 @@ def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
 
 
 def check_supported(equations: Equations, integrator: Integrator) -> None:
-    """Raise if a method does not support a system.
-
-    Raises:
-        OptionError: The system has no accelerations, which the method needs, or has
-            contacts, which it does not support (SIM006).
-    """
+    """Raise if a method does not support a system."""
     name, message, hint = integrator.name, "", None
     if equations.first_order is None and equations.second_order is None:
         kind = type(equations.system).__name__
@@ -182,11 +173,7 @@ def check_supported(equations: Equations, integrator: Integrator) -> None:
 
 
 def check_start(equations: Equations, t: float, state: FloatArray) -> None:
-    """Raise if the initial state is missing or invalid.
-
-    Raises:
-        OptionError: The start or its rate is not finite or has a wrong shape (SIM003).
-    """
+    """Raise if the initial state is missing or invalid."""
     faults = _state_faults(equations, state) or _rate_faults(equations, t, state)
     if faults:
         raise OptionError([Fault("SIM003", fault, where="state") for fault in faults])

@@ -67,11 +67,7 @@ class IntegrateOptions:
 
 
 def check_options(options: IntegrateOptions) -> Integrator:
-    """Return the integrator that options name; raise if they are invalid.
-
-    Raises:
-        OptionError: Options are invalid (SIM001, SIM004, SIM005, SIM006); lists all.
-    """
+    """Return the integrator that options name; raise if they are invalid."""
     integrator = _integrator_of(options)
     faults = _option_faults(options, integrator.control)
     if faults:
@@ -97,12 +93,7 @@ def finer_options(options: IntegrateOptions) -> IntegrateOptions:
 
 
 def _integrator_of(options: IntegrateOptions) -> Integrator:
-    """Return the integrator that options name.
-
-    Raises:
-        OptionError: The method is unknown (SIM001), or its base does not support step
-            doubling (SIM006).
-    """
+    """Return the integrator that options name."""
     integrator = find_integrator(options.method)
     if options.method == "adaptive_doubling" and options.base != "rk4":
         from animtool.sim.integrators.adaptive import step_doubling

@@ -51,10 +51,6 @@ def character_meshes(
         joints: Names of the J joints of the skeleton.
         bind: World transforms of the joints at bind time ``(J, 4, 4)`` [m].
         shapes: Names of the weighted shapes.
-
-    Raises:
-        FormatError: All faults of the meshes: wrong lengths, unknown joints or
-            vertices, values that are not finite, invalid weights (SKIN001 to SKIN006).
     """
     joint_indices = {name: i for i, name in enumerate(joints)}
     columns = {name: i for i, name in enumerate(shapes)}
@@ -85,9 +81,6 @@ def character_strands(
         strands: ``(S, K, 3)`` points each, flattened to one row of vertices.
         joints: Names of the J joints of the skeleton.
         bind: World transforms of the joints at bind time ``(J, 4, 4)`` [m].
-
-    Raises:
-        FormatError: A bind transform is singular or not finite (SKIN003, USD226).
     """
     meshes, faults = [], []
     no_shapes = np.zeros(0, np.int64)

@@ -123,10 +123,6 @@ def deform(
             second-order central differences, one-sided at the ends; None for no
             velocities.
 
-    Raises:
-        ValueError: Neither weights nor joints, different numbers of frames, or normals
-            of a mesh without any.
-
     >>> mesh = DeformedMesh(np.eye(3))
     >>> deform(mesh, np.zeros((2, 0))).extents[1].tolist()
     [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
@@ -190,9 +186,6 @@ def deform_blocks(
 
     Returns:
         Blocks that share memory: each must be used before the next is requested.
-
-    Raises:
-        ValueError: As for `deform`.
     """
     values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
     frames = _frame_count(values, world)

@@ -74,11 +74,6 @@ def read_influences(
         max_influences: Number of the strongest influences to keep per vertex;
             None keeps all.
 
-    Raises:
-        FormatError: Every fault: arrays that do not match each other or the vertices
-            (SKIN001), an invalid joint index (SKIN002), a weight that is not finite
-            (SKIN003), a vertex without weight (SKIN004).
-
     >>> influences, report = read_influences([[0, 1]], [[3.0, 1.0]], joints=2)
     >>> influences.weights.tolist(), report.normalized, report.sum_error
     ([0.75, 0.25], 1, 3.0)

@@ -57,11 +57,7 @@ _TOML_TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
 
 def read_camera_document(path: Path) -> Document:
-    """Return a camera file as a document: YAML, JSON, TOML or OpenCV storage.
-
-    Raises:
-        FormatError: It cannot be read, or has another format.
-    """
+    """Return a camera file as a document: YAML, JSON, TOML or OpenCV storage."""
     text = read_text(path)
     if path.suffix.lower() == ".toml":
         return _parse_toml(text, path)
@@ -105,13 +101,7 @@ def _node_count(value: Any) -> int:
 def parse_calibration(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
-    """Return another program's calibration document as cameras.
-
-    Raises:
-        FormatError: With every fault: there are no cameras, or a value of one is
-            missing or wrong (CAM003), a rotation is invalid (CAM001), or a name is
-            used twice (CAM002).
-    """
+    """Return another program's calibration document as cameras."""
     scale = (unit or _stated_unit(document)).meters
     entries = list(_camera_entries(document.value))
     if not entries:

@@ -104,12 +104,7 @@ class CamerasModel(FileModel):
 
 
 def parse_cameras(document: Document) -> Cameras:
-    """Return a document as cameras.
-
-    Raises:
-        FormatError: With every fault, such as an invalid rotation (CAM001) and a
-            duplicate name (CAM002).
-    """
+    """Return a document as cameras."""
     check_version(document, "cameras")
     model = validate_document(document, CamerasModel)
     scale = LengthUnit(model.units.length).meters
@@ -187,10 +182,6 @@ def load_all_cameras(
     """Return the cameras of several files, such as one file per camera.
 
     A camera without a name in its file is named after the file.
-
-    Raises:
-        FormatError: One cannot be read, a name is in two (CAM002), or their worlds
-            have different up axes (CAM003).
     """
     camera_sets = [load_cameras(path, unit=unit, up=up) for path in paths]
     if len(camera_sets) == 1:

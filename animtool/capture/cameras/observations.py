@@ -209,12 +209,7 @@ def _observation_rate(
 
 
 def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
-    """Return the cameras in the order of the observations.
-
-    Raises:
-        OptionError: They are not those of the file (CAM011), or fewer than two
-            (CAM012).
-    """
+    """Return the cameras in the order of the observations."""
     path = cameras.path or None
     views = observations.stored.shape[1]
     if observations.cameras:

@@ -92,10 +92,6 @@ def read_capture(
         unit: Unit of positions; None takes it from the file.
         up: The up axis; None takes it from the file, else Y.
         fps: The frame rate; None takes it from the file.
-
-    Raises:
-        FormatError: It cannot be read, or its arrays do not fit together (FAC003).
-        OptionError: Markers cannot be read from its file type (IO002).
     """
     text, array = split_reference(str(path), "")
     path = Path(text)
@@ -241,9 +237,6 @@ def order_landmarks(
     """Return landmarks in a face's order ``(F, N, …)``, and warnings.
 
     Named landmarks match by name, so that others may be missing; unnamed ones by index.
-
-    Raises:
-        OptionError: Their number differs, or no name matches (FAC004).
     """
     path, count = str(capture.path), len(model.names)
     if capture.names is None or capture.names == model.names:

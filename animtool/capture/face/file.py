@@ -136,9 +136,6 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     """Return a rig's landmarks and their displacement by each shape.
 
     Shapes with a weight are solved for; combined shapes depend on them.
-
-    Raises:
-        FormatError: The rig has no such mesh, or the mesh no such vertex (FAC008).
     """
     surfaces = {surface.name: surface for surface in surfaces_of(rig)}
     rows = _landmark_rows(file, surfaces)

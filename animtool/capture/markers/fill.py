@@ -108,10 +108,6 @@ def fill_markers(
         subject: The subject wearing the markers; its template lists those the skeleton
             predicts. Frames with fewer than three are not predicted.
 
-    Raises:
-        OptionError: The markers do not fit the subject, as of
-            `animtool.capture.solve.calibrate`.
-
     >>> from animtool.core.clock import Clock
     >>> path = np.zeros((9, 1, 3)) + np.arange(9.0)[:, None, None]
     >>> path[4] = np.nan

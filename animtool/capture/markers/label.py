@@ -228,10 +228,6 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     Args:
         cloud: Points in any order, which may change from frame to frame.
         static: The subject's labelled static trial; its frames are averaged.
-
-    Raises:
-        OptionError: The trial has fewer than four markers (MKR020), or nothing in the
-            cloud fits it (MKR021).
     """
     names, rest = _static_template(static)
     rate = float(cloud.clock.rate)

@@ -102,9 +102,6 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
     """Return the markers of a take on a subject's skeleton.
 
     Bones and offsets are calibrated to the take, then its poses are solved.
-
-    Raises:
-        OptionError: As of `animtool.capture.solve.calibrate`.
     """
     calibration = calibrate(
         markers,

@@ -146,10 +146,6 @@ def marker_model(
         template: M markers.
         columns: Index of each marker in the capture ``(M,)``, -1 if it is
             missing, as `animtool.capture.templates.match_markers` finds them.
-
-    Raises:
-        OptionError: The rig lacks a joint (MKT001), the capture has fewer than 3
-            markers (SOL003), or no joint moves any (IK003).
     """
     rig = with_types(rig)
     joints = template.joints(rig)

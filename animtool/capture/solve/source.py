@@ -51,11 +51,6 @@ def open_markers_source(
         up: The up axis of the same file.
         fps: The frame rate, if the file lacks one or its rate is wrong.
         progress: Called with the fraction done.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: The template (SOL007) or rig (SOL008) is missing, or the markers
-            do not fit them, as of `animtool.capture.solve.solve_markers`.
     """
     if cameras is None:
         markers = open_markers(path, unit=unit, up=up, fps=fps)
@@ -100,13 +95,7 @@ def triangulate_source(
     up: UpAxis | None = None,
     fps: Any = None,
 ) -> Markers:
-    """Return triangulated markers, with the notices about the cameras.
-
-    Raises:
-        FormatError: A file cannot be read.
-        OptionError: Cameras and observations do not fit each other (CAM011 to
-            CAM014), or an option is out of range (CAP001).
-    """
+    """Return triangulated markers, with the notices about the cameras."""
     from animtool.capture.cameras.file import load_all_cameras
     from animtool.capture.cameras.observations import read_observations
     from animtool.capture.cameras.triangulate import triangulate

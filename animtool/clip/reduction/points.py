@@ -33,9 +33,6 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         others: Tolerances by joint name or pattern such as ``hand_*``; the last match
             counts [m].
 
-    Raises:
-        OptionError: A name matches no joint, or a tolerance is not above 0 (CLIP020).
-
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("upper", -1), Joint("hand", 0)))
     >>> joint_bounds(arm, 0.001, {"ha*": 0.0001}).tolist()

@@ -93,10 +93,6 @@ def reduce_motion(
         Keys and their errors; `animtool.clip.reduction.keys.evaluate_reduction` returns
         the motion if ``tracks`` is None.
 
-    Raises:
-        OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
-        ValueError: The take has no frame, or the base's joints or frames differ.
-
     References:
         N. Frechette, Animation Compression Library, 2017: error on a shell around
         each joint, in world space.

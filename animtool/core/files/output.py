@@ -100,11 +100,7 @@ def name_key(path: PurePath | str) -> str:
 
 
 def is_inside(path: Path, folder: Path) -> bool:
-    """Return whether a path is in a folder, following links.
-
-    Raises:
-        OSError: A link cannot be followed.
-    """
+    """Return whether a path is in a folder, following links."""
     try:
         return path.resolve().is_relative_to(folder.resolve())
     except RuntimeError as error:

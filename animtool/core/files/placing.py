@@ -47,12 +47,7 @@ class OutputTarget:
 
 
 def output_target(path: Path) -> OutputTarget:
-    """Return the resolved path of an output, following links.
-
-    Raises:
-        OutputError: It leads to something other than a file (OUT005), or is
-            inaccessible (OUT002).
-    """
+    """Return the resolved path of an output, following links."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -134,10 +129,6 @@ class WrittenFile:
 
         Args:
             new: Whether the final name must be unused.
-
-        Raises:
-            OptionError: The name is in use (OUT001).
-            OutputError: It cannot be renamed.
         """
         try:
             if new:

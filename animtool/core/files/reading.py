@@ -264,11 +264,7 @@ class InputFile(io.FileIO):
         return len(data)
 
     def read_all(self) -> bytes:
-        """Return all remaining bytes of a file that must not change.
-
-        Raises:
-            FormatError: It cannot be read (IO001), or changed (IO004).
-        """
+        """Return all remaining bytes of a file that must not change."""
         try:
             data = self.readall()
         except OSError as error:

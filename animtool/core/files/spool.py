@@ -30,11 +30,7 @@ class Spool:
         self._file: IO[bytes] | None = None
 
     def append(self, arrays: Sequence[FloatArray]) -> None:
-        """Append a list of arrays.
-
-        Raises:
-            OutputError: There is no room for the temporary file (OUT002).
-        """
+        """Append a list of arrays."""
         size = sum(array.nbytes for array in arrays)
         if self._file is None and size <= self._free_bytes:
             self._free_bytes -= size

@@ -155,12 +155,6 @@ def read_c3d(
         fps: The frame rate, if the file states a wrong one or none.
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names; None
             is the only subject, if there is only one.
-
-    Raises:
-        FormatError: It cannot be read, is not a C3D (C3D001), is truncated (C3D002),
-            has contradictory counts (C3D003), states no rate (MKR010) or an unknown
-            unit (MKR011), or has no points (MKR013).
-        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     file = MarkerFile(str(path))

@@ -133,9 +133,6 @@ def read_sections(data: bytes) -> Sections:
     """Return header and parameters; after a broken parameter, none are read.
 
     A file without parameters is read by its header alone.
-
-    Raises:
-        MalformedError: It is not a C3D file.
     """
     if len(data) < BLOCK_BYTES or data[1] != MAGIC:
         state = "does not start like a C3D file" if data else "is empty"
@@ -167,11 +164,7 @@ def _read_header(data: bytes, processor: Processor) -> Header:
 
 
 def _header_only(data: bytes, kind: int) -> tuple[Header, Processor]:
-    """Return the header of a file without parameters, and its processor.
-
-    Raises:
-        MalformedError: The header is impossible for every processor.
-    """
+    """Return the header of a file without parameters, and its processor."""
     for processor in sorted(Processor, key=lambda p: (p != kind, p)):
         header = _read_header(data, processor)
         if _is_possible(header, len(data)):

@@ -56,11 +56,6 @@ def write_c3d(
 
     Returns:
         Warnings about data that C3D cannot store.
-
-    Raises:
-        OptionError: The file exists (OUT001), or there are more markers or longer names
-            than C3D can store (C3D010).
-        OutputError: The file cannot be written (OUT002).
     """
     from animtool.core.files.output import check_outputs, write_parts
 

@@ -93,9 +93,6 @@ def choose_character(
             the complete file. None is the first character of the default scene.
         unknown: Code of the error for an unknown character.
         several: Code of the note about other characters.
-
-    Raises:
-        FormatError: No character has that name, or the file has no nodes (`unknown`).
     """
     where = str(file.path)
     if not file.nodes:

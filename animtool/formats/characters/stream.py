@@ -60,9 +60,6 @@ def choose_take(
         take: Name of the requested take; None is the default.
         candidates: Indices of takes that can be read without a name.
         default: Index of the default; the first candidate if it is none of them.
-
-    Raises:
-        FormatError: No take has the name.
     """
     if take is not None:
         if take in names:

@@ -37,11 +37,7 @@ MIN_BATCH_VALUES = 12
 
 
 def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
-    """Return the version and the root of a binary FBX.
-
-    Raises:
-        FormatError: A length or an offset points outside its record (FBX002).
-    """
+    """Return the version and the root of a binary FBX."""
     if len(content) < HEADER_BYTES:
         _raise_fault(
             notes,

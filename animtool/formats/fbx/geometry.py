@@ -87,12 +87,7 @@ class FbxGeometry:
 
 
 def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
-    """Return the mesh of each node that shows one, by node id.
-
-    Raises:
-        FormatError: Numbers of a mesh, skin or shape are invalid (FBX005, FBX008), or
-            it is deformed in an unsupported way (FBX004).
-    """
+    """Return the mesh of each node that shows one, by node id."""
     if file.version < FIRST_NUMBERED_VERSION:
         old_meshes = [
             model_object

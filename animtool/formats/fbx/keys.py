@@ -33,9 +33,6 @@ def curve_of_object(
     """Return the curve of an AnimationCurve object (FBX 7000 and newer).
 
     ``new_ticks`` is whether its times count 141,120,000 ticks per second.
-
-    Raises:
-        FormatError: Its arrays do not match, or times descend (FBX006).
     """
     times = integers(element, "KeyTime", notes)
     if times is None or not len(times):

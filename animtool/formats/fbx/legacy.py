@@ -23,11 +23,7 @@ _UNSUPPORTED_PROPERTIES = (
 
 
 def with_objects(root: Element, notes: FileNotices) -> Element:
-    """Convert the elements of versions 5000 to 5999 to the 6100 layout.
-
-    Raises:
-        FormatError: A model has an unsupported element (FBX004).
-    """
+    """Convert the elements of versions 5000 to 5999 to the 6100 layout."""
     objects = Element("Objects", [], root.where)
     links = Element("Connections", [], root.where)
     for model in root.all("Model"):

@@ -107,12 +107,7 @@ class Model:
 
 
 def read_models(file: FbxFile) -> list[Model]:
-    """Return the nodes, parents first.
-
-    Raises:
-        FormatError: A node is its own ancestor (FBX009), has an unsupported rotation
-            order (FBX004), or there are too many nodes (FBX013).
-    """
+    """Return the nodes, parents first."""
     objects = [
         element
         for element in file.of_kind("Model")

@@ -132,12 +132,7 @@ def scalar(owner: Object, name: str, default: float, notes: FileNotices) -> floa
 
 @expects_format("FBX001", "an FBX file")
 def open_objects(path: Path | str) -> FbxFile:
-    """Open an FBX; return its objects.
-
-    Raises:
-        FormatError: It is not an FBX (FBX001), is malformed (FBX001, FBX002), of an
-            unsupported version (FBX003), or too large (FBX013).
-    """
+    """Open an FBX; return its objects."""
     path = Path(path)
     notes = FileNotices(str(path))
     content = read_input(path)

@@ -44,9 +44,6 @@ def curve_of_channel(
     """Return the curve of a take's channel (before FBX 7000).
 
     ``layout`` is that of its keys if it states none.
-
-    Raises:
-        FormatError: Its keys do not parse, or their times descend (FBX006).
     """
     key = element.find("Key")
     if key is None or not key.values:

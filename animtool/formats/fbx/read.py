@@ -60,11 +60,6 @@ def read_fbx(
         prim_path: The character, if the file has several.
         take: Name of the take; None is the take that was current when the file was
             saved.
-
-    Raises:
-        FormatError: The file is malformed, uses an unsupported feature, or has no such
-            character or take (FBX001 to FBX015).
-        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -104,9 +99,6 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
     Args:
         path: A .fbx file.
         prim_path: The character, as in `read_fbx`.
-
-    Raises:
-        FormatError: As for `read_fbx`.
     """
     scene = open_fbx(path)
     character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
@@ -117,11 +109,7 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
 
 
 def take_names(path: Path) -> list[str]:
-    """Return the names of an FBX's takes, in file order.
-
-    Raises:
-        FormatError: As for `read_fbx`.
-    """
+    """Return the names of an FBX's takes, in file order."""
     return take_names_of(open_fbx(path))
 
 

@@ -157,9 +157,6 @@ def frames_of(
         take: The take; None is one frame.
         fps: Requested frame rate; None is the file's.
         width: Animated numbers per frame.
-
-    Raises:
-        FormatError: It has too many frames (FBX013).
     """
     rate = fps or scene.settings.fps
     if take is None:

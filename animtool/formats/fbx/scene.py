@@ -66,10 +66,6 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     """Open an FBX; every number that affects motion is checked.
 
     ``up`` is the up axis of the file; None is the stated axis.
-
-    Raises:
-        FormatError: It cannot be read safely, or uses an unsupported feature (FBX001 to
-            FBX013), with the byte offset or the line.
     """
     file = open_objects(path)
     settings = read_settings(file, up)

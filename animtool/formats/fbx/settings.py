@@ -65,10 +65,6 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     """Return the global settings of a file.
 
     ``up`` is the up axis of the file; None is the stated axis.
-
-    Raises:
-        FormatError: Its axes are left-handed or invalid (FBX007), or unit or rate are
-            not positive numbers (FBX005).
     """
     notes, settings = file.notes, file.settings
     factor = scalar(settings, "UnitScaleFactor", 1.0, notes)

@@ -101,12 +101,7 @@ class AnimTake:
 
 
 def read_takes(file: FbxFile) -> list[AnimTake]:
-    """Return the takes of a file, in file order.
-
-    Raises:
-        FormatError: A curve is malformed (FBX005, FBX006), or a layer has an
-            unsupported mode (FBX004).
-    """
+    """Return the takes of a file, in file order."""
     if file.version < FIRST_NUMBERED_VERSION:
         return _takes_before_7000(file)
     reader = _StackReader(file)

@@ -37,11 +37,7 @@ def looks_like_text(content: bytes) -> bool:
 
 
 def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
-    """Return the version and root element of a text FBX.
-
-    Raises:
-        FormatError: It does not parse (FBX001), with the line.
-    """
+    """Return the version and root element of a text FBX."""
     match = _VERSION.search(content, 0, 100_000)
     version = int(match[1]) if match else 0
     if not version:

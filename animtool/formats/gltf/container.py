@@ -34,12 +34,7 @@ class Container:
 
 
 def read_container(path: Path, notes: FileNotices) -> Container:
-    """Read a .gltf or .glb; the first bytes decide which it is.
-
-    Raises:
-        FormatError: It cannot be read (IO001), is not JSON (GLT001), or its chunks are
-            malformed (GLT002).
-    """
+    """Read a .gltf or .glb; the first bytes decide which it is."""
     content = memoryview(read_input(path))
     glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == MAGIC
     if not glb:

@@ -93,12 +93,7 @@ class Gltf:
 
 @expects_format("GLT001", "a glTF file")
 def open_gltf(path: Path | str) -> Gltf:
-    """Open a .gltf or .glb; every number that affects motion is checked.
-
-    Raises:
-        FormatError: It cannot be read safely, or is ambiguous (GLT001 to GLT013), with
-            the JSON pointer or the byte offset.
-    """
+    """Open a .gltf or .glb; every number that affects motion is checked."""
     path = Path(path)
     notes = FileNotices(str(path))
     container = read_container(path, notes)

@@ -84,11 +84,7 @@ class GlbBuilder:
         return index
 
     def parts(self) -> Iterator[bytes | memoryview]:
-        """Yield the bytes of the GLB in chunks.
-
-        Raises:
-            OutputError: The file would exceed 4 GB, the limit of GLB (OUT002).
-        """
+        """Yield the bytes of the GLB in chunks."""
         if self._length:
             self.json["buffers"] = [{"byteLength": self._length}]
         text = json.dumps(

@@ -22,11 +22,7 @@ MAX_NODES = 200_000
 def read_nodes(
     root: JsonItem, notes: FileNotices, meshes: int, skins: int
 ) -> tuple[Node, ...]:
-    """Return the nodes in file order.
-
-    Raises:
-        FormatError: There is a cycle, or a node with two parents (GLT009).
-    """
+    """Return the nodes in file order."""
     items = root.children("nodes")
     if len(items) > MAX_NODES:
         notes.fail("GLT013", "/nodes", f"{len(items)} nodes; the limit is {MAX_NODES}")

@@ -57,11 +57,6 @@ def read_gltf(
         fps: Frames per second; None is the first common rate with all keys on frames.
         prim_path: The character, if the file has several.
         take: Name of the animation; None is the first.
-
-    Raises:
-        FormatError: The file is malformed, requires an unsupported extension, or has no
-            such character or animation (GLT001 to GLT015).
-        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -105,9 +100,6 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     Args:
         path: A .gltf, .glb or .vrm file.
         prim_path: The character, as in `read_gltf`.
-
-    Raises:
-        FormatError: As for `read_gltf`.
     """
     gltf = open_gltf(path)
     character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
@@ -118,11 +110,7 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
 
 
 def take_names(path: Path) -> list[str]:
-    """Return the names of a glTF's animations, in file order.
-
-    Raises:
-        FormatError: As for `read_gltf`.
-    """
+    """Return the names of a glTF's animations, in file order."""
     return distinct_clip_names(open_gltf(path).animations)
 
 

@@ -28,9 +28,6 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         path: ``.glb``, or ``.gltf`` with the numbers as a data URI.
         options: Other takes of the same rig, names of all takes, and a tolerance for
             keys.
-
-    Raises:
-        OptionError: The rig has neither joints nor shapes (RIG044).
     """
     takes = [_rotate_to_y_up(each_take) for each_take in (take, *options.others)]
     first_take = takes[0]

@@ -90,13 +90,7 @@ class Recording:
 
 @expects_format("LLF001", "a Live Link Face recording")
 def read_recording(path: Path) -> Recording:
-    """Read the rows of a recording.
-
-    Raises:
-        FormatError: It cannot be read (IO001), is not a recording (LLF001), has a
-            duplicate column (LLF002), a row with another number of columns (LLF003) or
-            a value that is not a number (LLF004), or no row (LLF001).
-    """
+    """Read the rows of a recording."""
     lines = _read_lines(path)
     header = next((i for i, line in enumerate(lines) if line.strip()), None)
     if header is None:

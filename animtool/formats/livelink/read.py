@@ -70,11 +70,6 @@ def read_livelink(
         dropped: Handling of frames without a row: ``interpolate`` between neighbours,
             ``hold`` the previous frame, or ``close`` the gap, so that later frames move
             up.
-
-    Raises:
-        FormatError: The file is malformed (LLF001 to LLF006), or the remap file is.
-        OptionError: The rig has none of the shapes and no head (LLF007), or ``fps`` is
-            not a frame rate (SCN022).
     """
     path = Path(path)
     if dropped not in DROPPED:

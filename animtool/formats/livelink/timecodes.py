@@ -83,10 +83,6 @@ def row_frames(
         lines: Line number of each row.
         path: The file, for messages.
         clock: Labels per second; None derives it.
-
-    Raises:
-        FormatError: A label is not a time code (LLF005), or two are very far apart
-            (LLF006).
     """
     fields = _label_fields(labels, lines, path)
     notices: list[Fault] = []

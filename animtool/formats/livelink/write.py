@@ -43,11 +43,6 @@ def write_livelink(
 
     Returns:
         Warnings about data that the format cannot store.
-
-    Raises:
-        OptionError: The rig has no ARKit shape (LLF008), time codes cannot count its
-            rate (LLF009), or the file exists (OUT001).
-        OutputError: The file cannot be written (OUT002).
     """
     return write_text(take, path, livelink_text, overwrite=overwrite)
 

@@ -58,12 +58,7 @@ _SHAPE_KINDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
 def compile_model(reduced: ReducedModel, notes: XmlNotes) -> Any:
-    """Compile a reduced MJCF with MuJoCo.
-
-    Raises:
-        OptionError: MuJoCo is not installed (MJC005).
-        FormatError: MuJoCo rejects the model (MJC008).
-    """
+    """Compile a reduced MJCF with MuJoCo."""
     try:
         import mujoco
     except ImportError as error:

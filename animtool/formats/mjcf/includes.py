@@ -18,13 +18,7 @@ MAX_INCLUDES = 1000
 
 @expects_format("MJC001", "an MJCF file")
 def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
-    """Return the root of a model with all includes replaced by their content.
-
-    Raises:
-        FormatError: A file is not MJCF in XML, or an include points outside the
-            project,
-            to a missing file, or to a file that is already included (MJC001 to MJC006).
-    """
+    """Return the root of a model with all includes replaced by their content."""
     root = read_xml(path, CODES)
     if root.tag != ROOT:
         hints = {

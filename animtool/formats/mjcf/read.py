@@ -26,10 +26,6 @@ def read_mjcf_rig(path: Path | str) -> Rig:
 
     Args:
         path: A .xml or .mjcf file.
-
-    Raises:
-        FormatError: All faults of the file (MJC001 to MJC016).
-        OptionError: MuJoCo is not installed (MJC005).
     """
     path = Path(path)
     notes = XmlNotes(path, "MJC007")
@@ -51,9 +47,5 @@ def read_mjcf(path: Path | str) -> TakeStream:
 
     Args:
         path: A .xml or .mjcf file.
-
-    Raises:
-        FormatError: As for `read_mjcf_rig`.
-        OptionError: MuJoCo is not installed (MJC005).
     """
     return zero_pose_stream(read_mjcf_rig(path), "MJCF")

@@ -61,11 +61,6 @@ def read_points(
         up: Its up axis; None is Y.
         fps: Rows per second, if the times are wrong.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
-
-    Raises:
-        FormatError: The file is malformed (MOF001 to MOF006), not a table of vectors
-            (MOF009), or states an unknown unit (MKR011).
-        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     file = MarkerFile(str(path))

@@ -70,11 +70,6 @@ def read_mot(
         path: The file.
         rig: The rig to animate; None builds one with a joint for each column.
         fps: Rows per second, if the times are wrong; None derives it from the times.
-
-    Raises:
-        FormatError: The file is malformed (MOF001 to MOF006, MOF009).
-        OptionError: The rig has none of the coordinates (MOF007), or ``fps`` is not a
-            frame rate (SCN022).
     """
     path = Path(path)
     option = None if fps is None else rate_option(fps)

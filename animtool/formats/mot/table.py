@@ -82,11 +82,6 @@ def read_table(path: Path) -> MotionTable:
     """Read the table of a MOT or STO file.
 
     Cells are separated by tabs, semicolons, commas or blanks.
-
-    Raises:
-        FormatError: The file cannot be read, or has no header (MOF001), no column names
-            (MOF002), an invalid row (MOF003), a duplicate column (MOF004), or times
-            that do not ascend (MOF005).
     """
     lines = read_lines(path)
     header = read_header(path, lines)

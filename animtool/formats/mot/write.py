@@ -42,10 +42,6 @@ def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
 
     Returns:
         Warnings about data that the format cannot store.
-
-    Raises:
-        OptionError: The rig has no movable joint (MOF008), or the file exists (OUT001).
-        OutputError: The file cannot be written (OUT002).
     """
     return write_text(take, path, mot_text, overwrite=overwrite)
 

@@ -22,11 +22,7 @@ _TRIANGLE_RECORD = np.dtype(
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Return the triangles of an OBJ or STL, in file units.
-
-    Raises:
-        ValueError: It is neither, is malformed, or is too large.
-    """
+    """Return the triangles of an OBJ or STL, in file units."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{suffix or 'a file without suffix'} is not read")

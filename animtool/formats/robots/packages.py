@@ -57,11 +57,7 @@ class PackageFolders:
         return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:
-        """Return the path of a file name; None if missing.
-
-        Raises:
-            OutsideError: It points outside the project.
-        """
+        """Return the path of a file name; None if missing."""
         scheme = _URI_SCHEME.fullmatch(name)
         if scheme is None:
             return self._inside_project(self.folder / name, name)

@@ -74,12 +74,7 @@ class _InvalidXmlError(Exception):
 
 
 def read_xml(path: Path, codes: XmlCodes) -> XmlElement:
-    """Return the root element of an XML file.
-
-    Raises:
-        FormatError: It cannot be read (IO001, IO010), or is malformed, has a DTD, or
-            exceeds the limits; ``codes`` has the codes.
-    """
+    """Return the root element of an XML file."""
     return parse_xml(read_input(path, MAX_TEXT_BYTES), path, codes)
 
 

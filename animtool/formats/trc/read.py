@@ -63,11 +63,7 @@ class TrcHeader:
 
 
 def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
-    """Return the values of the header lines.
-
-    Raises:
-        FormatError: They are not those of a TRC (TRC001).
-    """
+    """Return the values of the header lines."""
     first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANKS + b'"'))[0].strip(b'"')
     if first_word.lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
@@ -221,12 +217,6 @@ def read_trc(
         fps: The frame rate, if the file has a wrong one or none: rows are then at the
             frames of Frame#, and Time is ignored.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
-
-    Raises:
-        FormatError: It cannot be read, is not a TRC (TRC001), has an invalid row
-            (TRC002) or times that do not ascend (TRC003), states no rate (MKR010) or an
-            unknown unit (MKR011), or has no markers or frames (MKR013).
-        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     file = MarkerFile(str(path))

@@ -43,11 +43,6 @@ def frames_of_rows(
         stated_rate: DataRate [1/s]; None without one.
         fps: Requested rate; Time is then ignored.
         markers: Number of markers, to limit the memory of frames without a row.
-
-    Raises:
-        FormatError: Times do not ascend, or are too far apart (TRC003), or there is no
-            rate (MKR010).
-        OptionError: fps is not a frame rate (SCN022).
     """
     numbers, times = columns[:, 0], columns[:, 1]
     counted_frames = _counted_frames(numbers)

@@ -30,11 +30,6 @@ def write_trc(
 
     Returns:
         Warnings about data that the format cannot store.
-
-    Raises:
-        OptionError: The file exists (OUT001), or there are no markers or frames
-            (TRC010).
-        OutputError: The file cannot be written (OUT002).
     """
     from animtool.core.files.output import check_outputs, write_parts
 

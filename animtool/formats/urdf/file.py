@@ -22,11 +22,7 @@ EXPAND_HINT = (
 
 @expects_format("URD001", "a URDF file")
 def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
-    """Return a file's links and joints; record faults.
-
-    Raises:
-        FormatError: It is not a URDF in XML (URD001 to URD005).
-    """
+    """Return a file's links and joints; record faults."""
     root = read_xml(path, CODES)
     _check_root(root, notes)
     notes.check()

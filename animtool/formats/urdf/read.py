@@ -19,9 +19,6 @@ def read_urdf_rig(path: Path | str) -> Rig:
 
     Args:
         path: A .urdf file.
-
-    Raises:
-        FormatError: All faults of the file (URD001 to URD016).
     """
     return rig_of_urdf(Path(path))
 
@@ -31,8 +28,5 @@ def read_urdf(path: Path | str) -> TakeStream:
 
     Args:
         path: A .urdf file.
-
-    Raises:
-        FormatError: As for `read_urdf_rig`.
     """
     return zero_pose_stream(read_urdf_rig(path), "URDF")

@@ -42,11 +42,7 @@ ROUNDING = 1e-9
 
 
 def rig_of_urdf(path: Path) -> Rig:
-    """Return the rig of a URDF.
-
-    Raises:
-        FormatError: All faults of the file (URD001 to URD016).
-    """
+    """Return the rig of a URDF."""
     notes = XmlNotes(path, "URD007")
     file = read_file(path, notes)
     check_tree(file, notes)

@@ -51,11 +51,7 @@ def font_size(height: int) -> int:
 
 
 def wrap_caption(text: str, width: int, height: int) -> Caption:
-    """Return text wrapped for a picture, in a smaller font if it is long.
-
-    Raises:
-        OptionError: It does not fit (PRV006).
-    """
+    """Return text wrapped for a picture, in a smaller font if it is long."""
     if not text.strip():
         return Caption((), MIN_TEXT_HEIGHT)
     for letters in range(font_size(height), MIN_TEXT_HEIGHT - 1, -1):

@@ -78,9 +78,6 @@ KINDS: dict[str, PictureKind] = {
 def picture_kind(path: Path) -> PictureKind | None:
     """Return the picture format of a path; None for a page.
 
-    Raises:
-        OptionError: The suffix is neither of a picture nor of a page (PRV002).
-
     >>> picture_kind(Path("walk.WEBM")).codec
     'libvpx-vp9'
     """

@@ -91,9 +91,6 @@ def bake_outputs(
         rig_file: For a clip: a file with the take's rig, to which the clip refers; None
             writes one.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        AnimtoolError: As `animtool.bake` does; OUT007 where two outputs are one file.
     """
     outline = outlined(source, output, options, base=base, rig_file=rig_file)
     return bake_outline(outline, progress=progress)

@@ -184,13 +184,7 @@ def is_several(scene: Scene) -> bool:
 
 
 def check_outline(outline: Outline) -> None:
-    """Refuse invalid outputs before anything is read, with the faults of all at once.
-
-    Raises:
-        OptionError: Options exclude each other, an output exists, is read too, or two
-            are one file (OUT007).
-        OutputError: An output cannot be written.
-    """
+    """Refuse invalid outputs before anything is read, with all faults at once."""
     reading, has_several = outline.reading, len(outline.outputs) > 1
     _check_count(len(reading.files), outline.outputs[0].options)
     faults = duplicate_outputs(outline)

@@ -67,11 +67,7 @@ def plan_stage(
 
 
 def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
-    """Open the sources and check everything that can be checked before the work.
-
-    Raises:
-        AnimtoolError: As `animtool.bake` does.
-    """
+    """Open the sources and check everything that can be checked before the work."""
     check_outline(outline)
     reading, entries = outline.reading, outline.outputs
     if outline.scene is not None and not outline.scene.sources:

@@ -400,13 +400,4 @@ class OutputPrims(Protocol):
     """Prims of one kind in a bake: joints, points or systems."""
 
     def author(self, draft: BakeState) -> None:
-        """Author the prims into a bake; the first kind creates the layer.
-
-        Raises:
-            FormatError: Rows of a source, or a system, are malformed.
-            OptionError: The range has no frame of the take.
-            OutputError: USD would not show what is authored, or a file cannot be
-                written.
-            StrictError: There were warnings, and ``strict`` is on.
-            ToleranceError: A system blew up.
-        """
+        """Author the prims into a bake; the first kind creates the layer."""

@@ -63,12 +63,7 @@ class PlanSteps:
 
 
 def bake_steps(outline: Outline) -> list[PlanStep]:
-    """Return the steps of a bake in order; sources are read, passes do not run.
-
-    Raises:
-        AnimtoolError: As `animtool.bake` does before it reads; files that exist are
-            marked.
-    """
+    """Return the steps of a bake in order; sources are read, passes do not run."""
     check_outline(outline.replacing)
     reading, scene, outputs = outline.reading, outline.scene, outline.outputs
     if scene is not None and not scene.sources:

@@ -74,13 +74,6 @@ def convert_rig(
         physics: For USD: write joint types and limits to a separate layer.
         overwrite: Replace files that exist.
         strict: Treat warnings as errors.
-
-    Raises:
-        FormatError: The source is malformed.
-        OptionError: The output holds no rig (OUT004) or exists, or physics is asked
-            of a rig file (CLI004).
-        OutputError: A file cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
     """
     job = RigJob(Path(source), Path(output), prim_path, physics, overwrite, strict)
     write = rig_writer(job.output)

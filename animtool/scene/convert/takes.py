@@ -107,10 +107,6 @@ def convert_with_passes(
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        OptionError: Options are invalid, for any take or for this one.
-        AnimtoolError: As `convert` does.
     """
     for pass_, options in passes:
         for check in pass_.checks(options).values():

@@ -82,12 +82,7 @@ class EntryLocation:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """Attach this location to faults without a file that the block raises.
-
-        Raises:
-            FormatError: What an `OptionError` or a `FormatError` said.
-            ToleranceError: What one said.
-        """
+        """Attach this location to faults without a file that the block raises."""
         try:
             yield
         except ToleranceError as error:

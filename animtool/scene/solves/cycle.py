@@ -53,11 +53,6 @@ def loop_source(
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        OptionError: There is no cycle (SCN018), or a frame is outside the take
-            (SCN013).
-        AnimtoolError: As `convert` does.
     """
     for check in PASS.checks(options).values():
         check()

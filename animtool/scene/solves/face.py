@@ -121,13 +121,6 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     Args:
         job: Arguments of the solve.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: Landmarks and face do not fit, an output exists, or its name is of
-            no format.
-        OutputError: An output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
     """
     target = job.target
     target.check((job.capture, job.rig, job.landmarks, job.remap, job.camera))

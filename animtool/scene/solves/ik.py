@@ -172,12 +172,7 @@ class IkContext:
 
 
 def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
-    """Open the files of a job.
-
-    Raises:
-        FormatError: One is malformed, with every fault.
-        OptionError: They do not fit each other.
-    """
+    """Open the files of a job."""
     rig, notices = open_rig(job.rig)
     tracks = load_targets(job.targets, rig)
     notices = [*notices, *tracks.notices]
@@ -230,9 +225,6 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
         take: Take of a file.
         frame: Its time code.
         path: The file.
-
-    Raises:
-        OptionError: The take has no such frame (SCN013).
     """
     clock = take.clock
     if frame is None:
@@ -254,14 +246,6 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     Args:
         job: What to do.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: An option is invalid, or the output exists.
-        OutputError: The output cannot be written.
-        MissedGoalsError: A goal is missed by more than the tolerance, and ``strict`` is
-            on.
-        StrictError: There were warnings, and ``strict`` is on.
     """
     target = job.target
     target.check((job.rig, job.targets, job.start, job.bake.rig_layer))

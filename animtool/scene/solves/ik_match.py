@@ -70,14 +70,6 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     Args:
         job: What to do.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: The rig has no chains (TGT019) or none of a name (TGT001), the take
-            is of another rig (TGT017), lacks the frame (SCN013) or is scaled (TGT016),
-            the output exists or is no targets file (OUT004).
-        OutputError: The output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
     """
     if (
         not has_kind_suffix(job.output, "targets")

@@ -101,14 +101,6 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     Args:
         job: Arguments of the solve.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: The markers do not fit the template or the rig (SOL001 to SOL006),
-            a calibration is to be written that was not asked for (SOL009), an output
-            exists, or its name is of no format.
-        OutputError: An output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
     """
     _check(job)
     target = job.target

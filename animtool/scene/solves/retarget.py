@@ -119,14 +119,6 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     Args:
         job: Arguments of retargeting.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        FormatError: A file is malformed, or a map names joints that there are not.
-        OptionError: Nothing maps (MAP004), the rest frame is none of the take's
-            (MAP006), the source is a folder (IO001), an output exists, or its name
-            is of no format (OUT004).
-        OutputError: An output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
     """
     if job.write_map is not None and not has_kind_suffix(job.write_map, "map"):
         message, hint = "is not the name of a map file", "allowed: .map.yaml, .map.yml"

@@ -57,11 +57,7 @@ class SolvedOutput:
         return [*self.others, *([] if self.outline is None else self.outline.files)]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
-        """Refuse an invalid output before the work.
-
-        Raises:
-            OptionError: A file exists or is one of the inputs, or options do not fit.
-        """
+        """Refuse an invalid output before the work."""
         if self.files:
             input_files = list(filter(None, inputs))
             check_outputs(self.files, input_files, overwrite=self.bake.overwrite)

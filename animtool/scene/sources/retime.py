@@ -88,9 +88,6 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
 
     Nothing is resampled or left out. The take is unchanged if the shot does not place
     its media; a shot that holds a pose repeats it in each frame.
-
-    Raises:
-        OptionError: The shot holds a pose from before or after the take (SCN042).
     """
     if shot is None or shot.fps is None or not shot.places_media:
         return stream

@@ -71,12 +71,7 @@ class Prototype:
     samples: int  # number of phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
-        """Return its mesh at each phase; one for a static mesh.
-
-        Raises:
-            OptionError: There is no such mesh (SIM051, SIM053).
-            FormatError: The file cannot be read.
-        """
+        """Return its mesh at each phase; one for a static mesh."""
         frame_at, span = self._of_rig() if self.prim is None else self._of_stage()
         fractions = [0.0] if span is None else np.arange(self.samples) / self.samples
         begin, end = span or (0.0, 0.0)

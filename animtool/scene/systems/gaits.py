@@ -36,12 +36,7 @@ class GaitsSource:
 
     @cached_property
     def _gaits(self) -> Gaits:
-        """Return the clips as gaits, y up.
-
-        Raises:
-            AnimtoolError: A file cannot be read, a clip cannot go onto the rig, or
-                none of the clips walks (SIM149).
-        """
+        """Return the clips as gaits, y up."""
         rig = at_origin(open_rig(self.rig)[0])
         rotation = up_from_up(UpAxis.Y, rig.up)
         if rotation is not None:

@@ -281,11 +281,7 @@ class SystemRun:
                 self._kept[i] = float(code), self._open[i].run.receive()
 
     def save_states(self, folder: Path) -> None:
-        """Write the states to save into the scene's folder.
-
-        Raises:
-            OutputError: One cannot be written.
-        """
+        """Write the states to save into the scene's folder."""
         for i, (_, state) in self._kept.items():
             system, run = self.systems[i], self._open[i].run
             clocked_system = StateClock(system.kind, run.begin, run.step_length)

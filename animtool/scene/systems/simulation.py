@@ -199,12 +199,7 @@ def open_systems(
 def build_systems(
     systems: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
-    """Return systems at their start, and record them in the context by name.
-
-    Raises:
-        FormatError: What is wrong with any of them; those that need one that is wrong
-            are left out.
-    """
+    """Return systems at their start, and record them in the context by name."""
     all_built: dict[int, EntryRun] = {}
     faults: list[Fault] = []
     for group in in_order(systems):

@@ -39,11 +39,7 @@ CACHED_TIMES = 4
 
 
 def moving_sheet(mesh: MovingMeshModel) -> Sheet:
-    """Return a mesh of a file as a moving sheet; its path must be absolute.
-
-    Raises:
-        OptionError: There is no such mesh, or it makes no sense (SIM051).
-    """
+    """Return a mesh of a file as a moving sheet; its path must be absolute."""
     from animtool.usd.caches.reader import open_mesh
 
     motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
@@ -207,11 +203,6 @@ class Surroundings:
         Args:
             characters: Characters in motion.
             opened: Systems of the scene by name, including those it depends on.
-
-        Raises:
-            FormatError: The file of a character is malformed.
-            OptionError: A character has no colliders (SIM020), or something makes no
-                sense.
         """
         capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []

@@ -196,9 +196,6 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
 
     ``most`` is how many points there were at once in a run, ``other`` whether the
     method is another than that of the file.
-
-    Raises:
-        OptionError: The method is not for so much (SIM024).
     """
     if method not in INTEGRATORS:
         return None

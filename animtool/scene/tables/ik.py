@@ -34,12 +34,7 @@ ORIENTATION_ARM = 0.1
 
 
 def job_trial(job: IkJob) -> Trial:
-    """Return the trial of an IK job; nothing is written.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: The files do not fit each other, or an option makes no sense.
-    """
+    """Return the trial of an IK job; nothing is written."""
     context = open_ik(job)
 
     def solve(options: TakeOptions) -> TakeIk:

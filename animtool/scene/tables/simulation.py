@@ -72,10 +72,6 @@ def simulation_trials(
     Args:
         scene: A scene with systems, or with passes that simulate or solve IK.
         options: Bake options: for systems, the frames.
-
-    Raises:
-        FormatError: A source is malformed, or a pass cannot be applied to it.
-        OptionError: An option is invalid.
     """
     trials: list[tuple[EntryLocation, Trial]] = []
     if scene.sources:
@@ -155,12 +151,7 @@ def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
 
 
 def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
-    """Return the trials of a scene's spring and IK passes, with their entries.
-
-    Raises:
-        FormatError: A source is malformed, or a pass cannot be applied to it.
-        OptionError: An option does not apply to the source.
-    """
+    """Return the trials of a scene's spring and IK passes, with their entries."""
     full_scene = scene
     measured_passes = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
     scene = replace(scene, passes=scene.passes[: max(measured_passes, default=-1) + 1])

@@ -68,10 +68,6 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     Stages are written to a temporary folder and evaluated by UsdSkel, including
     rounding and interpolation. A clip is also compared between frames, with its curves;
     a sampled source is compared at its samples.
-
-    Raises:
-        FormatError: The source is malformed.
-        OptionError: It is simulated or written as points (SCN062, CLI002).
     """
     options = options or BakeOptions()
     plan = plan_stage(source, STDOUT, options)

@@ -24,9 +24,6 @@ def step_doubling(base: Integrator) -> Integrator:
 
     The error of the two half steps is estimated from their difference to the full step,
     and added to the state: so the order is one more than that of the base.
-
-    Raises:
-        OptionError: The base is a multistep method or its steps are not fixed (SIM006).
     """
     step = base.step
     if step is None or base.control is not StepControl.FIXED or base.multistep:

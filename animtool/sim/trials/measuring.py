@@ -68,9 +68,6 @@ def measure(
             recommended. None recommends a cheaper setting as accurate as the chosen
             one.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        OptionError: The simulation is invalid with every setting.
     """
     settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
     count = len({*settings, *trial.references()[0]})

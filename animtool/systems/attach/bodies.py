@@ -76,12 +76,7 @@ class SurfaceBody(AttachedBody):
 
 
 def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
-    """Return attachments by name.
-
-    Raises:
-        OptionError: A name is unknown or its kind cannot be simulated (SIM030), with
-            every such fault.
-    """
+    """Return attachments by name."""
     by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
@@ -105,13 +100,7 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
 
 
 def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
-    """Return named attachments of a rig as particles.
-
-    Raises:
-        FormatError: Arrays cannot be read or do not fit (RIG018, SKIN001 to SKIN006).
-        OptionError: A name is unknown (SIM030), joints are not a chain or cloth has no
-            faces (SIM033), with every such fault.
-    """
+    """Return named attachments of a rig as particles."""
     entries = check_names(rig, names)
     bodies: list[AttachedBody] = []
     faults: list[Fault] = []

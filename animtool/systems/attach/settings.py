@@ -167,11 +167,7 @@ def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
 
 
 def length_of(value: str | float) -> float:
-    """Parse a length such as ``5mm``, or a number of metres [m].
-
-    Raises:
-        ValueError: It is not a length.
-    """
+    """Parse a length such as ``5mm``, or a number of metres [m]."""
     if isinstance(value, str):
         return parse_length(value)
     if not 0 <= value < math.inf:

@@ -268,13 +268,6 @@ def simulate(
         progress: Called with the fraction done of each block, 0 to 1.
         around: Builds characters, systems and meshes named by the options; without it
             only colliders are used.
-
-    Raises:
-        FormatError: Arrays of the rig cannot be read or do not fit (RIG018, SKIN001 to
-            SKIN006), or a state file is invalid (SIM035).
-        OptionError: An option is invalid, with every such fault (SCN014, SCN015,
-            SCN025, SIM004, SIM030, SIM032), or the rig (SIM030, SIM033) or a state file
-            (SIM035) does not fit.
     """
     _check(options)
     if not moves(options):

@@ -118,11 +118,7 @@ class Crowd:
         return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
-        """Return the state after a step [s].
-
-        Raises:
-            ToleranceError: Numbers do not stay finite (SIM102).
-        """
+        """Return the state after a step [s]."""
         agents, rules = self.agents, self.spec.avoidance
         if not len(agents):
             return state

@@ -46,11 +46,7 @@ CYCLE_REPEATS = 3
 
 
 def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
-    """Return takes on a rig as gaits, by name.
-
-    Raises:
-        OptionError: The rig has no legs, or none of the takes walks (SIM149).
-    """
+    """Return takes on a rig as gaits, by name."""
     walker = Walker.of(rig)
     moving: list[Gait] = []
     idle: list[Gait] = []

@@ -275,11 +275,7 @@ class Flock:
         return FlockState(motion, first_heading(self.system.members, motion[1]))
 
     def step(self, state: FlockState, t: float, dt: float) -> FlockState:
-        """Return the state after a step [s].
-
-        Raises:
-            StoppedError: Integration stopped early (SIM102 to SIM105).
-        """
+        """Return the state after a step [s]."""
         system = replace(self.system, motion=state.motion)
         motion = integrate_step(system, replace(self.options, step=dt), t, dt)
         heading = state.heading

@@ -136,10 +136,6 @@ def rule_accelerations(
     """Return accelerations from members in sight ``(N, 3)`` [m/s²].
 
     ``x`` ``(N, 3)`` [m], ``v`` ``(N, 3)`` [m/s].
-
-    Raises:
-        ToleranceError: Too many members are so close that a step would take minutes
-            (SIM107).
     """
     period = periodic_box(domain)
     total = np.zeros_like(x)

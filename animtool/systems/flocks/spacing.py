@@ -53,9 +53,6 @@ class Spacing:
 
         Each of two approaching members contributes half of the deceleration: the
         squared closing speed over twice the remaining gap, weighted by proximity.
-
-        Raises:
-            ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         limit = max_pairs(len(x))
         accelerations, pairs = _kernels.flock_braking(
@@ -67,11 +64,7 @@ class Spacing:
     def separate(
         self, x: FloatArray, passes: int = STEP_PASSES
     ) -> tuple[FloatArray, float]:
-        """Return separated positions ``(N, 3)`` [m], and the remaining overlap.
-
-        Raises:
-            ToleranceError: Too many close pairs: a step would take minutes (SIM107).
-        """
+        """Return separated positions ``(N, 3)`` [m], and the remaining overlap."""
         limit = max_pairs(len(x))
         separated, overlap, pairs = _kernels.flock_separate(
             x, self.distances, passes, RELAXATION, CLEARANCE, self.period, limit

@@ -36,11 +36,7 @@ VELOCITY_INTERVAL = 1e-4
 def initial_fluid(
     spec: FluidModel, parts: Sequence[Mapping[str, Any]], colliders: Colliders, t: float
 ) -> FloatArray:
-    """Return positions and velocities of the initial fluid ``(2, N, 3)``.
-
-    Raises:
-        OptionError: A fill is too large, empty, or starts inside something (SIM064).
-    """
+    """Return positions and velocities of the initial fluid ``(2, N, 3)``."""
     fills, refusals = [np.zeros((2, 0, 3))], Refusals()
     for i, part in enumerate(parts):
         with refusals.collect():

@@ -144,11 +144,7 @@ class Fluid:
         return "" if state.sound >= 0 else "the speed of sound is below 0"
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
-        """Return the state after a step [s], and impulses on bodies.
-
-        Raises:
-            StoppedError: It collapsed, or the step is too long (SIM102, SIM108).
-        """
+        """Return the state after a step [s], and impulses on bodies."""
         end, notices = t + dt, list[Fault]()
         accelerations = self._accelerations(state, t)
         if not np.isfinite(accelerations).all():

@@ -23,11 +23,7 @@ KERNEL_INTEGRAL = 2 * np.pi / 21
 
 
 def check_surface() -> None:
-    """Raise if the packages that surfaces need are missing.
-
-    Raises:
-        OptionError: scikit-image is missing (SIM065).
-    """
+    """Raise if the packages that surfaces need are missing."""
     if find_spec("skimage") is None:
         message = "the surface of a fluid needs scikit-image, which is not installed"
         hint = "pip install 'animtool[surface]'"
@@ -43,9 +39,6 @@ def surface_of(
     """Return the surface of particles ``(N, 3)``; its faces change by frame.
 
     Velocities and primvars are those of the nearest particle.
-
-    Raises:
-        OptionError: It needs more cells than allowed (SIM064).
     """
     assert spec.surface is not None
     if not len(points):

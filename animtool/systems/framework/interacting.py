@@ -45,11 +45,7 @@ State = TypeVar("State", bound=HasMotion)
 def integrate_step(
     system: SecondOrder, options: IntegrateOptions, begin: float, duration: float
 ) -> FloatArray:
-    """Integrate a system over a duration [s] and return its final state.
-
-    Raises:
-        StoppedError: It blew up (SIM102), or the method failed (SIM103 to SIM105).
-    """
+    """Integrate a system over a duration [s] and return its final state."""
     start = Checkpoint(begin, system.state)
     trajectory = integrate(system, (begin, begin + duration), options, start)
     if trajectory.stats.status is not Status.OK:

@@ -16,11 +16,7 @@ from animtool.systems.framework.fields import PlacementModel
 
 
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
-    """Return a quaternion w, x, y, z as a unit x, y, z, w.
-
-    Raises:
-        OptionError: It is zero (SIM020).
-    """
+    """Return a quaternion w, x, y, z as a unit x, y, z, w."""
     w, *xyz = wxyz
     size = float(np.linalg.norm(wxyz))
     if not size > 0:
@@ -42,11 +38,7 @@ class UnitFrame:
     def of(
         pose: PlacementModel, scale: float = 1.0, time_scale: float = 1.0
     ) -> UnitFrame:
-        """Return the frame of a placement.
-
-        Raises:
-            OptionError: Its rotation is zero (SIM020).
-        """
+        """Return the frame of a placement."""
         rotation = unit_quaternion(pose.rotate)
         return UnitFrame(np.array(pose.at), rotation, scale, time_scale)
 
@@ -81,11 +73,7 @@ class PointMasses(Rows):
     def read(
         parts: Mapping[str, Any], mass: float, kind: str, code: str, where: str
     ) -> PointMasses:
-        """Return bodies from arrays of a file, by default at rest and of equal mass.
-
-        Raises:
-            OptionError: Arrays do not fit, are not finite, or a mass is not above 0.
-        """
+        """Return bodies from arrays of a file, by default at rest and of equal mass."""
         check_rows(parts, kind, code, where)
         points, velocities = parts["points"], parts.get("velocities")
         velocities = np.zeros(points.shape) if velocities is None else velocities
@@ -130,9 +118,6 @@ def check_distinct(
         where: Key of the fault.
         hint: What to do.
         why: Why they must not coincide.
-
-    Raises:
-        OptionError: Two points coincide.
     """
     order = np.lexsort(points.T)
     coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
@@ -149,9 +134,6 @@ def check_rows(
     """Raise if arrays of bodies have wrong shapes or numbers that are not finite.
 
     ``masses`` are ``(N,)``, others ``(N, 3)``; N is the length of ``points``.
-
-    Raises:
-        OptionError: An array is invalid, with a code and its key.
     """
     points = arrays["points"]
     assert points is not None

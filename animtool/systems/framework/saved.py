@@ -39,11 +39,7 @@ class StateClock:
 def write_states(
     path: Path, states: Mapping[str, tuple[StateClock, ReachedState[Any]]]
 ) -> None:
-    """Write states by name, replacing the file; a single state has no name.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write states by name, replacing the file; a single state has no name."""
     arrays: _Arrays = {"format": np.array(FORMAT)}
     for name, (clocked, reached) in states.items():
         prefix = f"{name}/" if name else ""
@@ -62,11 +58,7 @@ def write_states(
 
 @contextmanager
 def open_states(path: Path) -> Iterator[SavedStates]:
-    """Open a file of states as a context manager.
-
-    Raises:
-        FormatError: It cannot be read, or is not a file of states (SIM035).
-    """
+    """Open a file of states as a context manager."""
     try:
         with Archives() as archives:
             has_format = archives.has(path, "format")
@@ -94,12 +86,7 @@ class SavedStates:
     def read(
         self, name: str, clocked: StateClock, start: ReachedState[Any]
     ) -> ReachedState[Any]:
-        """Return a state with the structure of an initial one.
-
-        Raises:
-            OptionError: The name is unknown, or the state has another kind, size or
-                steps (SIM035).
-        """
+        """Return a state with the structure of an initial one."""
         archives, path = self.archives, self.path
         prefix = f"{name}/" if name else ""
 
@@ -263,11 +250,7 @@ def _restore(
 
 
 def _read_missing(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) -> Any:
-    """Return a part missing in the first state; None if the arrays lack it too.
-
-    Raises:
-        TypeError: It matches none of the allowed records, numbers or arrays.
-    """
+    """Return a part missing in the first state; None if the arrays lack it too."""
     values_by_name = {
         name.removeprefix(f"{prefix}."): values if values.ndim else values.item()
         for name, values in arrays.items()

@@ -82,11 +82,7 @@ class Interactions:
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> AtomForces:
-        """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions.
-
-        Raises:
-            ToleranceError: They are so dense that lists would fill the memory (SIM102).
-        """
+        """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions."""
         if self._neighbour_list is None or self._neighbour_list[0] is not reference:
             max_pairs = MAX_NEIGHBOURS * len(x)
             try:
@@ -232,11 +228,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
-        """Return the state after a step [s], or a part of one.
-
-        Raises:
-            StoppedError: It blew up (SIM102).
-        """
+        """Return the state after a step [s], or a part of one."""
         spec, system = self._spec, self._system(state)
         try:
             motion = self._integrate(system, t, dt, dt)

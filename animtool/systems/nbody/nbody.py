@@ -180,10 +180,6 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         """Return the state after a step [s].
 
         A step is divided if two bodies come so close that it could not resolve them.
-
-        Raises:
-            StoppedError: It blew up (SIM102), integration stopped (SIM103 to SIM105),
-                or two bodies come too close for the most substeps (SIM110).
         """
         substeps = self._substeps_for(state.pulls.rates, dt)
         closest = TooCloseError(t, state.motion[0], state.pulls.rates)

@@ -125,10 +125,6 @@ class ParticleSimulation:
         """Return the state after a full or partial step [s].
 
         Particles born in the step do not push bodies in it.
-
-        Raises:
-            OptionError: A force or a field is not finite (SIM003).
-            StoppedError: It blew up, or integration stopped (SIM101 to SIM105).
         """
         particles, end, notices = state.particles, t + dt, list[Fault]()
         wrenches: Sequence[Wrenches] = ()

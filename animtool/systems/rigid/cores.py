@@ -75,11 +75,7 @@ def combine_solids(
 
 
 def core_of(shape: Shape) -> ConvexCore:
-    """Return the core of a shape; the hull of a mesh.
-
-    Raises:
-        ValueError: It has no volume.
-    """
+    """Return the core of a shape; the hull of a mesh."""
     match shape:
         case Sphere():
             return ConvexCore(np.array([shape.centre], np.float64), [], shape.radius)

@@ -120,9 +120,6 @@ class BodyLoads:
         Bodies ``constrained`` ``(N,)`` by contacts or joints get the initial force and
         a larger mass, as the force would decrease with their velocity. Others get the
         mean force of their free flight.
-
-        Raises:
-            ToleranceError: A force is not finite (SIM102).
         """
         if flight is None:
             with np.errstate(all="ignore"):
@@ -169,11 +166,7 @@ class BodyLoads:
             self._stop(t, message, "use a weaker or smoother force")
 
     def parts(self, t: float, dt: float, motion: FloatArray) -> int:
-        """Return the substeps that resolve swinging bodies.
-
-        Raises:
-            ToleranceError: They are too many (SIM102).
-        """
+        """Return the substeps that resolve swinging bodies."""
         swings, spins = self._rates(t, dt, motion)
         oscillation_steps = float(swings.max(initial=0.0)) * dt / MAX_SUBSTEP_ANGLE
         if not oscillation_steps <= MAX_SUBSTEPS:
@@ -201,11 +194,7 @@ class BodyLoads:
         motion: FloatArray,
         constrained: BoolArray,
     ) -> int:
-        """Return the substeps for constrained bodies ``(N,)``.
-
-        Raises:
-            ToleranceError: They are too many (SIM102).
-        """
+        """Return the substeps for constrained bodies ``(N,)``."""
         if not constrained.any():
             return parts
         substep = dt / parts

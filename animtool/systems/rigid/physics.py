@@ -172,9 +172,6 @@ def body_entries(
     """Return bodies as entries of a spec, with the parts of their keys.
 
     entry: The key of the spec that they are of.
-
-    Raises:
-        OptionError: A number is out of range for the keys of a spec (SIM051).
     """
     models, parts = [], []
     for body in physics.bodies:

@@ -146,12 +146,7 @@ class RigidSimulation(SharedBodies):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return the state after a step [s].
-
-        Raises:
-            ToleranceError: Forces are not finite, bodies oscillate too fast under
-                them, or the simulation blew up (SIM102).
-        """
+        """Return the state after a step [s]."""
         substeps = self._loads.parts(t, dt, state.motion)
         if self._forces.vary:
             is_constrained = self._constrained(state, t, dt)

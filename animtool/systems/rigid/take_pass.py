@@ -53,11 +53,6 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         take: A take with a rig that has colliders.
         options: Frames of the fall, and parameters of the ragdoll.
         context: Receives the progress and the notices.
-
-    Raises:
-        OptionError: An option is invalid or does not fit the rig (SIM062), or a
-            collider is invalid (SIM020).
-        ToleranceError: The simulation blew up (SIM102).
     """
     _check(options)
     clock, rig = take.clock, take.rig

@@ -134,11 +134,7 @@ def tied_choice(
     begin: float,
     limit: float,
 ) -> Choice:
-    """Return a solver whose cells align with the steps of the pins' bodies.
-
-    Raises:
-        OptionError: The steps cannot be aligned (SIM164).
-    """
+    """Return a solver whose cells align with the steps of the pins' bodies."""
     solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
         solver, reason = Solver.BDF2, "rigid bodies hold its pins"

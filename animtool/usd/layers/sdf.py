@@ -131,11 +131,7 @@ def layer_shot(layer: Any) -> dict[str, object] | None:
 
 
 def model_path(prim_path: str | None, name: str) -> str:
-    """Return the path of a model: as configured, else below the root by name.
-
-    Raises:
-        OptionError: It is not an absolute prim path (CLI003).
-    """
+    """Return the path of a model: as configured, else below the root by name."""
     if prim_path is None:
         return f"/{legal_name(name)}"
     check_prim_path(prim_path)
@@ -284,9 +280,6 @@ def write_samples(
     """Write values of an attribute at selected time codes.
 
     The first value is also the default; a single value is only written as the default.
-
-    Raises:
-        OutputError: A value is not finite, or too large for its type (USD170).
     """
     letter, labels = float_letter(attr.typeName), ValueLabels(str(attr.path))
     for code, value in zip(codes[rows].tolist(), values, strict=True):

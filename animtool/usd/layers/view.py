@@ -31,9 +31,6 @@ def write_view(
         shown: The layer.
         weaker: Weaker layers, such as the rig of an animation layer.
         stronger: Stronger layers, such as looks and props, the strongest first.
-
-    Raises:
-        FormatError: A file is not a USD layer (USD001).
     """
     for other_layer in (*stronger, *weaker):
         find_layer(other_layer)

@@ -184,10 +184,6 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
 
     ``frame`` is the time code of 0 s; None is the first of the stage. Notices report
     what is not read (SIM136).
-
-    Raises:
-        FormatError: The prim does not exist (SIM051), has no bodies, or contains
-            invalid bodies.
     """
     with usd_errors(path):
         stage = open_stage(path)
