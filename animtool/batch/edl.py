@@ -27,7 +27,7 @@ MAX_BYTES = 100_000_000
 MAX_FAULTS = 100
 MAX_FRAME = 10**9
 # Reel names that mean black and bars.
-BLACK = {"BL", "BLACK", "BARS"}
+BLACK_REELS = {"BL", "BLACK_REELS", "BARS"}
 UNKNOWN_REEL = "AX"
 _LABEL = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
 _EVENT = re.compile(
@@ -249,7 +249,7 @@ class _TimelineBuilder:
             self.ends[name] = times.record + shown_frames
             if event.edit != "C" and event.length and len(track):
                 track.append(self.transition(event))
-            if event.reel.upper() in BLACK:
+            if event.reel.upper() in BLACK_REELS:
                 if shown_frames:
                     track.append(schema.Gap(source_range=self.span(0, shown_frames)))
             elif not (later and times.count <= 0):

@@ -62,20 +62,20 @@ def variables_of_document(
 
 
 def overrides_of_document(
-    document: Document, models: Sequence[OverrideModel], taken: Collection[str]
+    document: Document, models: Sequence[OverrideModel], taken_names: Collection[str]
 ) -> tuple[Override, ...]:
     """Return the overrides of a batch file, with faults of names.
 
     Args:
         document: The batch file.
         models: Entries of the batch file.
-        taken: Names whose values come from elsewhere.
+        taken_names: Names whose values come from elsewhere.
     """
     overrides = []
     for i, model in enumerate(models):
         at = ("overrides", i, "variables")
         values = variables_of_document(document, at, model.variables)
-        for name in sorted(values.keys() & taken):
+        for name in sorted(values.keys() & taken_names):
             message = f"{name!r} already has a value for each item"
             hint = "inputs, shots and variants set it: give the variable another name"
             document.add("BAT063", (*at, name), message, hint)
@@ -87,10 +87,10 @@ VARIANTS_LOCATION = ("variants",)
 
 
 def rows_of_document(
-    document: Document, variants: Any, taken: Collection[str]
+    document: Document, variants: Any, taken_names: Collection[str]
 ) -> Variants | None:
     """Return the variants of a batch file; None without any, or with faults."""
-    reader = _VariantReader(document, taken)
+    reader = _VariantReader(document, taken_names)
     fault_count = len(document.faults)
     if isinstance(variants, list):
         table = reader.rows(variants)
@@ -107,8 +107,8 @@ def rows_of_document(
 
 
 class _VariantReader:
-    def __init__(self, document: Document, taken: Collection[str]) -> None:
-        self.document, self.taken = document, taken
+    def __init__(self, document: Document, taken_names: Collection[str]) -> None:
+        self.document, self.taken_names = document, taken_names
 
     def columns(self, table: Mapping[str, Any]) -> dict[str, list[str]]:
         """Return the values of each column."""
@@ -154,7 +154,7 @@ class _VariantReader:
         return Variants(tuple(rows_read))
 
     def _check_names(self, at: Location, names: list[str]) -> None:
-        for i, message in name_problems(names, self.taken):
+        for i, message in name_problems(names, self.taken_names):
             self.document.add("BAT063", (*at, names[i]), message)
 
     def _values(self, at: Location, values: Any) -> Iterator[str]:
@@ -290,8 +290,8 @@ class _BatchReader:
                 self.document, ("variants",), variants, self.keys.roots
             )
             return None if path is None else read_variants(path)
-        taken = {*self._reserved_names(), *self.model.variables}
-        return rows_of_document(self.document, variants, taken)
+        taken_names = {*self._reserved_names(), *self.model.variables}
+        return rows_of_document(self.document, variants, taken_names)
 
     def _names(self, columns: Sequence[str]) -> None:
         """Check the names in braces in the output."""

@@ -100,7 +100,7 @@ def run_batch(
     start_time = time.perf_counter()
     options, listener = options or RunOptions(), listener or Listener()
     batch = spec if isinstance(spec, Batch) else find_batch(spec)
-    items = _chosen(batch, options)
+    items = _selected_items(batch, options)
     check_output_files(batch)
     if options.dry_run:
         history = read_history(batch.records, batch.name)
@@ -124,7 +124,7 @@ def run_batch(
     return BatchReport(batch, tuple(run.reports()), seconds, notices)
 
 
-def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
+def _selected_items(batch: Batch, options: RunOptions) -> Sequence[Item]:
     if options.numbers is None:
         return batch.items
     first_number, last_number = options.numbers

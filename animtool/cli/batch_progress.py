@@ -59,7 +59,7 @@ def openjd_lines(other: Listener, calling: ArgumentNamer) -> Listener:
         """Writes progress, status and failures."""
 
         def __init__(self) -> None:
-            self.total = self.ended_items = self.failed = 0
+            self.total = self.ended_count = self.failed = 0
 
         def planned(self, due: int, total: int) -> None:
             """Receive the number of items to build."""
@@ -74,13 +74,13 @@ def openjd_lines(other: Listener, calling: ArgumentNamer) -> Listener:
 
         def ended(self, report: ItemReport) -> None:
             """Print the progress and failures."""
-            self.ended_items += 1
-            output, count = report.item.output, f"{self.ended_items} of {self.total}"
+            self.ended_count += 1
+            output, count = report.item.output, f"{self.ended_count} of {self.total}"
             if report.failed:
                 self.failed += 1
                 reason = report.worded(calling).why
                 _say("fail", f"{self.failed} failed, the last is {output}: {reason}")
-            _say("progress", f"{100 * self.ended_items / self.total:.1f}")
+            _say("progress", f"{100 * self.ended_count / self.total:.1f}")
             _say("status", f"{count}: {report.status} {output}")
             other.ended(report)
 
@@ -131,7 +131,7 @@ def _lines(console: Console, *, lines: bool) -> Listener:
     class TextLines(Listener):
         """Prints one line per item."""
 
-        due = ended_items = 0
+        due = ended_count = 0
 
         def planned(self, due: int, total: int) -> None:
             """Receive the number of items to build."""
@@ -141,12 +141,12 @@ def _lines(console: Console, *, lines: bool) -> Listener:
 
         def ended(self, report: ItemReport) -> None:
             """Print the result of one item."""
-            self.ended_items += 1
+            self.ended_count += 1
             if lines:
                 console.result_json(report, line=True)
             else:
                 worded_report = report.worded(console.calling)
-                console.say(ended_text(worded_report, self.ended_items, self.due))
+                console.say(ended_text(worded_report, self.ended_count, self.due))
 
         def warned(self, notice: Fault) -> None:
             """Print a warning."""
@@ -167,7 +167,7 @@ def _table(
     class ProgressListener(Listener):
         """Tracks finished, failed and running items with their start times."""
 
-        due = ended_items = failed = 0
+        due = ended_count = failed = 0
 
         def __init__(self) -> None:
             self.running: dict[int, tuple[str, float]] = {}
@@ -185,7 +185,7 @@ def _table(
         def ended(self, report: ItemReport) -> None:
             """Record a finished item."""
             self.running.pop(report.item.number, None)
-            self.ended_items += 1
+            self.ended_count += 1
             self.failed += bool(report.faults)
             self.warning = ""
             if lines:
@@ -200,10 +200,10 @@ def _table(
     def drawn() -> RenderableType:
         if not tracker.due:
             return Text()
-        caption = f"{tracker.ended_items} of {tracker.due}"
+        caption = f"{tracker.ended_count} of {tracker.due}"
         caption += f", {tracker.failed} failed" if tracker.failed else ""
         header = Table.grid(padding=(0, 1))
-        bar = ProgressBar(tracker.due, tracker.ended_items, width=BAR_WIDTH)
+        bar = ProgressBar(tracker.due, tracker.ended_count, width=BAR_WIDTH)
         header.add_row(bar, Text(caption))
         running_rows = Table.grid(padding=(0, 1))
         for name, began in list(tracker.running.values()):

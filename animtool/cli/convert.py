@@ -243,10 +243,10 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
             strict=params["strict"],
         )
     console.faults(report.notices)
-    console.report(params["report_format"], report, _RIG)
+    console.report(params["report_format"], report, _RIG_REPORT)
 
 
-_RIG = Template(
+_RIG_REPORT = Template(
     "animtool.scene.convert.rigs:RigReport",
     (
         "{outputs:join}: [{counts:several}]",

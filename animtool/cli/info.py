@@ -98,7 +98,7 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
         *_GLTF,
         "[{?joints}  joints    {joints} below {roots:list 4}[, {channels:n channel}]"
         "|  joints    none: blend shapes alone]",
-        f"{_FRAMES}[{{?strides}}, one every {{step}} time codes]",
+        f"{_FRAMES}[{{?has_frame_step}}, one every {{step}} time codes]",
         "[{?shot}  shot      [{shot.name}, ]frames {shot.start} to {shot.end}, cut "
         "{shot.cut_in} to {shot.cut_out}, handles {shot.head} and {shot.tail}]",
         "  animated  {animated:kinds} joints of {joints}[{?shapes}, "

@@ -75,8 +75,8 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 def memory_fault(error: BaseException) -> Fault:
     """Return the fault of an out-of-memory error: its size and the failed step."""
-    size_text = str(error).strip().rstrip(".")
-    message = f"out of memory: {size_text}" if size_text else "out of memory"
+    description = str(error).strip().rstrip(".")
+    message = f"out of memory: {description}" if description else "out of memory"
     step = _step(error)
     if step:
         message += f", needed in {step}"

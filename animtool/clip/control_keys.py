@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.clip.coordinates import JointMotion, Same, requested_of_joints
+from animtool.clip.coordinates import JointMotion, Same, required_control_values
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points, point_errors
 from animtool.clip.sample import sample_values
@@ -62,7 +62,7 @@ def solved_controls(
         without_drives = {c.name: np.full(frames, c.default) for c in controls}
         start |= {name: without_drives[name] for name in plan_of(rig).controls}
     start_values = evaluate_controls(controls, start).targets
-    goals, keyed = requested_of_joints(
+    goals, keyed = required_control_values(
         rig, joints, set(start_values), start_values, same
     )
     shapes = uncombined_weights_of(take, rig)

@@ -153,7 +153,7 @@ def _with_best_revolution(
     )
 
 
-def requested_of_joints(
+def required_control_values(
     rig: Rig,
     motions: Sequence[JointMotion],
     targets: Set[str],

@@ -29,7 +29,7 @@ class PlainKeys:
 
     @staticmethod
     def of_entries(entries: Any) -> PlainKeys | None:
-        """Return a list of mappings as columns; None if not plain or faulty.
+        """Return keys as columns; None if one is invalid or has more than `t` and `v`.
 
         >>> keys = PlainKeys.of_entries([{"t": 1, "v": [0.5, 2]}])
         >>> keys.values.tolist()

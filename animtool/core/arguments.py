@@ -38,7 +38,7 @@ class Argument:
 
     @property
     def switch(self) -> bool | None:
-        """Value that is stated for a boolean, else None."""
+        """The stated value as a boolean; None if it states none."""
         return {"true": True, "false": False}.get(self.value or "")
 
 

@@ -243,10 +243,10 @@ def chosen_options(record: Any) -> dict[str, Option]:
     """Return the options that differ from their defaults."""
     defaults = {entry.name: entry.default for entry in fields(record)}
     return {
-        name: inherits_docs
-        for name, inherits_docs in options_of(record).items()
+        name: option
+        for name, option in options_of(record).items()
         if (value := getattr(record, name)) != defaults[name]
-        and not (inherits_docs.kind == "answer" and value)
+        and not (option.kind == "answer" and value)
     }
 
 

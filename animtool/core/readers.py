@@ -335,7 +335,7 @@ def find_reader(path: Path) -> Reader:
 
 
 def export_fault(path: Path) -> Fault:
-    """Return the fault of a file to export to a readable format (IO002)."""
+    """Return the fault for a file that must first be exported (IO002)."""
     about, hint = EXPORT_HINTS[path.suffix.lower()]
     message = f"{path.suffix} is not read: it is {about}"
     return Fault("IO002", message, str(path), (), hint)

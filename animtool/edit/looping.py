@@ -58,7 +58,7 @@ class SeamBlend:
     length: int  # number of frames of the cycle, L
     before: int  # 1 if there is a frame before the cycle, else 0
     behind: int  # 1 if a frame follows the repeated pose, else 0
-    pose: FloatArray  # weight of the offset at the end [1] ``(L, 1, 1)``
+    pose_weight: FloatArray  # weight of the offset at the end [1] ``(L, 1, 1)``
     speed: FloatArray  # 1 if there is a frame after the repeated pose, else 0
 
     @staticmethod
@@ -76,7 +76,7 @@ class SeamBlend:
     @property
     def blended_frames(self) -> slice:
         """The blended frames at the end of the cycle."""
-        (frames,) = np.nonzero(self.pose[:, 0, 0])
+        (frames,) = np.nonzero(self.pose_weight[:, 0, 0])
         return slice(int(frames[0]) if len(frames) else self.length, self.length)
 
     def cycle(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
@@ -111,7 +111,8 @@ def close_vectors(
     offset = onward(cycle[:1])[0] - cycle[-1]
     corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     corrected_values[blend_frames] += (
-        blend.pose[blend_frames] * offset + blend.speed[blend_frames] * missing_velocity
+        blend.pose_weight[blend_frames] * offset
+        + blend.speed[blend_frames] * missing_velocity
     )
     return corrected_values
 
@@ -129,7 +130,7 @@ def close_rotations(
         so3.steps(onward(start_frames)), end_values, lambda: so3.steps(cycle), blend
     )
     corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
-    correction = so3.slerp(so3.IDENTITY, offset, blend.pose[blend_frames, :, 0])
+    correction = so3.slerp(so3.IDENTITY, offset, blend.pose_weight[blend_frames, :, 0])
     corrected_part = so3.multiply(corrected_values[blend_frames], correction)
     corrected_values[blend_frames] = so3.multiply(
         corrected_part, so3.exp(blend.speed[blend_frames] * missing_velocity)
@@ -162,7 +163,7 @@ def _missing_speed(
 
 
 def map_attributes(
-    track: Track, known: Transforms, function: Callable[[FloatArray], FloatArray]
+    track: Track, transforms: Transforms, function: Callable[[FloatArray], FloatArray]
 ) -> Transforms:
     """Return transforms with a function applied to all numeric attributes.
 
@@ -175,25 +176,27 @@ def map_attributes(
         return mapped_columns.reshape(len(mapped_columns), *values.shape[1:])
 
     return Transforms(
-        numbers(known.translations),
-        function(known.rotations[:, None])[:, 0],
-        numbers(known.scales),
-        None if known.matrices is None else numbers(known.matrices),
+        numbers(transforms.translations),
+        function(transforms.rotations[:, None])[:, 0],
+        numbers(transforms.scales),
+        None if transforms.matrices is None else numbers(transforms.matrices),
         tuple(
             numbers(values) if attribute.width else values
-            for attribute, values in zip(track.attributes, known.values, strict=True)
+            for attribute, values in zip(
+                track.attributes, transforms.values, strict=True
+            )
         ),
-        known.clamped,
+        transforms.clamped,
     )
 
 
-def resample_track(track: Track, known: Transforms) -> Track:
+def resample_track(track: Track, transforms: Transforms) -> Track:
     """Return a track sampled at times 0, 1, 2 ..., clamped at its ends.
 
     Between samples, rotations follow the shortest arc, numbers are linear and tokens
     are held.
     """
-    count = len(known)
+    count = len(transforms)
 
     def sample(times: FloatArray) -> Transforms:
         positions = nearby_positions(times, count)
@@ -202,14 +205,16 @@ def resample_track(track: Track, known: Transforms) -> Track:
             all_rows = np.arange(values.shape[1])
             return positions.interpolate(Channel(values[0], all_rows, values)).values
 
-        mapped_transforms = map_attributes(track, known, between)
+        mapped_transforms = map_attributes(track, transforms, between)
         values = tuple(
             mapped_transforms.values[i]
             if attribute.width
-            else known.values[i][positions.frames]
+            else transforms.values[i][positions.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        static = None if known.clamped is None else known.clamped[positions.frames]
+        static = (
+            None if transforms.clamped is None else transforms.clamped[positions.frames]
+        )
         return replace(mapped_transforms, values=values, clamped=static)
 
     return replace(track, sample=sample)
@@ -310,12 +315,12 @@ def _looped_tracks(
 
 
 def _looped_track(
-    track: Track, known: Transforms, up: UpAxis, seam: SeamBlend, repeats: int
+    track: Track, transforms: Transforms, up: UpAxis, seam: SeamBlend, repeats: int
 ) -> Track:
     root = Rig("track", (Joint("root", -1),), up=up)
     motion = Motion(
-        Channel.from_dense(known.translations[:, None]),
-        Channel.from_dense(known.rotations[:, None]),
+        Channel.from_dense(transforms.translations[:, None]),
+        Channel.from_dense(transforms.rotations[:, None]),
     )
     cycle_slice = slice(seam.before, seam.before + seam.length + 1)
     cycle = _CycleState(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
@@ -325,7 +330,7 @@ def _looped_track(
         cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
-    mapped_transforms = map_attributes(track, known, closed)
+    mapped_transforms = map_attributes(track, transforms, closed)
     looped_values = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
         for attribute, values in zip(
@@ -338,8 +343,8 @@ def _looped_track(
         rotations=looped_motion.rotations.dense()[:, 0],
         values=looped_values,
         clamped=None
-        if known.clamped is None
-        else np.tile(seam.cycle(known.clamped)[:-1], repeats),
+        if transforms.clamped is None
+        else np.tile(seam.cycle(transforms.clamped)[:-1], repeats),
     )
     return resample_track(track, result)
 

@@ -169,13 +169,13 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPl
     """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
-    parse_choice = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
+    has_root_axes = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
     hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
     frame = parent_frame(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
         raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
-    position = np.where(parse_choice, hips.position, root_frame.position)
+    position = np.where(has_root_axes, hips.position, root_frame.position)
     offset = (position - frame.position)[..., None]
     translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
     rotations = motion.rotations.gather(np.array([root]))[:, 0]

@@ -299,7 +299,7 @@ class _TargetsReader:
         self,
         at: Location,
         model: float | WeightsModel,
-        active_parts: AbstractSet[str],
+        goal_kinds: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
@@ -314,7 +314,7 @@ class _TargetsReader:
             weight = getattr(model, part)
             if weight is None:
                 continue
-            if part not in active_parts:
+            if part not in goal_kinds:
                 message = f"the weight of the {part} has no effect: the goal has none"
                 self.document.warn("TGT101", (*at, part), message)
             curve = self._weight((*at, part), weight)

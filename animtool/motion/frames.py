@@ -42,7 +42,7 @@ class CurvesFrame:
 
 @dataclass(frozen=True, slots=True)
 class MeshFrame:
-    """A polygon mesh whose faces never change, unless it tears."""
+    """A polygon mesh at one frame; its faces change only if it tears."""
 
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]

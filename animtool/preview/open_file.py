@@ -319,7 +319,7 @@ def shown_scene(scene: Scene) -> Scene:
 def _combined_stage(
     folder: Path, layer_path: Path, options: PreviewOptions, weaker: Sequence[Path] = ()
 ) -> Path:
-    """Return a stage that combines a layer with the given stages."""
+    """Write a stage of a layer over weaker ones, under overlays; return its path."""
     from animtool.usd.layers.view import write_view
 
     overlays = [Path(layer) for layer in options.over]

@@ -67,7 +67,7 @@ class TakeDescription:
     json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
-    def strides(self) -> bool:
+    def has_frame_step(self) -> bool:
         """Whether the frame step is not one time code."""
         return self.step != 1
 

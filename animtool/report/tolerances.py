@@ -49,7 +49,7 @@ def hidden_angle(tolerance: float, largest: float) -> list[Fault]:
 
 
 def hidden_weight(tolerance: float, largest: float) -> list[Fault]:
-    """Warn of a tolerance as large as weights are (CLI107)."""
+    """Return a warning if the tolerance hides every weight difference (CLI107)."""
     if not MAX_WEIGHT <= tolerance < math.inf:
         return []
     if not WEIGHT_TOLERANCE < largest <= tolerance:

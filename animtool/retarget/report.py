@@ -112,7 +112,7 @@ class FitMeter:
         self._worst: dict[str, FloatArray] = {}
         # Largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
-        self._last: list[FloatArray] = []
+        self._last_frames: list[FloatArray] = []
         target_lengths = transfer.target.path_lengths[
             [pair.target for pair in joint_map.pairs]
         ]
@@ -168,12 +168,12 @@ class FitMeter:
             target[:, [pair.target for pair in pairs]],
             self._sizes * source[:, [pair.source for pair in pairs]],
         ]
-        if self._last:
+        if self._last_frames:
             current = [
                 np.concatenate(previous)
-                for previous in zip(self._last, current, strict=True)
+                for previous in zip(self._last_frames, current, strict=True)
             ]
-        self._last = [previous[-2:].copy() for previous in current]
+        self._last_frames = [previous[-2:].copy() for previous in current]
         if len(current[0]) > 2:
             scale_factors = [
                 np.linalg.norm(np.diff(previous, 2, axis=0), axis=2).max(

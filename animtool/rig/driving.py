@@ -51,7 +51,7 @@ def evaluate_drivers(
     plan: DriverPlan,
     read: ReadCoordinate,
     controls: Mapping[str, FloatArray],
-    skipped: Collection[str] = (),
+    skipped_targets: Collection[str] = (),
 ) -> DriverValues:
     """Evaluate all drivers.
 
@@ -60,7 +60,7 @@ def evaluate_drivers(
         read: Maps the name of an undriven joint's coordinate to its values.
         controls: Values of all controls ``(F,)`` or ``(1,)``; those of driven controls
             are ignored.
-        skipped: Targets whose drivers are skipped; their joints are read as if
+        skipped_targets: Targets whose drivers are skipped; their joints are read as if
             undriven.
     """
     rig = plan.rig
@@ -68,7 +68,7 @@ def evaluate_drivers(
     result = DriverValues({}, {}, {}, {})
     by_control = {control.name: control for control in rig.controls}
     for target in plan.order:
-        if target in skipped:
+        if target in skipped_targets:
             continue
         kind, _, name = target.partition("/")
         if kind == "control":
@@ -98,7 +98,7 @@ def evaluate_drivers(
         )
     by_shape = {shape.name: shape for shape in rig.shapes}
     for name in plan.shapes:
-        if f"shape/{name}" in skipped:
+        if f"shape/{name}" in skipped_targets:
             continue
         driver = by_shape[name].driven
         if driver is not None:

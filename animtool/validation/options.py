@@ -101,7 +101,7 @@ class ValidateOptions:
             return self
         return replace(self, levels=PROFILES[profile].levels)
 
-    def within(self, project: ValidateOptions) -> ValidateOptions:
+    def merged_over(self, project: ValidateOptions) -> ValidateOptions:
         """Return these options merged with a project's; these take precedence."""
         return replace(
             self,

@@ -274,7 +274,7 @@ def validate_files(
     files = tuple(dict.fromkeys(files))
     folders = {path.parent: path for path in files}
     projects = {folder: settings_of(path) for folder, path in folders.items()}
-    settings = [options.within(projects[path.parent]) for path in files]
+    settings = [options.merged_over(projects[path.parent]) for path in files]
     _, failed_rules = all_rules()
     by_scene = values_of_batches(files)
     values = (

@@ -54,27 +54,27 @@ class PointNaming:
     """
 
     def __init__(
-        self, moving: MarkerDistances, overlap: FloatArray, rest: FloatArray
+        self, moving: MarkerDistances, overlap: FloatArray, rest_distances: FloatArray
     ) -> None:
         """Start without names.
 
         moving: Distances of the points. overlap: Frames in which pairs are visible
-        ``(R, R)``. rest: Distances of the markers ``(M, M)`` [m].
+        ``(R, R)``. rest_distances: Distances of the markers ``(M, M)`` [m].
         """
-        count, markers = len(overlap), len(rest)
+        count, markers = len(overlap), len(rest_distances)
         self.together: BoolArray = overlap > 0
         # A pair's weight is its visible fraction.
         overlap_fraction = overlap / max(1.0, float(overlap.max()))
         self.length = np.diag(overlap_fraction).copy()
         np.fill_diagonal(overlap_fraction, 0.0)
-        self.pair_scores = pair_evidence(moving, overlap_fraction, rest)
+        self.pair_scores = pair_evidence(moving, overlap_fraction, rest_distances)
         # Points never visible together that share a name should be one marker.
         part = np.minimum(self.length[:, None], self.length) * ~self.together
         linked = (part * chain_likelihoods(moving, overlap)).astype(np.float32)
         for name in range(markers):
             self.pair_scores[:, :, name, name] += linked
         self.pairs = _rigid_pairs(moving, overlap_fraction)
-        self.moves = possible_exchanges(rest)
+        self.moves = possible_exchanges(rest_distances)
         self.names_of = np.full(count, -1)
         self.scores = np.zeros((count, markers))
         self.taken = np.zeros((count, markers), np.int64)
@@ -291,14 +291,14 @@ class PointNaming:
 
 
 def search_names(
-    best: PointNaming, rest: FloatArray, seeds: Sequence[dict[int, int]]
+    best: PointNaming, rest_distances: FloatArray, seeds: Sequence[dict[int, int]]
 ) -> PointNaming:
     """Return better names, found by removing some and assigning them again.
 
     A conflicting name is removed first; if that is not enough, all names around the two
     markers.
     """
-    best = _retry_doubtful(best, rest)
+    best = _retry_doubtful(best, rest_distances)
     best_total = best.total()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
@@ -307,9 +307,9 @@ def search_names(
         if not len(lacking):
             break
         centre = int(rng.choice(lacking))
-        is_near = rest[centre] < rng.uniform(*RESTART_RADIUS)
-        if len(lacking) < len(rest) and rng.random() < 0.5:
-            is_near |= (rest[lacking] < DOUBT_RADIUS).any(axis=0)
+        is_near = rest_distances[centre] < rng.uniform(*RESTART_RADIUS)
+        if len(lacking) < len(rest_distances) and rng.random() < 0.5:
+            is_near |= (rest_distances[lacking] < DOUBT_RADIUS).any(axis=0)
         offsets = rng.uniform(*RANDOM_BIAS) * best.length[:, None]
         bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
         candidate = best.copy()
@@ -321,12 +321,12 @@ def search_names(
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total()
         if candidate_total > best_total + MIN_GAIN:
-            best = _retry_doubtful(candidate, rest)
+            best = _retry_doubtful(candidate, rest_distances)
             best_total = best.total()
     return best
 
 
-def _retry_doubtful(best: PointNaming, rest: FloatArray) -> PointNaming:
+def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNaming:
     """Return names after trying the most doubtful ones again."""
     best.improve()
     best_total = best.total()
@@ -337,10 +337,10 @@ def _retry_doubtful(best: PointNaming, rest: FloatArray) -> PointNaming:
             break
         tried_moves.add(move)
         point, marker = move
-        nearby = rest[marker] < DOUBT_RADIUS
+        nearby = rest_distances[marker] < DOUBT_RADIUS
         if best.names_of[point] >= 0:
-            nearby = nearby | (rest[best.names_of[point]] < DOUBT_RADIUS)
-        for is_reassigned in (np.zeros(len(rest), bool), nearby):
+            nearby = nearby | (rest_distances[best.names_of[point]] < DOUBT_RADIUS)
+        for is_reassigned in (np.zeros(len(rest_distances), bool), nearby):
             candidate = best.copy()
             candidate.eject(point, marker, is_reassigned)
             candidate.improve(best_total)
@@ -352,10 +352,10 @@ def _retry_doubtful(best: PointNaming, rest: FloatArray) -> PointNaming:
 
 
 def pair_evidence(
-    moving: MarkerDistances, overlap: FloatArray, rest: FloatArray
+    moving: MarkerDistances, overlap: FloatArray, rest_distances: FloatArray
 ) -> FloatArray:
     """Return the evidence of point pairs for name pairs ``(R, R, M, M)`` [nat]."""
-    count, markers = len(overlap), len(rest)
+    count, markers = len(overlap), len(rest_distances)
     # Single precision: the table is large, and evidence is not more precise.
     pair_scores: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
@@ -363,7 +363,7 @@ def pair_evidence(
         table = rest_evidence(
             moving.mean[point, later_points],
             moving.spread[point, later_points],
-            rest.reshape(1, -1),
+            rest_distances.reshape(1, -1),
         ).reshape(-1, markers, markers)
         table *= overlap[point, later_points, None, None]
         pair_scores[point, later_points] = table
@@ -407,10 +407,10 @@ def exchange_gain(
     return np.asarray(value)
 
 
-def possible_exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
+def possible_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
-    near = rest < EXCHANGE_DISTANCE
-    first, second = np.triu_indices(len(rest), 1)
+    near = rest_distances < EXCHANGE_DISTANCE
+    first, second = np.triu_indices(len(rest_distances), 1)
     two = np.stack([first, second], axis=1)
     close = two[near[first, second]]
     one, other = np.triu_indices(len(close), 1)

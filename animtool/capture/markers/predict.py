@@ -65,7 +65,7 @@ def predict_from_markers(
     visible: BoolArray,
     marker: int,
     gap: slice,
-    spread: FloatArray,
+    distance_deviations: FloatArray,
     rate: float,
 ) -> Prediction | None:
     """Return a marker's predicted positions in a gap; None if too few are visible.
@@ -74,10 +74,11 @@ def predict_from_markers(
     Its motion there is learnt from the frames in which it is visible: a Gaussian
     process over the others' pose, plus one over time that joins the ends.
 
-    positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``. spread: How
-    much the distance to each marker varies ``(M,)``. rate: [frame/s].
+    positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``.
+    distance_deviations: How much the distance to each marker varies ``(M,)``.
+    rate: [frame/s].
     """
-    neighbours = _nearest_markers(visible, marker, gap, spread)
+    neighbours = _nearest_markers(visible, marker, gap, distance_deviations)
     if len(neighbours) < 3:
         return None
     training = _training_frames(visible, marker, gap, neighbours, rate)
@@ -140,7 +141,7 @@ def predict_in_parent(
     visible: BoolArray,
     marker: int,
     gap: slice,
-    spread: FloatArray,
+    distance_deviations: FloatArray,
     rate: float,
 ) -> Prediction | None:
     """Return predictions for a marker without mates on its joint; None if unknown.
@@ -149,7 +150,7 @@ def predict_in_parent(
     marker on the same joint if there is any. Its motion there is learnt as in
     `predict_from_markers`, with the same arguments.
     """
-    neighbours = _nearest_markers(visible, marker, gap, spread)
+    neighbours = _nearest_markers(visible, marker, gap, distance_deviations)
     training = _training_frames(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING_FRAMES or not skeleton.has_parent(marker):
         return None
@@ -242,12 +243,12 @@ def follow(
 
 
 def _nearest_markers(
-    visible: BoolArray, marker: int, gap: slice, spread: FloatArray
+    visible: BoolArray, marker: int, gap: slice, distance_deviations: FloatArray
 ) -> IntArray:
     """Return the markers visible throughout a gap, the most rigid first."""
-    is_usable = visible[gap].all(axis=0) & np.isfinite(spread)
+    is_usable = visible[gap].all(axis=0) & np.isfinite(distance_deviations)
     is_usable[marker] = False
-    order = np.argsort(np.where(is_usable, spread, np.inf), kind="stable")
+    order = np.argsort(np.where(is_usable, distance_deviations, np.inf), kind="stable")
     return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
 
 

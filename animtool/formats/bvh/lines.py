@@ -322,17 +322,17 @@ class RowReader:
             self.notices.append(
                 Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
             )
-        self._name_all(
+        self._note_bad_channels(
             "BVH102", self._missing, "not finite", "interpolated between neighbours"
         )
-        self._name_all(
+        self._note_bad_channels(
             "BVH104",
             self._beyond_float32,
             "beyond float32",
             "the largest float32 is written; the reported error does not count them",
         )
 
-    def _name_all(
+    def _note_bad_channels(
         self, code: str, fault_lines: dict[int, list[int]], problem: str, hint: str
     ) -> None:
         for column, lines in sorted(fault_lines.items())[:MAX_LISTED_CHANNELS]:

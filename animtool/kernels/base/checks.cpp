@@ -25,13 +25,13 @@ void refuse(const char* name, const std::string& what) {
   throw std::invalid_argument(std::string(name) + ": " + what);
 }
 
-std::string shown(double value) {
+std::string number_text(double value) {
   char digits[40];
   std::snprintf(digits, sizeof digits, "%.9g", value);
   return digits;
 }
-std::string shown(std::int64_t value) { return std::to_string(value); }
-std::string shown(std::uint64_t value) { return std::to_string(value); }
+std::string number_text(std::int64_t value) { return std::to_string(value); }
+std::string number_text(std::uint64_t value) { return std::to_string(value); }
 
 void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes) {
@@ -53,7 +53,8 @@ void shape(const char* name, const std::size_t* actual, std::size_t axes, const 
 
 template <class T>
 void refuse_range(const char* name, T value, T low, T high) {
-  refuse(name, shown(value) + " is not between " + shown(low) + " and " + shown(high));
+  refuse(name,
+         number_text(value) + " is not between " + number_text(low) + " and " + number_text(high));
 }
 
 template void refuse_range(const char*, double, double, double);

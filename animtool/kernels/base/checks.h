@@ -27,13 +27,13 @@ using Shown =
     std::conditional_t<std::is_floating_point_v<T>, double,
                        std::conditional_t<std::is_signed_v<T>, std::int64_t, std::uint64_t>>;
 
-std::string shown(double value);
-std::string shown(std::int64_t value);
-std::string shown(std::uint64_t value);
+std::string number_text(double value);
+std::string number_text(std::int64_t value);
+std::string number_text(std::uint64_t value);
 
 template <class T>
 std::string text(T value) {
-  return shown(static_cast<Shown<T>>(value));
+  return number_text(static_cast<Shown<T>>(value));
 }
 
 // Checks the shape (ANY matches every size), and the alignment of the data.

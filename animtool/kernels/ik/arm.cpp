@@ -259,7 +259,7 @@ class SixPins : public Arm {
 
   // Solutions of the equations within the limits, sorted by their distance from the start.
   std::size_t find(const double* start, const double* target) {
-    count_ = 0;
+    branch_count_ = 0;
     constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
     const double* weights = target + WEIGHTS;
     if (!(weights[position] > 0) || !(weights[orientation] > 0)) return 0;
@@ -276,11 +276,11 @@ class SixPins : public Arm {
     else
       reach();
     std::iota(order_.begin(), order_.end(), 0);
-    std::stable_sort(order_.begin(), order_.begin() + static_cast<std::ptrdiff_t>(count_),
+    std::stable_sort(order_.begin(), order_.begin() + static_cast<std::ptrdiff_t>(branch_count_),
                      [&](std::size_t a, std::size_t b) {
                        return branches_[a].distance < branches_[b].distance;
                      });
-    return count_;
+    return branch_count_;
   }
 
   const Triple& axis(int n) const { return arm_.lines[n].axis; }
@@ -456,8 +456,8 @@ class SixPins : public Arm {
 
   // Stores a pose, each angle shifted by full turns to the one nearest to the start within limits.
   void add(const std::array<double, ARM_PINS>& angles) {
-    if (count_ == branches_.size()) return;
-    Branch& pose = branches_[count_];
+    if (branch_count_ == branches_.size()) return;
+    Branch& pose = branches_[branch_count_];
     pose.distance = 0;
     for (std::size_t n = 0; n < ARM_PINS; ++n) {
       const double* limit = task_.chain.nodes[n].limit;
@@ -470,7 +470,7 @@ class SixPins : public Arm {
       pose.angles[n] = std::clamp(angle, limit[0], limit[1]);
       pose.distance += (angle - start_[n]) * (angle - start_[n]);
     }
-    ++count_;
+    ++branch_count_;
   }
 
   double worst() const {
@@ -564,7 +564,7 @@ class SixPins : public Arm {
   const double* start_ = nullptr;
   std::array<Branch, MAX_BRANCHES> branches_;
   std::array<std::size_t, MAX_BRANCHES> order_;
-  std::size_t count_ = 0;
+  std::size_t branch_count_ = 0;
 };
 
 }  // namespace

@@ -72,7 +72,7 @@ class PathFit : public Descent {
       for (int t = fit_.first; t < fit_.end; ++t) searched[t] = track(t);
     anchors_ = now_path_;
     FitOutcome outcome;
-    improve_all(outcome);
+    minimize(outcome);
     std::copy(now_path_.begin(), now_path_.end(), path);
     return outcome;
   }
@@ -367,7 +367,7 @@ class PathFit : public Descent {
     return true;
   }
 
-  void improve_all(FitOutcome& outcome) {
+  void minimize(FitOutcome& outcome) {
     if (fit_.first >= fit_.end) return;
     const int count = fit_.end - fit_.first;
     blocks_.resize(count);

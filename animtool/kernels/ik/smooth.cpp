@@ -70,10 +70,10 @@ class PathSmoother {
     PathOutcome outcome;
     outcome.before = evaluate_all();
     std::vector<char> visited(frames_, 0);
-    improve_all(outcome, outcome.before);
+    minimize(outcome, outcome.before);
     if (path_.weights.acceleration > 0 && path_.rounds > 0)
       for (int i = 0; i < CORNERS && select_corner(visited); ++i) {
-        improve_all(outcome, local_cost());
+        minimize(outcome, local_cost());
         shift_crossings(outcome);
       }
     outcome.after = evaluate_all();
@@ -170,7 +170,7 @@ class PathSmoother {
   }
 
   // Iterates over the frames first_ to end_ until the gain is small relative to `scale`.
-  void improve_all(PathOutcome& outcome, double scale) {
+  void minimize(PathOutcome& outcome, double scale) {
     damping_ = 0;
     double cost = evaluate(now_);
     for (int round = 0; round < path_.rounds; ++round) {
@@ -212,7 +212,7 @@ class PathSmoother {
         const double by = (tried / 2 + 1) * SHIFT * (tried % 2 ? -1 : 1);
         const double cost = evaluate(now_);
         const std::vector<double> before = now_;
-        if (shift(by, wide)) improve_all(outcome, local_cost());
+        if (shift(by, wide)) minimize(outcome, local_cost());
         if (!(evaluate(now_) < cost)) now_ = before;
       }
     evaluate(now_);

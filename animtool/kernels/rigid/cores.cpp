@@ -130,8 +130,8 @@ Scratch& scratch() {
   return buffer;
 }
 
-Manifold of_face(const PosedCore& ref, const PosedCore& other, int face, bool turned,
-                 double reach) {
+Manifold face_manifold(const PosedCore& ref, const PosedCore& other, int face, bool turned,
+                       double reach) {
   Scratch& buffer = scratch();
   buffer.loop.clear(), buffer.contact_points.clear();
   const Vec n = ref.normals[static_cast<std::size_t>(face)];
@@ -241,7 +241,7 @@ Manifold meet_solid(const PosedCore& solid, const PosedCore& rounded, double rea
     const Vec d = rounded.points[1] - rounded.points[0];
     const double tilt = dot(d, solid.normals[face]);
     if (tilt * tilt <= COPLANAR * dot(d, d)) {
-      const Manifold manifold = of_face(solid, rounded, face, false, reach);
+      const Manifold manifold = face_manifold(solid, rounded, face, false, reach);
       if (manifold.count > 1) return manifold;
     }
   }
@@ -462,8 +462,8 @@ Manifold manifold_of(const PosedCore& a, const PosedCore& b, double reach) {
   const double skin = a.core->radius + b.core->radius;
   const Axis axis = separating_axis(a, b, reach + skin);
   if (axis.gap > reach + skin) return {};
-  if (axis.kind == Axis::FIRST) return of_face(a, b, axis.first, false, reach);
-  if (axis.kind == Axis::SECOND) return of_face(b, a, axis.second, true, reach);
+  if (axis.kind == Axis::FIRST) return face_manifold(a, b, axis.first, false, reach);
+  if (axis.kind == Axis::SECOND) return face_manifold(b, a, axis.second, true, reach);
   const auto [p, q] = nearest({axis.edge_a[0], axis.edge_a[1]}, {axis.edge_b[0], axis.edge_b[1]});
   return of_points(p, q, axis.normal, a.core->radius, b.core->radius);
 }

@@ -227,9 +227,9 @@ void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, d
   limit_push(drive, row);
 }
 
-bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
-                 const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
-                 std::vector<Drives>& drives) {
+bool update_drive_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
+                         const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
+                         std::vector<Drives>& drives) {
   std::size_t count = 0;
   for (const Rows& each : rows) count += each.count;
   const bool complete = count <= MAX_EQUATIONS;

@@ -38,8 +38,8 @@ void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, d
 
 // Computes effective masses of drives in an island, whose rows are given. Returns whether no joint
 // equation is redundant, or nearly.
-bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
-                 const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
-                 std::vector<Drives>& drives);
+bool update_drive_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
+                         const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
+                         std::vector<Drives>& drives);
 
 }  // namespace animtool::rigid

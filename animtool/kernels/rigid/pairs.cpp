@@ -466,7 +466,8 @@ class Finder {
     if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
     Manifold manifold = manifold_of(q, p, reach);
     if (!manifold.count) return true;
-    if (!faces_out(mesh, t, turned, pose, manifold, q)) manifold = on_face(q, p, reach, two_sided);
+    if (!faces_out(mesh, t, turned, pose, manifold, q))
+      manifold = triangle_manifold(q, p, reach, two_sided);
     if (!manifold.count) return true;
     manifold.normal = -manifold.normal;
     add(s, c, manifold);
@@ -514,7 +515,8 @@ class Finder {
   }
 
   // Points of a core against the front of a triangle.
-  static Manifold on_face(const PosedCore& q, const PosedCore& p, double reach, bool two_sided) {
+  static Manifold triangle_manifold(const PosedCore& q, const PosedCore& p, double reach,
+                                    bool two_sided) {
     const Vec n = q.normals[0];
     std::vector<ContactPoint> points;
     for (std::size_t i = 0; i < p.core->points.size(); ++i) {

@@ -108,7 +108,7 @@ void Solver::choose_substeps(const Island& island) {
   const auto is_driven = [&](std::size_t k) { return driven(world_.joints[k]); };
   if (!std::any_of(island.joints.begin(), island.joints.end(), is_driven)) return;
   for (std::size_t k = 0; k < count; ++k) write_rows(island.joints[k], k, 0, true);
-  hard_ = find_masses(world_.joints, island.joints, rows_, speeds_, drives_);
+  hard_ = update_drive_masses(world_.joints, island.joints, rows_, speeds_, drives_);
   double parts = 1;
   for (std::size_t k = 0; k < count; ++k)
     for (const Drive& drive : drives_[k]) {

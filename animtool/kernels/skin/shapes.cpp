@@ -25,9 +25,9 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
   check::indices("columns", columns, 0, static_cast<std::int64_t>(weights.shape(1)));
 }
 
-void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
-                const double* offsets, const double* weights, const double* const (&from)[FRAMES],
-                double* const (&to)[FRAMES]) {
+void add_offsets(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
+                 const double* offsets, const double* weights, const double* const (&from)[FRAMES],
+                 double* const (&to)[FRAMES]) {
   for (std::size_t v = 0; v < vertices; ++v) {
     // All frames are read before any is written: the last may be listed twice.
     Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
@@ -77,7 +77,7 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
       to[l] = out.data() + g * row;
     }
     interleave(rows, shapes, table.data());
-    add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from, to);
+    add_offsets(vertices, first.data(), columns.data(), offsets.data(), table.data(), from, to);
   }
 }
 

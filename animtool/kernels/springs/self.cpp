@@ -115,14 +115,14 @@ void SelfContacts::measure(double h, const std::vector<double>& before,
   near_list_.drift = motion_.between(near_list_.at, x, common_motion(near_list_.at, x)).near;
 }
 
-bool SelfContacts::cells_cover() const {
+bool SelfContacts::cells_suffice() const {
   return total_drift_ + need_ + layers_->thickness + 2 * longest_ <= motion_.width();
 }
 
 void SelfContacts::list(double h, const std::vector<double>& before, const std::vector<double>& x) {
-  if (cells_cover() && near_list_.covers(need_)) return;
+  if (cells_suffice() && near_list_.covers(need_)) return;
   const double d = layers_->thickness;
-  if (!cells_cover() || !pair_list_.covers(need_)) {
+  if (!cells_suffice() || !pair_list_.covers(need_)) {
     rebuild_cells(h, before, x);
     pair_list_.begin(x, need_ + LIST_MARGIN * d);
     corners_.list(*layers_, x, pair_list_.reach);

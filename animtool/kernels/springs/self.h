@@ -78,7 +78,7 @@ class SelfContacts {
   void measure(double h, const std::vector<double>& before, const std::vector<double>& x);
   void rebuild_cells(double h, const std::vector<double>& before, const std::vector<double>& x);
   // Whether all pairs that may come near in the step were in adjacent cells.
-  bool cells_cover() const;
+  bool cells_suffice() const;
   void list(double h, const std::vector<double>& before, const std::vector<double>& x);
 
   const SpringLayers* layers_;

@@ -168,7 +168,7 @@ class Bundles {
         goals_((plan.cells + 1) * width()),
         contact_shifts_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
-        touched_(plan.cells * plan.substeps),
+        contact_counts_(plan.cells * plan.substeps),
         at_segments_(plan.points),
         row_before_(ROW * plan.points),
         row_(ROW * plan.points) {
@@ -191,7 +191,7 @@ class Bundles {
     stretch = std::max(stretch, bundle.stretch);
   }
 
-  std::int64_t touched(std::size_t step) const { return touched_[step]; }
+  std::int64_t touched(std::size_t step) const { return contact_counts_[step]; }
   std::int64_t inside = 0;
   double stretch = 0;
 
@@ -213,7 +213,7 @@ class Bundles {
     built.due = built.shift + plan_.points;
     built.dues = built.due + plan_.points;
     built.near = near_.data();
-    built.touched = touched_.data();
+    built.touched = contact_counts_.data();
     built.at_segments = at_segments_.data();
     first_ = index * WIDE;
     for (std::size_t l = 0; l < WIDE; ++l) {
@@ -297,7 +297,7 @@ class Bundles {
   double* out_;
   std::vector<double> rows_, goals_, contact_shifts_;
   std::vector<std::size_t> near_;
-  std::vector<std::int64_t> touched_;
+  std::vector<std::int64_t> contact_counts_;
   std::vector<std::int32_t> at_segments_, near_segments_;
   std::vector<double> row_before_, row_;  // of one strand, in rows
 };

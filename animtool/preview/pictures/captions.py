@@ -140,12 +140,12 @@ def picture_sheet(
     height, width = rows[0][0].shape[:2]
     columns = max(map(len, rows))
     size = _sheet_span(len(rows), height, gap), _sheet_span(columns, width, gap)
-    picture_sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
+    sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
     for i, row in enumerate(rows):
         for k, picture in enumerate(row):
             y, x = caption.height + i * (height + gap), k * (width + gap)
-            picture_sheet[y : y + height, x : x + width] = picture
-    return with_caption(picture_sheet, caption, "", ink, color)
+            sheet[y : y + height, x : x + width] = picture
+    return with_caption(sheet, caption, "", ink, color)
 
 
 def _sheet_span(count: int, size: int, gap: int) -> int:

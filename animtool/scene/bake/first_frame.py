@@ -45,10 +45,12 @@ def frame_start(
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
-    """Return integer frames that cover a take, from its first sample's time code.
+    """Return the integer time codes that cover a take; None if none are needed.
 
-    They reach to its end, and a part of a frame beyond. None where that time code is
-    whole already, or where the samples are one a frame.
+    The first is rounded up from the time code of the first sample, the last from that
+    of the last. None also if that start is an integer or each frame has one sample.
+
+    fps: [frame/s]. start: Time code of the first sample [frame].
 
     >>> clock = Clock(Fraction(24), Fraction(24024, 25), Fraction(24, 25), 20)
     >>> integer_frames(clock, Fraction(24), clock.start)

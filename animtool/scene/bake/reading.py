@@ -131,9 +131,9 @@ class SourceSet:
 
 
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
-    """Return the sources with every take of a file that holds several.
+    """Return one source per take for a single file with several; others as they are.
 
-    This applies to a single file if none of its takes is chosen.
+    A single file with a chosen take also stays as it is.
     """
     if len(reading.files) != 1 or reading.scenes or reading.takes[0] is not None:
         return reading

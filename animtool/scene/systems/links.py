@@ -95,11 +95,9 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
         ]
         for k in joined_indices:
             old_group, new_group = max(group[i], group[k]), min(group[i], group[k])
-            group = [
-                new_group if group_of == old_group else group_of for group_of in group
-            ]
+            group = [new_group if member == old_group else member for member in group]
     return [
-        [i for i, group_of in enumerate(group) if group_of == smallest_member]
+        [i for i, member in enumerate(group) if member == smallest_member]
         for smallest_member in sorted(set(group))
     ]
 

@@ -199,7 +199,7 @@ def open_systems(
 def build_systems(
     systems: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
-    """Return systems at their start, and record them in the context by name."""
+    """Build systems in their initial state, and record them in the context by name."""
     all_built: dict[int, EntryRun] = {}
     faults: list[Fault] = []
     for group in in_order(systems):

@@ -40,7 +40,7 @@ STRETCH = 0.01
 _BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
 
 
-class Lead(StrEnum):
+class PreRoll(StrEnum):
     """Motion of the character before its first frame.
 
     ``hold`` keeps the first pose; ``extrapolate`` travels into it at the speed that the
@@ -99,7 +99,7 @@ class SimulateOptions:
     settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
     # Time from the settled pose to the first frame [s].
     preroll: Annotated[float, within(0.0, "SIM004", 600.0)] = 0.0
-    lead: Lead = Lead.HOLD  # motion during the preroll
+    lead: PreRoll = PreRoll.HOLD  # motion during the preroll
     loop: bool = False  # the take is a cycle: its first pose follows its last
     # The cycle is repeated until the largest change from the last repeat is below this,
     # such as ``0.1mm``.
@@ -190,7 +190,7 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
     checks["what"] = partial(_check_what, options)
     checks["wind"] = partial(_check_finite, options.wind, "wind")
     checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
-    checks["lead"] = partial(parse_choice, Lead, options.lead, "lead")
+    checks["lead"] = partial(parse_choice, PreRoll, options.lead, "lead")
     checks["weight"] = partial(weights_at, options.weight, np.zeros(1))
     checks["interpolation"] = partial(
         parse_choice, KeyInterpolation, options.interpolation, "interpolation"

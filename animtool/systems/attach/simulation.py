@@ -38,7 +38,7 @@ from animtool.systems.attach.poses import (
     seam_weights,
     travel_between,
 )
-from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
+from animtool.systems.attach.settings import PreRoll, SimulateOptions, settings_for
 from animtool.systems.attach.skins import SkinSurface, skins_of
 from animtool.systems.attach.stepping import CycleSteering
 from animtool.systems.attach.strands import chain_rotations
@@ -82,7 +82,7 @@ def saved_state(body: AttachedBody, frame: float) -> tuple[str, StateClock]:
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
+class LoopClosure:
     """Result of closing a cycle."""
 
     repeats: int  # number of repeats
@@ -132,7 +132,7 @@ class AttachSimulation:
         self.saved: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
         self.codes: list[float] = []  # visited time codes
         self.resumed = resumed  # states to resume from
-        self.closing: Closing | None = None  # result of a cycle
+        self.closing: LoopClosure | None = None  # result of a cycle
         self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._collides_with_skins(body) for body in bodies):
             self._skins = skins_of(rig)
@@ -209,7 +209,7 @@ class AttachSimulation:
         """Create the actors, settle them and advance to the first frame."""
         options, rate = self.options, float(self._rate)
         preroll_frames = math.ceil(options.preroll * rate)
-        extrapolates = Lead(options.lead) is Lead.EXTRAPOLATE
+        extrapolates = PreRoll(options.lead) is PreRoll.EXTRAPOLATE
         begin = pose
         if extrapolates:
             begin = extrapolated(self.rig, pose, next_pose, preroll_frames)
@@ -338,7 +338,7 @@ class AttachSimulation:
                 first - end[0] for first, end in zip(firsts, end_states, strict=True)
             ]
             residual = max(float(np.abs(gap).max(initial=0.0)) for gap in gaps)
-            self.closing = Closing(repeat, residual, tolerance, steered)
+            self.closing = LoopClosure(repeat, residual, tolerance, steered)
             if residual <= tolerance or steered:
                 break
             best, stale = min(best, residual), 0 if residual < best else stale + 1

@@ -36,7 +36,7 @@ from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
     AttachState,
-    Closing,
+    LoopClosure,
     SavedFrame,
     saved_state,
 )
@@ -230,7 +230,7 @@ def _warnings(report: AttachReport) -> list[Fault]:
     return warnings
 
 
-def _cycle_notice(names: str, closing: Closing) -> Fault:
+def _cycle_notice(names: str, closing: LoopClosure) -> Fault:
     message = f"{names}: the cycle was simulated {counted(closing.repeats, 'time')}; "
     if closing.steered:
         message += "it did not close by itself and was steered to the cycle before; "

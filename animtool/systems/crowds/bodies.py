@@ -251,7 +251,7 @@ class AgentBodies(Footing):
         blend: Blend,
         dt: float,
     ) -> BodyState:
-        """Return bodies with landed feet within reach, and hips lowered for them."""
+        """Return bodies with landed feet moved within reach, hips lowered as needed."""
         stances = self._foot_stances(state, motion, state.phases, blend)
         footholds = state.places.copy()
         leg = self.gaits.walker.leg

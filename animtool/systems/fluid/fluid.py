@@ -160,9 +160,9 @@ class Fluid:
 
     def _particles(self, state: FluidState) -> ParticleState:
         """Return the fluid as particles, for forces."""
-        half_step_text, points = self._spec.spacing / 2, state.motion[0]
+        radius, points = self._spec.spacing / 2, state.motion[0]
         return ParticleState.lasting(
-            state.ids, self._mass, half_step_text, state.births, points
+            state.ids, self._mass, radius, state.births, points
         )
 
     def _accelerations(self, state: FluidState, t: float) -> FloatArray:

@@ -84,7 +84,7 @@ class RigidSystem(Protocol):
         """Return linear and angular velocities at the centres ``(count, 6)``."""
 
     def free(self, t: float) -> BoolArray:
-        """Return a mask of bodies that are free after a time [s] ``(count,)``."""
+        """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
         """Return a state after impulses on its bodies."""

@@ -83,10 +83,10 @@ def core_of(shape: Shape) -> ConvexCore:
             ends = shape.anchors() if shape.length else shape.anchors()[:1]
             return ConvexCore(ends, [], shape.radius)
         case Box():
-            half_step_text = shape.sizes()
+            half_extents = shape.sizes()
             signs = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T * 2.0 - 1.0
             return ConvexCore(
-                signs * half_step_text, [np.array(face) for face in _BOX_FACES]
+                signs * half_extents, [np.array(face) for face in _BOX_FACES]
             )
         case Mesh():
             return _convex_hull(np.asarray(shape.points, np.float64))

@@ -122,12 +122,10 @@ def _physics_shape(
             points, corners = shape.weld()
             triangles = corners.astype(np.int64)
     rotation = so3.between(Y_AXIS, axis / np.linalg.norm(axis))
-    to_body_frame = np.concatenate(
+    frame = np.concatenate(
         [pose[:3] + so3.rotate(pose[3:], centre), so3.multiply(pose[3:], rotation)]
     )
-    return PhysicsShape(
-        kind, size, to_body_frame, points, triangles, friction, restitution
-    )
+    return PhysicsShape(kind, size, frame, points, triangles, friction, restitution)
 
 
 def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:

@@ -230,7 +230,7 @@ class SpringSimulation:
         self.wrenches = [*self._contact_wrenches(), *self.grid.tied]
 
     def _stop(self, status: Status, reason: str) -> None:
-        """Raise the warnings so far as errors."""
+        """Stop the run: raise its warnings as errors."""
         self.status, self.sign = status, reason
         stats = self.stats(self.grid.time)
         # The fault that stopped it comes last and is reported with the frame.

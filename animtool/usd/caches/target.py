@@ -17,7 +17,7 @@ from animtool.rig.parts import Attachment
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.caches.writer import PointSpace
 from animtool.usd.layers.faults import PrimLocation
-from animtool.usd.layers.sdf import attribute_spec, author_order, prim_spec
+from animtool.usd.layers.sdf import attribute_spec, author_xform_order, prim_spec
 from animtool.usd.rigs.mesh_read import bound_meshes, bound_strands
 from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS
 from animtool.usd.rigs.target import RigTarget, compose_over_rig
@@ -68,7 +68,7 @@ class CacheTarget:
         # As in UsdSkel.BakeSkinning: prims outside a SkelRoot are not skinned.
         root = prim_spec(layer, self.rig.paths.root, "Xform", over=True)
         if self.rig.moves:
-            author_order(root, *self.rig.operations)
+            author_xform_order(root, *self.rig.operations)
         for mesh in self.prims:
             spec = prim_spec(layer, mesh.path, over=True)
             blocked = mesh.blocked_attributes

@@ -349,7 +349,7 @@ def author_model(layer: Any, path: str) -> Any:
     return model
 
 
-def author_order(spec: Any, *names: str) -> None:
+def author_xform_order(spec: Any, *names: str) -> None:
     """Author the xformOpOrder of a prim."""
     order = Vt.TokenArray(names)
     types = Sdf.ValueTypeNames

@@ -24,8 +24,8 @@ from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.sdf import (
     apply_schemas,
     attribute_spec,
-    author_order,
     author_relationship,
+    author_xform_order,
     gf_quaternion,
     gf_quatf,
     gf_vector,
@@ -173,7 +173,7 @@ class PhysicsWriter:
                 attribute_spec(spec, "axis", _TYPES.Token, "Y", uniform=True)
             case "mesh":
                 self._mesh(spec, shape, approximation)
-        author_order(spec, *names)
+        author_xform_order(spec, *names)
         binding = "material:binding:physics"
         author_relationship(
             spec, binding, self._material_path(shape.friction, shape.restitution)

@@ -26,8 +26,8 @@ from animtool.usd.layers.names import RigPaths, distinct_names, joint_names
 from animtool.usd.layers.sdf import (
     apply_schemas,
     attribute_spec,
-    author_order,
     author_relationship,
+    author_xform_order,
     gf_quatf,
     prim_spec,
     write_samples,
@@ -322,7 +322,7 @@ class _CharacterGroup:
             size = Gf.Vec3f(*[float(track.scales[i])] * 3)
             attribute_spec(spec, "xformOp:scale", _TYPES.Float3, size)
             order.append("xformOp:scale")
-        author_order(spec, *order)
+        author_xform_order(spec, *order)
         visible = track.visible[:, i]
         if not visible.all():
             translate = attribute_spec(spec, "visibility", _TYPES.Token)

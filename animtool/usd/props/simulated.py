@@ -62,7 +62,7 @@ from animtool.usd.layers.sdf import (
     attribute_spec,
     author_metadata,
     author_model,
-    author_order,
+    author_xform_order,
     gf_quaternion,
     new_layer,
     prim_spec,
@@ -403,7 +403,7 @@ def _write_blocks(
             elif job.rotation is not None:
                 rotation = gf_quaternion(job.rotation)
                 attribute_spec(spec, "xformOp:orient", types.Quatd, rotation)
-                author_order(spec, "xformOp:orient")
+                author_xform_order(spec, "xformOp:orient")
         size = 0
         for k, (writer, frame) in enumerate(zip(prims, frames, strict=True)):
             block = writer.block(k, code, frame)
@@ -427,7 +427,7 @@ def _author_placement(
     samples = SampleWriter(attr, lambda row: Gf.Matrix4d(row.tolist()))
     samples.add(job.codes, rows)
     samples.finish(rows[0])
-    author_order(spec, "xformOp:transform")
+    author_xform_order(spec, "xformOp:transform")
 
 
 def _refuse_characters(frames: Sequence[Frame]) -> None:

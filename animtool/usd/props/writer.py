@@ -35,8 +35,8 @@ from animtool.usd.layers.sdf import (
     SampleWriter,
     asset_path,
     attribute_spec,
-    author_order,
     author_relationship,
+    author_xform_order,
     gf_quaternion,
     gf_vector,
     prim_spec,
@@ -194,14 +194,14 @@ def _author_track(
         matrices[:, :3, :3] *= factor
         rows = matrices.swapaxes(1, 2)
         author("xformOp:transform", types.Matrix4d, rows, _to_matrix)
-        author_order(spec, "xformOp:transform")
+        author_xform_order(spec, "xformOp:transform")
     elif track.placed:
         author(
             "xformOp:translate", types.Double3, sampled.translations / unit, gf_vector
         )
         author("xformOp:orient", types.Quatd, sampled.rotations, gf_quaternion)
         author("xformOp:scale", types.Double3, sampled.scales * factor, gf_vector)
-        author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
+        author_xform_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for attribute_, values in zip(track.attributes, sampled.values, strict=True):
         value_type = types.Find(attribute_.type_name)
         if attribute_.width:
@@ -321,7 +321,7 @@ class XformsForm(FrameForm[TransformsFrame]):
                 scale = Gf.Vec3f(*frame.scales[i].tolist())
                 attribute_spec(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
                 names.append("xformOp:scale")
-            author_order(body, *names)
+            author_xform_order(body, *names)
             mesh = prim_spec(layer, f"{body.path}/mesh")
             mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.mesh_indices[i]]))
         if frame.physics is not None:

@@ -23,8 +23,8 @@ from animtool.usd.layers.names import RigPaths, joint_names, legal_name
 from animtool.usd.layers.sdf import (
     apply_schemas,
     attribute_spec,
-    author_order,
     author_relationship,
+    author_xform_order,
     gf_quaternion,
     gf_quatf,
     new_layer,
@@ -78,7 +78,7 @@ def _author_body(
         spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist())
     )
     attribute_spec(spec, "xformOp:orient", _TYPES.Quatd, gf_quaternion(rotation))
-    author_order(spec, "xformOp:translate", "xformOp:orient")
+    author_xform_order(spec, "xformOp:translate", "xformOp:orient")
 
 
 def _author_joint(

@@ -33,8 +33,8 @@ from animtool.usd.layers.names import RigPaths, distinct_names
 from animtool.usd.layers.sdf import (
     apply_schemas,
     attribute_spec,
-    author_order,
     author_relationship,
+    author_xform_order,
     prim_spec,
 )
 from animtool.usd.rigs.skeleton import STRANDS_SCOPE
@@ -205,7 +205,7 @@ def _author_transform(spec: Any, transform: FloatArray, meters_per_unit: float) 
     """Author the transform of a mesh without skin."""
     matrix = _stage_matrix(transform, meters_per_unit)
     attribute_spec(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
-    author_order(spec, "xformOp:transform")
+    author_xform_order(spec, "xformOp:transform")
 
 
 def _stage_matrix(transform: FloatArray, meters_per_unit: float) -> Any:

@@ -97,7 +97,7 @@ class SkeletonRig:
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage."""
+    """Open a stage; an invalid rate, range, unit or up axis is refused."""
     stage = open_composed(find_layer(path), path)
     _check_metadata(stage, PrimLocation(str(path), "/"))
     return stage

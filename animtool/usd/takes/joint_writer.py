@@ -22,7 +22,7 @@ from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     SampleWriter,
     attribute_spec,
-    author_order,
+    author_xform_order,
     gf_quaternion,
     gf_vector,
     prim_spec,
@@ -222,7 +222,7 @@ class AnimationWriter:
         if self._root_path:
             self._author_root(placing_ops)
         elif replaces_motion:
-            author_order(self.layer.GetPrimAtPath(self.paths.root), *placing_ops)
+            author_xform_order(self.layer.GetPrimAtPath(self.paths.root), *placing_ops)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
         """Return padded joint bounds ``(F, 2, 3)``, one array per block."""
@@ -279,7 +279,7 @@ class AnimationWriter:
         samples = SampleWriter(
             attribute_spec(spec, names[1], types.Quatd), gf_quaternion, quaternions=True
         )
-        author_order(spec, *placing_ops, *names)
+        author_xform_order(spec, *placing_ops, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             translation_writer.add(codes, path.translations)
             samples.add(codes, path.rotations)

@@ -125,7 +125,7 @@ def fix_copy(
 
 
 def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
-    return plan_file(path, options.within(settings_of(path)))
+    return plan_file(path, options.merged_over(settings_of(path)))
 
 
 def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:

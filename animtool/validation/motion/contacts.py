@@ -88,7 +88,7 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
                 is_static, PLANTED_HEIGHT * subject.size
             )
             is_flat[e] = fraction > AT_ONE_HEIGHT
-            floor[e] = _lower_height(is_static, PLANTED_HEIGHT * subject.size)
+            floor[e] = _lower_ground_height(is_static, PLANTED_HEIGHT * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
             is_low = np.abs(heights[:, e] - ground[e]) < PLANTED_HEIGHT * subject.size
@@ -122,10 +122,10 @@ def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]
     return float(np.median(values_near)), len(values_near) / len(sorted_heights)
 
 
-def _lower_height(heights: FloatArray, tolerance: float) -> float:
+def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
     """Return the lower of two heights near nearly all values; else infinity.
 
-    >>> _lower_height(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
+    >>> _lower_ground_height(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
     """
     first_height, fraction = _common_height(heights, tolerance)

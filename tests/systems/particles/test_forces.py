@@ -97,7 +97,7 @@ def test_all_particles_at_once_are_each_alone(name: str) -> None:
 def test_forces_are_slopes_of_their_potentials(name: str) -> None:
     force, particles = find_force(name)(**EXAMPLES[name]), some(5)
     x = np.random.default_rng(2).normal(0, 1, (5, 3))
-    if force.potential(x, particles) is None or force.drains:
+    if force.potential(x, particles) is None or force.is_dissipative:
         return
     slopes = np.zeros((5, 3))
     for i, step in enumerate(np.eye(3) * 1e-6):
@@ -117,7 +117,7 @@ def test_forces_are_slopes_of_their_potentials(name: str) -> None:
 def test_what_drains_never_pushes(name: str) -> None:
     force, particles = find_force(name)(**EXAMPLES[name]), some(50)
     x, v = np.random.default_rng(3).normal(0, 2, (2, 50, 3))
-    if force.drains:
+    if force.is_dissipative:
         assert ((force.force(0.0, x, v, particles) * v).sum(axis=1) <= 0).all()
         assert force.damping(v, particles) > 0
 

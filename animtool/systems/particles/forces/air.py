@@ -23,7 +23,7 @@ class Drag(Force):
     linear: NotNegative = 0.0  # [kg/s]
     quadratic: NotNegative = 0.0  # density · area · coefficient / 2 [kg/m]
 
-    drains = True
+    is_dissipative = True
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -56,7 +56,7 @@ class Viscosity(Force):
 
     viscosity: NotNegative = 1e-3  # of the medium [Pa s]; water 1e-3, air 1.8e-5
 
-    drains = True
+    is_dissipative = True
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -112,7 +112,7 @@ class Friction(Force):
     # Below this speed it fades to 0, so that it never reverses the motion [m/s].
     smooth: Positive = 0.01
 
-    drains = True
+    is_dissipative = True
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -34,12 +34,12 @@ class Force(ABC):
 
     Attributes:
         pairs: Whether particles act on each other.
-        drains: Whether it only removes energy from particles.
+        is_dissipative: Whether it only removes energy from particles.
         varies: Whether it depends on position, velocity or time.
     """
 
     pairs: bool = False
-    drains: bool = False
+    is_dissipative: bool = False
     varies: bool = True
 
     @abstractmethod
@@ -76,7 +76,7 @@ class Force(ABC):
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
         """Return energies ``(N,)`` [J]; None if it has no potential."""
-        return np.zeros(len(x)) if self.drains else None
+        return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:
         """Return its stiffness: growth with the distance from equilibrium [N/m]."""
