@@ -98,7 +98,7 @@ class FbxSampler:
         return np.asarray(track.at(base, ticks)[:, 0] / full_percent)
 
     def _static_values(self, ticks: IntArray) -> list[FloatArray]:
-        """Return translations, rotations, scales and shape weights at the first tick."""
+        """Return translations, rotations, scales and weights at the first tick."""
         fbx_rig, count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         state = NodeTransforms(self.scene, self.take, ticks)
         translations, rotations = (
