@@ -126,6 +126,10 @@ class OpenFile:
         return None if self.contents is None else self.contents.fps
 
 
+def _takes_overlays(path: Path) -> bool:
+    return is_usd(path) or has_kind_suffix(path, "scene")
+
+
 def open_file(
     path: Path, options: PreviewOptions, all_files: Sequence[Path], context: ExitStack
 ) -> OpenFile:
@@ -141,6 +145,10 @@ def open_file(
         if has_kind_suffix(path, kind):
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
+    if options.over and not any(map(_takes_overlays, all_files)):
+        message = f"{options.over[0]} is laid over USD and scenes, which {path} is not"
+        hint = f"animtool bake {path} -o {source_stem(path)}.usdc writes one"
+        raise OptionError(Fault("PRV006", message, hint=hint, where="over"))
     if has_kind_suffix(path, "scene"):
         return _open_scene(path, options, context)
     if has_kind_suffix(path, "rig"):

@@ -29,6 +29,8 @@ OTHER_ANGLE_UNITS = {
 }
 # Half a revolution in radians, rounded up: the largest limit of most joints [rad].
 HALF_REVOLUTION = 3.2
+# A limit between these is a full revolution in radians, as of a robot's flange [rad].
+REVOLUTION_RANGE = (6.27, 6.29)
 # Limits this small are tight in any unit, such as those of a spine [file's angle].
 TIGHT_LIMIT = 0.3
 # Minimum number of joints whose limits are all within half a revolution in radians: one
@@ -134,7 +136,11 @@ def _joint_limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
 
 
 def _limits_in_radians(limits: list[_Limit]) -> list[_Limit]:
-    if any(limit.largest > HALF_REVOLUTION for limit in limits):
+    low, high = REVOLUTION_RANGE
+    if any(
+        limit.largest > HALF_REVOLUTION and not low <= limit.largest <= high
+        for limit in limits
+    ):
         return [
             limit
             for limit in limits

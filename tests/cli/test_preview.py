@@ -76,6 +76,8 @@ def test_a_page_is_written_once(walk: Path, tmp_path: Path, opened: list[str]) -
 
 
 def test_what_makes_no_sense_is_usage(walk: Path, tmp_path: Path) -> None:
+    over = animtool("preview", walk, "--over", "look.usda", "-o", tmp_path / "o.html")
+    assert (over.code, "PRV006" in over.stderr) == (2, True)
     assert animtool("preview").code == 2
     assert animtool("preview", walk, "--watch", "-o", tmp_path / "o.html").code == 2
     assert animtool("preview", walk, "--range", "9-1").code == 2

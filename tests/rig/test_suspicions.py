@@ -28,6 +28,7 @@ def pins(*limits: list[float], name: str = "joint") -> list[str]:
     ("joints", "angle"),
     [
         (pins([-1.2, 1.2], [0, 2.5], [-0.4, 0.4]), "deg"),
+        (pins([-1.2, 1.2], [-6.28, 6.28], [-0.4, 0.4]), "deg"),
         (pins([0, 1.5708]), "deg"),
         ([*pins([-90, 90]), *pins([-2.5, 2.5], name="knee_l")], "deg"),
         (pins([0, 140]), "rad"),

@@ -194,6 +194,9 @@ def _landmark_rows(
         meshes_with_shapes[0] if len(meshes_with_shapes) == 1 else None
     )
     rows: list[_LandmarkRow] = []
+    if model.mesh and model.mesh not in surfaces:
+        message = f"the rig has no mesh {model.mesh!r}"
+        document.add("FAC008", ("mesh",), message, nearest(model.mesh, surfaces))
     for i, point in enumerate(model.points):
         location: Location = ("points", i)
         mesh = point.mesh or default_mesh
@@ -204,9 +207,10 @@ def _landmark_rows(
             )
             continue
         if mesh not in surfaces:
-            mesh_location = (*location, "mesh") if point.mesh else ("mesh",)
-            message = f"the rig has no mesh {mesh!r}"
-            document.add("FAC008", mesh_location, message, nearest(mesh, surfaces))
+            if point.mesh:
+                message = f"the rig has no mesh {mesh!r}"
+                hint = nearest(mesh, surfaces)
+                document.add("FAC008", (*location, "mesh"), message, hint)
             continue
         vertices = [point.vertex] if point.vertex is not None else point.vertices or []
         count = len(surfaces[mesh].points)

@@ -158,12 +158,33 @@ def _filled_markers(
         if options.longest is not None:
             hint = f"longer gaps are left by {argument('longest', options.longest)}"
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
-    notices += plausibility_warnings(markers)
+    notices += [
+        *_length_warning(options.longest, markers),
+        *plausibility_warnings(markers),
+    ]
     report = FillReport(
         len(markers), len(markers.names), int((is_known & ~visible).sum()), left, gaps,
         spikes, swaps, notices,
     )  # fmt: skip
     return result, report
+
+
+def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
+    """Return a warning if a limit on gaps is longer than the take (MKR112)."""
+    rate, duration = (
+        float(markers.clock.rate),
+        markers.clock.count / float(markers.clock.rate),
+    )
+    if longest is None or longest <= duration:
+        return []
+    message = (
+        f"{argument('longest', f'{longest:g}')} is {longest:g} s, and the take is "
+        f"{duration:.3g} s: gaps of any length are filled"
+    )
+    hint = (
+        f"{longest:g} frames at {rate:g} frames per second are {longest / rate:.3g} s"
+    )
+    return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
 
 
 def _fill_gaps(

@@ -11,7 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.rates import rate_from_frame_time
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.take_text import TakeText, number_rows, write_text
@@ -94,7 +94,7 @@ def bvh_text(take: Take) -> TakeText:
     return TakeText(
         _header_lines(take, offsets, children, layouts),
         number_rows(rows, decimals),
-        _scale_notices(take) + _unit_notices(take.rig),
+        _scale_notices(take) + _shape_notices(take) + _unit_notices(take.rig),
     )
 
 
@@ -252,3 +252,19 @@ def _scale_notices(take: Take) -> list[Fault]:
         f"BVH has no scale: the scale of {len(names)} joints is lost ({listed(names)})"
     )
     return [Fault("BVH108", message, severity=Severity.WARNING)]
+
+
+def _shape_notices(take: Take) -> list[Fault]:
+    weights = take.motion.weights
+    if weights is None:
+        return []
+    has_weight = (weights.dense() != 0.0).any(axis=(0, 2))
+    names = [take.rig.shapes[k].name for k in np.flatnonzero(has_weight)]
+    if not names:
+        return []
+    message = (
+        f"BVH has no shapes: the weights of {counted(len(names), 'shape')} are lost "
+        f"({listed(names)})"
+    )
+    hint = "write .usdc or .glb, which store them"
+    return [Fault("BVH114", message, None, (), hint, Severity.WARNING)]

@@ -266,6 +266,16 @@ def test_landmarks_files_that_do_not_fit(tmp_path: Path, points: str) -> None:
         face_model(load_landmarks(path), rig)
 
 
+def test_an_unknown_mesh_is_reported_once(tmp_path: Path) -> None:
+    path = tmp_path / "x.landmarks.yaml"
+    points = "[{name: a, vertex: 1}, {name: b, vertex: 2}]"
+    path.write_text(f"landmarks: animtool/1\nmesh: nose\npoints: {points}\n", "utf-8")
+    rig = Rig.load(ROOT / "rigs/head/head.rig.yaml")
+    with raises(FormatError, "FAC008") as caught:
+        face_model(load_landmarks(path), rig)
+    assert len(caught.value.faults) == 1
+
+
 def test_landmarks_of_a_mesh_go_where_its_shapes_take_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,6 +96,16 @@ def test_a_last_value_is_never_held() -> None:
     assert [notice.code for notice in report.notices] == ["MKR111"]
 
 
+@pytest.mark.parametrize(("longest", "codes"), [(0.25, []), (30.0, ["MKR112"])])
+def test_a_limit_in_frames_is_reported(longest: float, codes: list[str]) -> None:
+    positions = paths()[:, :2]
+    positions[50:52, 0] = np.nan
+    _, report = fill_markers(made(positions), FillOptions(longest=longest))
+    assert [
+        notice.code for notice in report.notices if notice.code != "MKR111"
+    ] == codes
+
+
 def test_the_rest_of_a_take_does_not_matter() -> None:
     """A curve over a gap is the same bytes in a part of the take."""
     positions = paths()

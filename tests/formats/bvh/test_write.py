@@ -19,6 +19,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.report.compare import compare_takes
+from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -94,6 +95,15 @@ def test_scales_are_named() -> None:
     scales = Channel.from_dense(np.full((6, 3, 3), 2.0))
     take = replace(take, motion=replace(take.motion, scales=scales))
     assert [n.code for n in bvh_text(take).notices] == ["BVH108"]
+
+
+@pytest.mark.parametrize(("weight", "codes"), [(0.5, ["BVH114"]), (0.0, [])])
+def test_lost_shapes_are_named(weight: float, codes: list[str]) -> None:
+    take = take_of(JOINTS)
+    rig = replace(take.rig, shapes=(Shape("smile", "", np.zeros((0, 3))),))
+    weights = Channel.from_dense(np.full((6, 1, 1), weight))
+    take = replace(take, rig=rig, motion=replace(take.motion, weights=weights))
+    assert [n.code for n in bvh_text(take).notices] == codes
 
 
 def test_several_roots_and_deep_chains(tmp_path: Path) -> None:
