@@ -165,7 +165,8 @@ def no_input(spec: BatchSpec) -> NoMatchError:
     suffixes = input_suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"
-    hint = _other_suffix(spec, suffixes) or hint
+    missing = nearest_file(Path(spec.inputs[0]), spec.folder) if spec.inputs else None
+    hint = _other_suffix(spec, suffixes) or missing or hint
     return NoMatchError(Fault("BAT005", message, path, (), hint))
 
 

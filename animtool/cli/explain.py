@@ -15,6 +15,8 @@ from animtool.core.record import dataclass
 from animtool.report.text import Each, Template
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from animtool.core.rules import Kind, Rule
 
 
@@ -101,6 +103,25 @@ def ignoring(rule: Rule) -> str:
 
 
 _PREFIX = re.compile(r"[A-Z]{2,8}[0-9]{0,2}")
+_PASTED_CODE = re.compile(r"\b[A-Z][A-Z0-9]{1,3}[0-9]{3}\b")
+
+
+def stated_codes(arguments: Sequence[str]) -> list[str]:
+    """Return codes, also of pasted messages and with a space before their digits.
+
+    >>> stated_codes(["RIG2", "CLIP", "107"]), stated_codes(["warning: CLIP110 hips"])
+    (['RIG2', 'CLIP107'], ['CLIP110'])
+    """
+    codes: list[str] = []
+    for argument in arguments:
+        text = re.sub(r"([A-Za-z]) ([0-9]{3})\b", r"\1\2", argument)
+        if codes and re.fullmatch("[0-9]{3}", text) and codes[-1].isalpha():
+            codes[-1] += text
+        else:
+            codes += (" " in text and _PASTED_CODE.findall(text)) or [text]
+    return codes
+
+
 PAGES = Template(
     "animtool.cli.explain:Pages",
     (Each("rules", ("{rule.code:<8} {rule.severity:<8} {rule.title}",)),),
@@ -129,7 +150,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
     rules = []
     listing = not codes
-    for code in codes:
+    for code in stated_codes(codes):
         # RIG2 means all codes with that prefix.
         prefix = code.upper()
         rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}

@@ -65,7 +65,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         hint = "animtool checks .rig.yaml, .clip.yaml, .scene.yaml, .bvh and .usda; "
         hint += "animtool explain VAL006 lists all names"
         suggestion = nearest_file(Path(texts[0])) if texts else None
-        hint = f"{suggestion} {hint}" if suggestion else hint
+        hint = f"{suggestion}; {hint}" if suggestion else hint
         raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched_patterns
 

@@ -359,7 +359,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint at the nearest existing file name.
 
     It is the nearest name in the same folder, or for the first missing folder; relative
-    paths start in ``folder``. None if the file exists, or no name is similar.
+    paths start in ``folder``. Without a similar one, the first missing folder is named.
+    None if the file exists, or if only its name is not there.
     """
     self_and_parents = [path, *path.parents]
     missing = next(
@@ -380,7 +381,7 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     name_by_folded = {name.casefold(): name for name in reversed(names)}
     similar_name = most_similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
     if not similar_name:
-        return None
+        return None if missing is path else f"there is no folder {missing.as_posix()!r}"
     suggested_path = missing.with_name(name_by_folded[similar_name]).as_posix()
     return f"did you mean {'' if missing is path else 'the folder '}{suggested_path!r}?"
 
