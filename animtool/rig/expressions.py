@@ -171,6 +171,8 @@ def _syntax_fault(text: str, error: Exception) -> str:
     before, rest = text[:at].rstrip(), text[at:]
     if re.search(r"[\w.)]$", before) and re.match(r"[A-Za-z_(]", rest):
         return f"no operator before {excerpt(rest)}; write {before} * {rest}"
+    if with_unit := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", rest):
+        return f"{excerpt(with_unit[0])} has a unit: write numbers in the rig's units"
     return f"the expression cannot be read from {excerpt(rest)} on"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
@@ -32,7 +33,7 @@ from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
-from animtool.core.units import up_from_up
+from animtool.core.units import LengthUnit, up_from_up
 from animtool.ik.fit import FitOptions, fit
 from animtool.maths import so3
 from animtool.motion.driving import drive_take
@@ -52,6 +53,8 @@ BEHIND_FRAMES = 2
 NOISE_SAMPLES = 24
 # Ratio of marker distances to the rig's that means other units.
 MIN_UNIT_RATIO = 30.0
+# Logarithm of the largest ratio of the sizes of a rig and a person.
+MAX_SIZE_RATIO = math.log(2.0)
 # Typical residual above which markers do not belong to this rig [m].
 MIN_STRANGE_RESIDUAL = 0.01
 # A marker this many times farther off than most has a wrong name or offset [1].
@@ -314,6 +317,19 @@ def to_world_of(rig: Rig, markers: Markers) -> FloatArray:
     return so3.rotate(np.array(rotation), markers.positions)
 
 
+def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
+    """Return the unit of a capture, and the one it is read as, by its relative size.
+
+    >>> [unit.value for unit in _confused_units(857.0)]
+    ['mm', 'm']
+    """
+    units = LengthUnit.M, LengthUnit.CM, LengthUnit.MM, LengthUnit.IN
+    return min(
+        itertools.permutations(units, 2),
+        key=lambda pair: abs(math.log(ratio * pair[0].meters / pair[1].meters)),
+    )
+
+
 def check_units(model: MarkerProblem, sample: FloatArray) -> None:
     """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005)."""
     rest_points_all = model.points(model.starts(sample[:1]))[0]
@@ -335,7 +351,11 @@ def check_units(model: MarkerProblem, sample: FloatArray) -> None:
         (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
     )
     message = f"the markers are {times:.3g} times {comparison} than those on the rig"
+    written, read = _confused_units(ratio)
     hint = (
         f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
     )
+    if abs(math.log(ratio * written.meters / read.meters)) < MAX_SIZE_RATIO:
+        hint = f"the numbers look like {written} that are read as {read}: set "
+        hint += argument("source.unit", str(written))
     raise OptionError(Fault("SOL005", message, hint=hint))
