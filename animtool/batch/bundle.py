@@ -27,7 +27,7 @@ from animtool.batch.records import (
 )
 from animtool.batch.work import ItemStatus
 from animtool.core.arguments import argument, flag
-from animtool.core.errors import Fault, FormatError
+from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
@@ -240,7 +240,11 @@ def _script(*chosen: str) -> dict[str, Any]:
 def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
 ) -> WrittenBundle:
-    """Write a bundle; refuse files that exist (OUT001)."""
+    """Write a bundle; refuse files that exist (OUT001) or a file name (OUT004)."""
+    if folder.suffix.lower() in {".yaml", ".yml", ".json"} and not folder.is_dir():
+        message = f"a bundle is a folder, not a {folder.suffix} file"
+        hint = f"for example {folder.with_suffix('.job')}"
+        raise OptionError(Fault("OUT004", message, str(folder), (), hint))
     parameters = [
         {"name": name, "value": value} for name, value in bundle.values.items()
     ]

@@ -286,6 +286,20 @@ def span_notices(solved: TakeIk) -> list[Fault]:
     ]
 
 
+def rest_notices(solved: TakeIk) -> list[Fault]:
+    """Return a warning if all goals only hold the rest pose (TGT109).
+
+    For targets that are solved without a motion to start from.
+    """
+    goals = solved.tracks.goals
+    if not goals or any(goal.parts or not goal.spans for goal in goals):
+        return []
+    message = f"holding {listed([goal.name for goal in goals])} changes nothing: "
+    message += "without a start clip, all frames are the rest pose"
+    fault = _goal_warning(solved, "TGT109", 0, message)
+    return [replace(fault, hint=f"pass the motion with {argument('clip')}")]
+
+
 def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning if joints jump, with the largest jump."""
     if not solved.jumps:

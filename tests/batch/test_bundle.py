@@ -109,6 +109,7 @@ def test_chunks_by_costs(takes: Path) -> None:
         (("none.batch.yaml", "-o", "x"), 3, "IO001"),
         (("a.batch.yaml", "-o", "x", "--chunk", "0"), 2, "auto"),
         (("a.batch.yaml", "-o", "a.batch.yaml"), 2, "file"),
+        (("a.batch.yaml", "-o", "job.yaml"), 2, "OUT004"),
         (("b.batch.yaml", "-o", "x"), 5, "BAT005"),
         (("c.batch.yaml", "-o", "x"), 2, "OUT007"),
     ],

@@ -466,6 +466,17 @@ def test_spans_outside_the_frames_are_named(place: Path) -> None:
     assert "TGT104" not in one.stderr
 
 
+def test_holding_the_rest_pose_is_reported(place: Path) -> None:
+    text = "targets: animtool/1\nfps: 24\ngoals:\n- {effector: leg_l, hold: [[4, 9]]}\n"
+    path = place / "held.targets.yaml"
+    path.write_text(text)
+    assert "TGT109" in run(place, "-t", path.name).stderr
+    assert "TGT109" not in run(place, "-t", path.name, "--clip", STRIDE).stderr
+    keys = "[{t: 1, v: [0.2, 0.9, 0.3]}, {t: 9, v: [0.2, 1.0, 0.3]}]"
+    path.write_text(f"{text}- {{effector: arm_l, position: {{keys: {keys}}}}}\n")
+    assert "TGT109" not in run(place, "-t", path.name).stderr
+
+
 @pytest.mark.slow
 def test_a_pose_loads_neither_usd_nor_what_is_for_clips(place: Path) -> None:
     code = (

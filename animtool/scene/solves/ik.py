@@ -41,6 +41,7 @@ from animtool.ik.report import (
     jump_notices,
     missed_notices,
     pole_notices,
+    rest_notices,
     single_frame_notices,
     span_notices,
 )
@@ -289,6 +290,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
     notices = [
         *context.notices,
         *span_notices(solution),
+        *(rest_notices(solution) if context.at_rest else ()),
         *single_frame_notices(solution, smooth=job.options.smooth > 0),
         *away_notices(solution, goals),
         *pole_notices(solution),
