@@ -59,8 +59,8 @@ def open_markers_source(
     if template is None:
         message = "holds markers, but no template places them on the rig"
         hint = (
-            f"animtool mocap solve {path} --template FILE.markers.yaml solves them; "
-            "bake takes --template too, a scene template: of its source"
+            f"animtool mocap solve {path} solves them with a template; name it with "
+            f"{argument('source.template')}, or as template: of a scene's source"
         )
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     marker_template = load_template(template)
