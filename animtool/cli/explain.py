@@ -103,7 +103,8 @@ def ignoring(rule: Rule) -> str:
 
 
 _PREFIX = re.compile(r"[A-Z]{2,8}[0-9]{0,2}")
-_PASTED_CODE = re.compile(r"\b[A-Z][A-Z0-9]{1,3}[0-9]{3}\b")
+_PASTED_CODE = re.compile(r"\b[A-Z][A-Z0-9]{1,7}[0-9]{3}\b")
+_FAMILY = re.compile(r"[A-Za-z][A-Za-z0-9]{0,6}[A-Za-z]")
 
 
 def stated_codes(arguments: Sequence[str]) -> list[str]:
@@ -111,11 +112,13 @@ def stated_codes(arguments: Sequence[str]) -> list[str]:
 
     >>> stated_codes(["RIG2", "CLIP", "107"]), stated_codes(["warning: CLIP110 hips"])
     (['RIG2', 'CLIP107'], ['CLIP110'])
+    >>> stated_codes(["C3D", "104", "107"])
+    ['C3D104', '107']
     """
     codes: list[str] = []
     for argument in arguments:
         text = re.sub(r"([A-Za-z]) ([0-9]{3})\b", r"\1\2", argument)
-        if codes and re.fullmatch("[0-9]{3}", text) and codes[-1].isalpha():
+        if re.fullmatch("[0-9]{3}", text) and _FAMILY.fullmatch("".join(codes[-1:])):
             codes[-1] += text
         else:
             codes += (" " in text and _PASTED_CODE.findall(text)) or [text]

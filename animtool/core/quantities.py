@@ -16,6 +16,8 @@ import json
 import math
 import re
 
+# An integer of at least this many seconds may be meant in frames.
+MIN_FRAMES = 5
 # Character class of a regular expression: characters that names never need.
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Control characters, line ends, zero-width characters, changes of text direction, and
@@ -158,6 +160,18 @@ def duration_text(seconds: float, digits: int = 3) -> str:
     ('1.61 ms', '72.4 s', '30 µs')
     """
     return _unit_text(seconds, _DURATION_UNITS, "s", digits)
+
+
+def frames_hint(seconds: float, rate: float) -> str | None:
+    """Return what a duration is in seconds if it may be one in frames, else None.
+
+    >>> frames_hint(30, 120), frames_hint(0.5, 120)
+    ('30 frames at 120 frames per second are 0.25 s', None)
+    """
+    if seconds < MIN_FRAMES or seconds != round(seconds):
+        return None
+    duration = f"{seconds / rate:.3g} s"
+    return f"{seconds:g} frames at {rate:.6g} frames per second are {duration}"
 
 
 def size_text(size: float, digits: int = 3) -> str:

@@ -17,6 +17,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
+from animtool.core.quantities import frames_hint
 from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
@@ -35,8 +36,6 @@ from animtool.rig.skeleton import Rig
 SPEED_INTERVAL = 0.1
 # Frame rate of the coarse comparison; then the best pair is refined.
 SEARCH_RATE = Fraction(30)
-# A length of at least this many seconds may be one in frames.
-MIN_FRAMES = 5
 # Minimum extent of a cycle, as a fraction of the take's variation.
 MIN_EXTENT = 0.25
 # Differences below this fraction of the rig's size are static.
@@ -111,9 +110,8 @@ def find_cycle(
         hint = f"use a longer take, or lower {argument('shortest')}"
         if shortest > longest:
             hint = f"lower {argument('shortest')}, or raise {argument('longest')}"
-        if shortest >= MIN_FRAMES and shortest == round(shortest):
-            length = f"{shortest / float(clock.rate):.3g} s"
-            hint += f"; {shortest:g} frames are {length}"
+        if in_seconds := frames_hint(shortest, float(clock.rate)):
+            hint += f"; {in_seconds}"
         if len(frames) == 1:
             hint = "a cycle needs several frames: choose another take"
         raise _no_cycle_error(message, hint)

@@ -146,8 +146,8 @@ def open_file(
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
     if options.over and not any(map(_takes_overlays, all_files)):
-        message = f"{options.over[0]} is laid over USD and scenes, which {path} is not"
-        hint = f"animtool bake {path} -o {source_stem(path)}.usdc writes one"
+        message = f"a layer goes over a USD file or a scene, and {path} is neither"
+        hint = f"animtool bake {path} -o {source_stem(path)}.usdc writes a USD file"
         raise OptionError(Fault("PRV006", message, hint=hint, where="over"))
     if has_kind_suffix(path, "scene"):
         return _open_scene(path, options, context)

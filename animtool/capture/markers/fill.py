@@ -22,6 +22,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.process.blas import one_thread
+from animtool.core.quantities import frames_hint, plain_number
 from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
@@ -170,19 +171,15 @@ def _filled_markers(
 
 
 def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
-    """Return a warning if a limit on gaps is longer than the take (MKR112)."""
-    rate, duration = (
-        float(markers.clock.rate),
-        markers.clock.count / float(markers.clock.rate),
-    )
-    if longest is None or longest <= duration:
+    """Return a warning if a limit on gaps seems to be in frames (MKR112)."""
+    rate = float(markers.clock.rate)
+    duration = markers.clock.count / rate
+    hint = None if longest is None else frames_hint(longest, rate)
+    if longest is None or hint is None or longest <= duration:
         return []
     message = (
-        f"{argument('longest', f'{longest:g}')} is {longest:g} s, and the take is "
-        f"{duration:.3g} s: gaps of any length are filled"
-    )
-    hint = (
-        f"{longest:g} frames at {rate:g} frames per second are {longest / rate:.3g} s"
+        f"{argument('longest', plain_number(longest))} allows gaps of {longest:g} s, but "
+        f"the take has {duration:.3g} s: gaps of any length are filled"
     )
     return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
 

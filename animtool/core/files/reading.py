@@ -381,7 +381,9 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     name_by_folded = {name.casefold(): name for name in reversed(names)}
     similar_name = most_similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
     if not similar_name:
-        return None if missing is path else f"there is no folder {missing.as_posix()!r}"
+        if missing is path or is_pattern(missing.name):
+            return None
+        return f"there is no folder {missing.as_posix()!r}"
     suggested_path = missing.with_name(name_by_folded[similar_name]).as_posix()
     return f"did you mean {'' if missing is path else 'the folder '}{suggested_path!r}?"
 

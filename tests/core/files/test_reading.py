@@ -75,6 +75,8 @@ def test_a_name_with_wildcards_that_is_there_is_meant(tree: Path) -> None:
         ("x/y/dd.bvh", "did you mean 'x/y/d.bvh'?"),
         ("x/y/other.usda", None),
         ("xx/../b.bvh", "there is no folder 'xx'"),
+        ("xx/**/b.bvh", "there is no folder 'xx'"),
+        ("x/*/*/b.bvh", None),
         ("a.bvh", None),
     ],
 )
