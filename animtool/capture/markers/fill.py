@@ -177,9 +177,10 @@ def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
     hint = None if longest is None else frames_hint(longest, rate)
     if longest is None or hint is None or longest <= duration:
         return []
+    limit = argument("longest", plain_number(longest))
     message = (
-        f"{argument('longest', plain_number(longest))} allows gaps of {longest:g} s, but "
-        f"the take has {duration:.3g} s: gaps of any length are filled"
+        f"{limit} allows gaps of {longest:g} s, but the take has {duration:.3g} s: "
+        "gaps of any length are filled"
     )
     return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
 
