@@ -172,7 +172,10 @@ class _ClipReader:
         self._blame_rig()
         self.document.check()
         warn_of_times(self.document, channels, fps, first, last)
-        warn_of_numbers(self.document, channels, fps, self.units, self.rig)
+        has_unit = self.model.units.length is not None
+        warn_of_numbers(
+            self.document, channels, fps, self.units, self.rig, has_unit=has_unit
+        )
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
         return Clip(name, fps, first, last, tuple(channels), notices)

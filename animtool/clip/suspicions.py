@@ -12,6 +12,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
+from animtool.core.units import unit_name
 from animtool.documents.document import Document, Location
 from animtool.maths.curves import Interp
 from animtool.rig.controls import evaluate_controls
@@ -46,6 +47,10 @@ MIN_EXACT = 0.2
 MAX_TRAVEL = 0.05
 # Plausible range of travel in metres, relative to the rig's size.
 TRAVEL_RANGE = (0.2, 20.0)
+# What a clip without a unit moves by if it is in metres, and what is too small to see
+# if it is in the unit of its rig; relative to the rig's size.
+METRE_RANGE, MAX_UNSEEN = (0.05, 20.0), 0.005
+LENGTH_PARTS = {"translation", "local_translation", "slide"}
 # Minimum rotation of a limb when a character travels [rad].
 MIN_STRIDE = math.radians(15)
 # Sizes of characters [m], and a speed that even falls do not reach [m/s].
@@ -75,12 +80,23 @@ def warn_of_numbers(
     fps: Fraction,
     units: ClipUnits,
     rig: Rig | None,
+    *,
+    has_unit: bool,
 ) -> None:
-    """Warn of quaternions, angles, lengths and speeds that look mistaken."""
+    """Warn of quaternions, angles, lengths and speeds that look mistaken.
+
+    Args:
+        document: The clip file.
+        channels: Its channels.
+        fps: Its frames per second.
+        units: Units of its numbers.
+        rig: Its rig, if it is known.
+        has_unit: Whether the file names its unit of length.
+    """
     _warn_of_order(document, channels)
     _warn_of_angles(document, channels, units, rig)
     if rig is not None:
-        _warn_of_metres(document, channels, units, rig)
+        _warn_of_metres(document, channels, units, rig, has_unit)
         _warn_of_speed(document, channels, fps, units, rig)
         _warn_of_rest(document, channels, rig)
         _warn_of_scale(document, channels, rig)
@@ -254,14 +270,24 @@ def _translations(
 
 
 def _warn_of_metres(
-    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
+    document: Document,
+    channels: Sequence[ClipChannel],
+    units: ClipUnits,
+    rig: Rig,
+    has_unit: bool,
 ) -> None:
-    """Warn of a root that seems to travel in metres in a cm or mm clip (CLIP108)."""
+    """Warn of lengths that seem to be metres in a cm or mm clip (CLIP108)."""
     size = rest_size(rig)
     if units.length >= 1.0 or size < CHARACTER_SIZES[0]:
         return
     strides = [np.ptp(v, axis=0).max() for _, v in _angles(channels)]
-    if max(strides, default=0.0) < MIN_STRIDE:
+    stride = max(strides, default=0.0)
+    # An idle has small motion of all kinds.
+    if strides and stride < MIN_STRIDE:
+        return
+    if not has_unit and _warn_of_small_lengths(document, channels, units, rig):
+        return
+    if not strides:
         return
     for i, channel in _translations(channels, rig):
         largest_distance = float(np.linalg.norm(channel.values, axis=1).max())
@@ -276,11 +302,43 @@ def _warn_of_metres(
             continue
         message = (
             f"{channel.target!r} moves by {length_text(net)} while limbs rotate by "
-            f"{math.degrees(max(strides)):.0f}°; the rig is {length_text(size)} tall"
+            f"{math.degrees(stride):.0f}°; the rig is {length_text(size)} tall"
         )
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
         document.warn("CLIP108", (*_at(i, len(channel.times) - 1), "v"), message, hint)
         return
+
+
+def _warn_of_small_lengths(
+    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
+) -> bool:
+    """Warn if all lengths of a clip without a unit are plausible metres (CLIP108)."""
+    size = rest_size(rig)
+    spans = [
+        (float(np.ptp(channel.values, axis=0).max()), i)
+        for i, channel in enumerate(channels)
+        if channel.target.startswith("joint/")
+        and split_part(channel.target, KEYED_PARTS)[1] in LENGTH_PARTS
+    ]
+    span, i = max(spans, default=(0.0, 0))
+    in_metres = span / units.length
+    shortest_span, longest_span = (factor * size for factor in METRE_RANGE)
+    if span > MAX_UNSEEN * size or not shortest_span <= in_metres <= longest_span:
+        return False
+    values = channels[i].values
+    k = int(np.abs(values - values[0]).max(axis=1).argmax())
+    unit = unit_name(units.length)
+    message = (
+        f"the clip has no unit of length, so it is read in {unit}, the unit of its "
+        f"rig: no joint moves by more than {length_text(span)}, and the rig is "
+        f"{length_text(size)} tall"
+    )
+    hint = (
+        f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; "
+        f"else 'units: {{length: {unit}}}'"
+    )
+    document.warn("CLIP108", (*_at(i, k), "v"), message, hint)
+    return True
 
 
 def _warn_of_rest(

@@ -1,4 +1,4 @@
-"""Warnings about rigs whose size or up axis look mistaken."""
+"""Warnings about rigs whose size, offsets or up axis look mistaken."""
 
 from __future__ import annotations
 
@@ -26,6 +26,12 @@ UPPER_BODY_NAMES = re.compile(
 )
 # Cosines to the up axis and to the other one of a body that stands along the other.
 MAX_LYING_COSINE, MIN_STANDING_COSINE = 0.3, 0.8
+# Distances of joints to their parents, relative to their distances to the origin, if
+# offsets are world positions: of any rig with branches, and of one whose feet are only
+# then at the bottom. Rigs of characters have 0.7 or more, lizards and hands 0.37.
+MAX_WORLD_RATIO, MAX_BODY_RATIO = 0.3, 0.6
+# Fewer offsets, or ones that repeat, tell nothing.
+MIN_OFFSETS, MIN_WORLD_BONE = 3, 1e-3
 
 
 def source_rest_pose(rig: Rig) -> tuple[FloatArray, FloatArray]:
@@ -52,6 +58,8 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
         return
     positions, _ = source_rest_pose(rig)
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    if _warn_of_world_offsets(document, rig, positions):
+        return
     _warn_of_size(document, rig, size)
     _warn_of_up(document, rig, positions)
 
@@ -75,22 +83,88 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     document.warn("RIG217", at, message, hint)
 
 
+def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) -> bool:
+    """Warn of joints whose offsets seem to be world positions (RIG113)."""
+    offsets, parents = rig.rest_translations, rig.parents
+    children = np.flatnonzero(parents >= 0)
+    # Offsets from a joint at the origin are its children's positions as well.
+    children = children[offsets[parents[children]].any(axis=1)]
+    if len(children) < MIN_OFFSETS:
+        return False
+    lengths = np.linalg.norm(offsets[children], axis=1)
+    bones = np.linalg.norm(offsets[children] - offsets[parents[children]], axis=1)
+    ratio = bones.sum() / max(float(lengths.sum()), np.finfo(float).tiny)
+    has_branches = len(np.unique(parents[children])) < len(children)
+    if ratio > MAX_BODY_RATIO or (bones < MIN_WORLD_BONE * lengths).any():
+        return False
+    if not has_branches or (
+        ratio > MAX_WORLD_RATIO
+        and not (_stands(rig, offsets) and not _stands(rig, positions))
+    ):
+        return False
+    distances = np.linalg.norm(positions[children], axis=1)
+    j = int(children[(distances - lengths).argmax()])
+    name, parent = rig.names[j], rig.names[int(parents[j])]
+    bone = (offsets[j] - offsets[parents[j]]) / rig.meters_per_unit
+    sizes = (
+        length_text(float(np.linalg.norm(np.ptp(points, axis=0))))
+        for points in (positions, offsets)
+    )
+    message = (
+        f"the offsets of {len(children)} joints look like world positions: the rig "
+        "measures {}, and {} if they are".format(*sizes)
+    )
+    numbers = ", ".join(f"{number:.4g}" for number in bone.tolist())
+    hint = (
+        f"write positions relative to the parent; for {name!r}, from {parent!r}: "
+        f"translate: [{numbers}]"
+    )
+    entries = document.value["joints"]
+    rows = [i for i, entry in enumerate(entries) if entry.get("name") == name]
+    location = ("joints", rows[0], "translate") if rows else ("joints",)
+    document.warn("RIG113", location, message, hint)
+    return True
+
+
+def _stands(rig: Rig, positions: FloatArray) -> bool:
+    """Return whether the feet of a body are below all of its torso."""
+    feet, torso = _feet_and_torso(rig)
+    if not (feet and torso):
+        return False
+    heights = positions @ rig.up.vector
+    return bool(heights[feet].max() < heights[torso].min())
+
+
+def _torso_offset(rig: Rig, positions: FloatArray) -> FloatArray | None:
+    """Return the offset of a body's torso from its feet; None if it lacks one."""
+    feet, torso = _feet_and_torso(rig)
+    if not (feet and torso):
+        return None
+    offset: FloatArray = positions[torso].mean(axis=0) - positions[feet].mean(axis=0)
+    return offset
+
+
+def _feet_and_torso(rig: Rig) -> tuple[list[int], list[int]]:
+    """Return the joints of the feet, and of what is above them."""
+    feet = [j for j, name in enumerate(rig.names) if FOOT_NAMES.search(name)]
+    torso = [j for j, name in enumerate(rig.names) if UPPER_BODY_NAMES.search(name)]
+    return feet, [j for j in torso if j not in feet]
+
+
 def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     """Warn of a body that stands along the axis that is not up (RIG111)."""
-    feet = [j for j, name in enumerate(rig.names) if FOOT_NAMES.search(name)]
-    above = [j for j, name in enumerate(rig.names) if UPPER_BODY_NAMES.search(name)]
-    above = [j for j in above if j not in feet]
-    if not (feet and above):
+    offset = _torso_offset(rig, positions)
+    if offset is None:
         return
+    feet, torso = _feet_and_torso(rig)
     other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
-    offset = positions[above].mean(axis=0) - positions[feet].mean(axis=0)
     length = float(np.linalg.norm(offset))
     if not length or offset @ rig.up.vector > MAX_LYING_COSINE * length:
         return
     if offset @ other.vector < MIN_STANDING_COSINE * length:
         return
     message = (
-        f"{rig.names[above[0]]!r} is {length_text(float(offset @ other.vector))} above "
+        f"{rig.names[torso[0]]!r} is {length_text(float(offset @ other.vector))} above "
         f"{rig.names[feet[0]]!r} along {other}, but the up axis is {rig.up}"
     )
     at = ("up",) if "up" in document.value else ("joints",)

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from animtool.scene.sources.props import OpenProp
 
 
+# Rate of a scene without a source that states none.
+DEFAULT_FPS = Fraction(24)
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """A scene file."""

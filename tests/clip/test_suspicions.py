@@ -108,6 +108,14 @@ def test_metres_in_a_clip_in_centimetres(tmp_path: Path) -> None:
     assert codes(tmp_path, sway, KNEE) == []
 
 
+def test_metres_without_a_unit_on_a_rig_in_centimetres(tmp_path: Path) -> None:
+    hop = (*ROOT, [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]])
+    assert codes(tmp_path, hop) == ["CLIP108"]
+    assert codes(tmp_path, hop, units="{length: cm}") == []
+    assert codes(tmp_path, (*ROOT, [[0, 0, 0], [0, 3, 0], [0, 0, 0]])) == []
+    assert codes(tmp_path, (*ROOT, [[0, 0.3, 0], [0, 0.3, 0]])) == []
+
+
 def test_a_root_faster_than_any_fall(tmp_path: Path) -> None:
     assert codes(tmp_path, (*ROOT, [[0, 0, 0], [4800, 0, 0]]), KNEE) == ["CLIP109"]
     assert codes(tmp_path, (*ROOT, [[0, 0, 0], [1000, 0, 0]]), KNEE) == []

@@ -166,6 +166,25 @@ OTHER = [
 ]
 
 
+def test_offsets_that_are_world_positions(tmp_path: Path) -> None:
+    arm = [
+        "name: shoulder, type: ball, translate: [0.2, 1.4, 0]",
+        "name: elbow, parent: shoulder, type: ball, translate: [0.5, 1.4, 0]",
+        "name: thumb, parent: elbow, type: ball, translate: [0.75, 1.42, 0.03]",
+        "name: palm, parent: elbow, type: ball, translate: [0.8, 1.38, 0]",
+    ]
+    assert codes(tmp_path, "", *arm) == ["RIG113"]
+    # In the middle of the body, only the feet show it.
+    standing = [
+        line.replace("0.3, 0.02", "1.2, 0.02")
+        .replace("0.4, 0", "1.6, 0")
+        .replace("-0.85", "0.05")
+        for line in BODY
+    ]
+    assert codes(tmp_path, "", *standing) == ["RIG113"]
+    assert codes(tmp_path, "", *BODY) == []
+
+
 def test_a_body_stands_along_the_up_axis(tmp_path: Path) -> None:
     assert codes(tmp_path, "up: Z", *BODY) == ["RIG111"]
     assert codes(tmp_path, "up: Y", *OTHER) == ["RIG111"]

@@ -42,10 +42,14 @@ from animtool.scene.file.schema import (
     model_for,
 )
 from animtool.scene.file.tracks import TrackNames
-from animtool.scene.scene import Scene
+from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_colliders, check_links
-from animtool.scene.systems.suspicions import warn_of_sizes
+from animtool.scene.systems.suspicions import (
+    DURATION_KEYS,
+    warn_of_durations,
+    warn_of_sizes,
+)
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import COLLISION_KEYS
@@ -210,8 +214,19 @@ class _SceneReader:
         setup = read(self.document, at, spec, self.keys.roots, self.units)
         if setup is None:
             return None
+        stated_values = spec.model_dump(include=DURATION_KEYS, exclude_unset=True)
+        warn_of_durations(self.document, at, stated_values, *self._rate_and_length())
         location = entry_location(self.document, at, spec)
         return SceneSystem(spec.name, kind, setup, location, unit=self.units.stated)
+
+    def _rate_and_length(self) -> tuple[float, float]:
+        """Return the frames per second, and the length of the range [s]; 0 unknown."""
+        try:
+            rate = float(parse_rate(self.model.fps or DEFAULT_FPS))
+        except ValueError:
+            return float(DEFAULT_FPS), 0.0
+        frames = self.model.range
+        return rate, 0.0 if frames is None else (frames[1] - frames[0]) / rate
 
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
         """Return the system kind that an entry names."""

@@ -20,7 +20,7 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.prims import BakePlan, BakeState, OneFile, TakeReport
-from animtool.scene.scene import Scene
+from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
@@ -45,7 +45,6 @@ from animtool.usd.props.writer import overlap, prop_paths
 if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
-DEFAULT_FPS = Fraction(24)
 # Maps the world of a take to that of a layer's systems, at time codes.
 Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from animtool.core.quantities import length_text
+from animtool.core.quantities import frames_hint, length_text
 from animtool.documents.document import Document, Location
 from animtool.scene.systems.suspicious_forces import MAX_GRAVITY
 
@@ -30,6 +30,47 @@ MIN_DENSITY = 10.0
 # Rubber on rubber has 1.5, and gears mesh [1].
 MAX_FRICTION = 5.0
 GRAMS = 1000.0
+# Keys of durations, and a whole number of seconds that may be one of frames [s].
+DURATION_KEYS = {"preroll", "emitters"}
+MIN_LONG = 20.0
+
+
+def warn_of_durations(
+    document: Document,
+    at: Location,
+    values: Mapping[str, Any],
+    rate: float,
+    length: float,
+) -> None:
+    """Warn of durations that seem to be in frames, and cones in radians (SIM200).
+
+    Args:
+        document: The scene.
+        at: Location of the system.
+        values: Its stated keys among `DURATION_KEYS`.
+        rate: Frames per second of the scene.
+        length: Time from its first to its last frame; 0 if unknown [s].
+    """
+    durations = [((*at, "preroll"), "preroll", values.get("preroll"))]
+    for i, emitter in enumerate(values.get("emitters") or ()):
+        location = (*at, "emitters", i)
+        durations += [((*location, "lifetime"), "lifetime", emitter.get("lifetime"))]
+        _warn_of_cone(document, (*location, "spread"), emitter.get("spread"))
+    for location, key, seconds in durations:
+        if not isinstance(seconds, int | float) or seconds < max(MIN_LONG, length):
+            continue
+        if hint := frames_hint(seconds, rate):
+            message = f"{key} {seconds:g} is {seconds:g} s"
+            message += f", and the scene has {length:.3g} s" if length else ""
+            document.warn("SIM200", location, message, hint)
+
+
+def _warn_of_cone(document: Document, at: Location, spread: object) -> None:
+    """Warn of a cone whose angle is a fraction in the range of radians."""
+    if isinstance(spread, float) and 0 < spread <= math.pi and spread % 1:
+        message = f"spread {spread:g} is a cone of {spread:g}°"
+        hint = f"for {spread:g} rad write {math.degrees(spread):.3g}"
+        document.warn("SIM200", at, message, hint)
 
 
 def warn_of_sizes(document: Document, at: Location, values: Mapping[str, Any]) -> None:

@@ -141,7 +141,7 @@ def _simulated_seconds(scene: Scene, take: Take | None) -> float:
     """Return the duration of the simulation [s]."""
     if take is not None:
         return float(take.clock.duration)
-    from animtool.scene.systems.bake import DEFAULT_FPS
+    from animtool.scene.scene import DEFAULT_FPS
 
     frames = scene.bake.frame_range
     if frames is None:

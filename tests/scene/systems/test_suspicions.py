@@ -72,6 +72,40 @@ def test_lengths_masses_and_percentages(
     assert codes(tmp_path, systems.replace(old, new)) == ["SIM200"] * found
 
 
+DUST = """\
+- particles:
+    preroll: 1
+    emitters: [{rate: 1, speed: 1, lifetime: 1, spread: 20}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ("preroll: 1", "preroll: 48", True),
+        ("preroll: 1", "preroll: 12", False),
+        ("lifetime: 1", "lifetime: 24", True),
+        ("lifetime: 1", "lifetime: 30.5", False),
+        ("spread: 20", "spread: 0.5236", True),
+        ("spread: 20", "spread: 1", False),
+        ("spread: 20", "spread: 180", False),
+    ],
+)
+def test_durations_in_frames_and_cones_in_radians(
+    tmp_path: Path, old: str, new: str, found: bool
+) -> None:
+    assert codes(tmp_path, DUST.replace(old, new)) == ["SIM200"] * found
+
+
+def test_a_lifetime_within_a_long_scene(tmp_path: Path) -> None:
+    dust = DUST.replace("lifetime: 1", "lifetime: 40")
+    path = tmp_path / "a.scene.yaml"
+    for last, found in ((1200, False), (600, True)):
+        head = f"scene: animtool/1\nfps: 24\nrange: [1, {last}]\nsystems:\n{dust}"
+        path.write_text(f"{head}output: {{file: a.usda}}\n", "utf-8")
+        assert ["SIM200"] * found == [fault.code for fault in validate(path)]
+
+
 PARTICLES = """\
 - particles:
     emitters: [{rate: 10, speed: 2.6, lifetime: 1, mass: 0.01}]
