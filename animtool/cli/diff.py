@@ -47,12 +47,15 @@ _DIFFERENCES = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self
 _TAKES = Template(
     "animtool.report.compare:TakeDifference",
     (
+        "[{!joints}{!shapes}no joint is in both files|"
         "[{skeletons:several}, ]{joints:n joint}, [{?shapes}{shapes:n shape}, ]"
-        "{frames:n frame} compared",
-        _largest("world", "length", _JOINT),
-        _largest("translation", "length", _JOINT),
-        _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg"),
-        _largest("scale", "plain", _JOINT),
+        "{frames:n frame} compared]",
+        f"[{{?joints}}{_largest('world', 'length', _JOINT)}]",
+        f"[{{?joints}}{_largest('translation', 'length', _JOINT)}]",
+        "[{?joints}"
+        + _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg")
+        + "]",
+        f"[{{?joints}}{_largest('scale', 'plain', _JOINT)}]",
         f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
         *_DIFFERENCES,
     ),

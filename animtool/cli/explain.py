@@ -132,6 +132,17 @@ PAGES = Template(
 )
 
 
+def _check_not_command(code: str) -> None:
+    """Refuse the name of a command where a code is expected (VAL005)."""
+    from animtool.cli.main import COMMANDS
+    from animtool.core.errors import Fault, OptionError
+
+    name = code.lower()
+    if name in COMMANDS:
+        hint = f"animtool docs {name} explains the command"
+        raise OptionError(Fault("VAL005", f"unknown code {code!r}", hint=hint))
+
+
 @command(
     epilog="""\b
 Examples:
@@ -162,6 +173,8 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
             for name in sorted(rules_by_code)
             if name.startswith(prefix)
         ]
+        if not matching:
+            _check_not_command(code)
         listing = listing or len(matching) > 1
         rules += matching or [find_rule(code)]
     if not codes:

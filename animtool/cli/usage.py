@@ -88,6 +88,8 @@ def explained(error: click.ClickException) -> click.ClickException:
         hint = _argument_hint(first, context)
         if hint is None:
             hint = f"{context.command_path} -h shows what it takes"
+        if len(_options(context.command)) == len(context.command.params):
+            hint = f"{context.command_path} takes options only"
         text = f"Unexpected argument {first!r}; {hint}"
     elif choice := _CHOICE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])

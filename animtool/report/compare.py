@@ -422,5 +422,6 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
         frames = counted(first.clock.count, "frame")
         names.append(f"{frames} instead of {second.clock.count}")
     if first.clock.rate != second.clock.rate:
-        names.append(f"{first.clock.rate} fps instead of {second.clock.rate}")
+        rates = f"{first.clock.rate} fps instead of {second.clock.rate}"
+        names.append(f"{rates}; frames are compared by time from the first")
     return names

@@ -15,6 +15,7 @@ from animtool.core.record import dataclass
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolve_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import (
     CONTROL,
     DIGITS,
@@ -136,6 +137,7 @@ def map_joints(
             *anatomies[0].notices,
             *anatomies[1].notices,
             *_crossed_sides((source, target), anatomies, pairs.values(), map_file),
+            *_leg_counts((source, target), anatomies),
         ),
     )
 
@@ -167,6 +169,25 @@ def _crossed_sides(
     path = map_file.document.path if isinstance(map_file, MapFile) else map_file
     file_path = None if path is None else str(path)
     return [Fault("MAP108", message, file_path, (), hint, Severity.WARNING)]
+
+
+def _leg_counts(
+    rigs: tuple[Rig, Rig], anatomies: tuple[Anatomy, Anatomy]
+) -> list[Fault]:
+    """Return a warning about a biped and a quadruped (MAP109)."""
+    stands_on_hands = [
+        RoledSkeleton.of(rig, anatomy.roles).stands_on_hands()
+        for rig, anatomy in zip(rigs, anatomies, strict=True)
+    ]
+    if {*stands_on_hands} != {True, False}:
+        return []
+    legs, other_legs = ("four" if on_hands else "two" for on_hands in stands_on_hands)
+    message = (
+        f"{rigs[0].name!r} stands on {legs} legs and {rigs[1].name!r} on {other_legs}: "
+        "arms and front legs are paired, and their poses differ"
+    )
+    hint = "choose a rig with the same legs, or pair joints in a map file"
+    return [Fault("MAP109", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _unmapped_joints(rig: Rig, side: Anatomy, used_joints: set[int]) -> tuple[int, ...]:

@@ -16,6 +16,11 @@ from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have no direction [1].
 MIN_BONE_LENGTH = 1e-4
+# Fraction of a leg by which a foot is below the hip if the skeleton stands at rest [1].
+MIN_LEG_DROP = 0.7
+# Heights of hands that are on the ground, and that hang or are stretched out, in
+# heights of the hips. Quadrupeds have at most 0.1, bipeds with hanging arms 0.87.
+LOW_HANDS, HIGH_HANDS = 0.35, 0.6
 # Role at the end of each role's bone.
 _NEXT_ROLES = {
     "upper_arm": "forearm",
@@ -101,6 +106,24 @@ class RoledSkeleton:
         """Return whether two joints are at distinct positions at rest."""
         offset = self.positions[other] - self.positions[joint]
         return float(np.linalg.norm(offset)) > MIN_BONE_LENGTH * self.size
+
+    def stands_on_hands(self) -> bool | None:
+        """Return whether its hands are on the ground at rest; None if unclear."""
+        sides = [
+            [self.joint(f"{role}_{side}") for side in "lr"]
+            for role in ("thigh", "foot", "hand")
+        ]
+        if min(map(min, sides)) < 0:
+            return None
+        heights = self.positions @ self.rig.up.vector
+        hips, feet, hands = (heights[joints] for joints in sides)
+        drop, lengths = float(hips.min() - feet.max()), self.path_lengths
+        if drop < MIN_LEG_DROP * float((lengths[sides[1]] - lengths[sides[0]]).min()):
+            return None
+        hand_height = float(hands.min() - feet.min()) / max(drop, np.finfo(float).tiny)
+        if LOW_HANDS < hand_height < HIGH_HANDS:
+            return None
+        return hand_height <= LOW_HANDS
 
     @property
     def size(self) -> float:

@@ -105,7 +105,7 @@ def test_each_difference_counts_beyond_its_tolerance(
 def test_other_rates_and_lengths_are_mismatches(take: Take) -> None:
     slower = replace(take, clock=replace(take.clock, fps=Fraction(15)))
     found = compare_takes(take, slower)
-    assert found.mismatches == ["30 fps instead of 15"]
+    assert found.mismatches[0].startswith("30 fps instead of 15;")
     shorter = replace(
         take,
         clock=replace(take.clock, count=7),

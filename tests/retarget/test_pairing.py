@@ -18,6 +18,7 @@ from animtool.retarget.pairing import (
     _path_length,
 )
 from animtool.retarget.roles import Anatomy, RoleSource
+from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -356,3 +357,21 @@ def test_places_along_a_chain_are_shares_of_its_length() -> None:
     assert _chain_fractions(rig, known, [4]) == [0]
     assert _last_before([0.0, 0.5, 0.7], 0.59) == 1
     assert _last_before([0.0, 0.5, 0.7], 0.61) == 2
+
+
+@pytest.mark.parametrize(("height", "codes"), [(0.0, ["MAP109"]), (0.7, [])])
+def test_a_biped_onto_four_legs(height: float, codes: list[str]) -> None:
+    source, _ = person(named("mixamo"), fingers=False)
+    rig, _ = person(lambda role: role, fingers=False)
+    positions = rest_world(rig).positions[0]
+    joints = list(rig.joints)
+    for side in "lr":
+        hand = rig.index(f"hand_{side}")
+        drop = (height - positions[hand][1]) / 2
+        for name in (f"forearm_{side}", f"hand_{side}"):
+            j = rig.index(name)
+            x, y, z = joints[j].translation
+            joints[j] = replace(joints[j], translation=(x, y + drop, z))
+    joint_map = map_joints(source, replace(rig, joints=tuple(joints)))
+    found = [n.code for n in joint_map.notices if n.code == "MAP109"]
+    assert found == codes

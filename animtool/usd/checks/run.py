@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import field, replace
 from pathlib import Path
@@ -91,7 +92,10 @@ def _fault(error: Any) -> Fault:
         code = _CODES_BY_FAMILY.get(validator.partition(":")[0], "USD286")
     kinds = UsdValidation.ValidationErrorType
     note = Severity.NOTE if error.GetType() == kinds.Info else None
-    message = f"{validator}: {' '.join(error.GetMessage().split()).rstrip('.')}"
+    text = " ".join(error.GetMessage().split()).rstrip(".")
+    # The file is named before the message, and so is what a known code is about.
+    text = re.sub(r"Stage with root layer <[^>]*>", "the stage", text)
+    message = text if validator in _CODES_BY_VALIDATOR else f"{validator}: {text}"
     return finding(code, _error_location(error), message, note)
 
 

@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from pxr import Pcp, Sdf, UsdGeom
+from pxr import Sdf, UsdGeom
 
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, excerpt
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
+from animtool.usd.layers.composition import unresolved_arcs
 from animtool.usd.layers.faults import unit_and_axis_faults
 from animtool.usd.rigs.prims import stored_data
 
 
 def check_composition(subject: StageSubject) -> Iterator[Fault]:
     """Check that all composition arcs resolve."""
-    reported = set()
-    for error in subject.stage.GetCompositionErrors():
-        text = re.sub(r"@[^@]*/([^@/]+)@", r"@\1@", " ".join(str(error).split()))
-        where = "/"
-        if not isinstance(error, Pcp.ErrorInvalidSublayerPath):
-            where = str(error.rootSite.path) or "/"
-        if (where, text) not in reported:
-            reported.add((where, text))
-            yield finding("USD261", where, text[:300])
+    for where, text in unresolved_arcs(subject.stage):
+        yield finding("USD261", where, text[:300])
 
 
 def check_assets(subject: StageSubject) -> Iterator[Fault]:

@@ -25,6 +25,8 @@ _DIAGNOSTIC_PREFIXES = (
     b"Coding Error: in ",
     b"Runtime Error: in ",
 )
+# Beginning of the last line of a diagnostic that has several, such as a cycle.
+_LAST_LINE = b" ("
 
 
 @contextmanager
@@ -76,7 +78,12 @@ def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
 def _print_others(buffer: IO[bytes], dropped_texts: tuple[bytes, ...]) -> None:
     """Print the captured lines except those with known texts."""
     buffer.seek(0)
+    is_continued = False
     for line in buffer:
-        if not any(text in line for text in dropped_texts):
+        if is_continued:
+            is_continued = not line.startswith(_LAST_LINE)
+        elif any(text in line for text in dropped_texts):
+            is_continued = line.rstrip().endswith(b":")
+        else:
             text = line.decode("utf-8", "surrogateescape")
             os.write(2, escaped_lines(text).encode())

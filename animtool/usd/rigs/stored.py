@@ -19,6 +19,7 @@ from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import parse_rig
 from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.usd.layers.composition import unresolved_hint
 from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -311,7 +312,8 @@ def read_rig_with_data(
         if not skeletons:
             location = "" if prim_path is None else f" at {prim_path}"
             message = f"has no Skeleton{location}"
-            raise FormatError(Fault("USD008", message, str(path)))
+            hint = unresolved_hint(stage)
+            raise FormatError(Fault("USD008", message, str(path), (), hint))
         of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))

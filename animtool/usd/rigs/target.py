@@ -16,6 +16,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.rig.skeleton import Rig
+from animtool.usd.layers.composition import unresolved_hint
 from animtool.usd.layers.names import RigPaths, UsdNames
 from animtool.usd.layers.sdf import check_prim_path, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -156,6 +157,7 @@ def _skeletons_below(stage: Any, path: Path, below: str) -> tuple[list[Any], Any
             f"set {argument('rig_layer')} to a layer that "
             f"{argument('form', 'split')} wrote, or to a shot that uses one"
         )
+        hint = unresolved_hint(stage) or hint
         raise FormatError(Fault("USD008", message, str(path), (), hint))
     prim = skeletons[0].GetPrim()
     root = UsdSkel.Root.Find(prim)

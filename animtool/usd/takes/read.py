@@ -23,6 +23,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
+from animtool.usd.layers.composition import unresolved_hint
 from animtool.usd.layers.faults import (
     PrimLocation,
     matrix_array,
@@ -147,6 +148,7 @@ def read_character(
             if characters:
                 names = listed(characters, MAX_LISTED_PRIMS)
                 hint = f"choose one of {names} with {argument('source.prim_path')}"
+            hint = unresolved_hint(stage) or hint
             raise FormatError(Fault("USD008", message, str(path), (), hint))
         skeleton = rig_of_animation(animation, path, stage)
         prim = None

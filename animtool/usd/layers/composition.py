@@ -1,0 +1,57 @@
+"""Sublayers, references and payloads that USD could not resolve."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import PurePath
+from typing import Any
+
+from pxr import Pcp
+
+_ASSET = re.compile(r"Could not open asset @(.*?)@ for (\w+)")
+_PRIM = re.compile(r"Unresolved (\w+) prim path @(.*?)@<(.*?)>")
+_SUBLAYER = re.compile(r"Could not load sublayer @(.*?)@")
+
+
+def unresolved_arcs(stage: Any) -> Iterator[tuple[str, str]]:
+    """Yield the prim path and a description of each composition error, once."""
+    reported = set()
+    for error in stage.GetCompositionErrors():
+        where = "/"
+        if not isinstance(error, Pcp.ErrorInvalidSublayerPath):
+            where = str(error.rootSite.path) or "/"
+        text = _arc_text(" ".join(str(error).split()), error, stage)
+        if (where, text) not in reported:
+            reported.add((where, text))
+            yield where, text
+
+
+def unresolved_hint(stage: Any) -> str | None:
+    """Return what the first composition error of a stage is; None without one."""
+    arc = next(unresolved_arcs(stage), None)
+    return None if arc is None else f"{arc[0]}: {arc[1]}"
+
+
+def _relative(path: str, stage: Any) -> str:
+    """Return a path relative to the folder of a stage's root layer, if it is below."""
+    folder = PurePath(stage.GetRootLayer().realPath).parent
+    file = PurePath(path)
+    return str(file.relative_to(folder)) if file.is_relative_to(folder) else path
+
+
+def _arc_text(text: str, error: Any, stage: Any) -> str:
+    """Return a composition error as a sentence about the user's files."""
+    if isinstance(error, Pcp.ErrorArcCycle):
+        return "its references lead back to itself"
+    if match := _SUBLAYER.search(text):
+        return f"sublayer {_relative(match[1], stage)!r} cannot be opened"
+    if match := _ASSET.search(text):
+        return f"{match[2]} {match[1]!r} cannot be opened"
+    if match := _PRIM.search(text):
+        name = PurePath(match[2]).name
+        if match[3] == "defaultPrim":
+            return f"{match[1]} {name!r} names no prim, and it has no default prim"
+        return f"{match[1]} {name!r} has no prim {match[3]}"
+    # Folders of this machine are no part of a report.
+    return re.sub(r"@[^@]*/([^@/]+)@", r"@\1@", text)
