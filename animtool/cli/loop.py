@@ -90,7 +90,7 @@ _TEMPLATE = Template(
     "animtool.scene.solves.cycle:LoopResult",
     (
         "{source}: a cycle of {seconds:plain 4} s, frames {cycle.first:g} to "
-        "{cycle.last:g}; its ends differ by {cycle.apart:length}, "
+        "{cycle.last:g}; difference of its ends {cycle.apart:length}, "
         "{cycle.share:percent} of the motion",
     ),
 )

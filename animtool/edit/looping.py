@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
@@ -423,11 +422,20 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
         )
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(cycle_notices(cycle, take.clock, options))
+    context.notices.extend(cycle_notices(cycle, take, options))
     return result
 
 
-def cycle_notices(cycle: Cycle, clock: Clock, options: LoopOptions) -> list[Fault]:
+def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
+    """Return the best cycle of a take if it closes far better than the chosen one."""
+    try:
+        best = find_cycle(take)
+    except OptionError:
+        return None
+    return best if best.share < cycle.share / 2 else None
+
+
+def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]:
     """Return the notices about a cycle of a take."""
     ends_text = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
@@ -439,13 +447,23 @@ def cycle_notices(cycle: Cycle, clock: Clock, options: LoopOptions) -> list[Faul
         message = f"the best cycle: {ends_text}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > MAX_GOOD_SEAM:
+        best = None if options.find else _better_cycle(cycle, take)
         hint = (
             f"choose other frames with {argument('first')} and {argument('last')}, or "
             f"a longer {argument('blend')}"
         )
+        if best is not None:
+            ends = (
+                argument("first", f"{best.first:g}"),
+                argument("last", f"{best.last:g}"),
+            )
+            hint = (
+                f"the best cycle of the take is {' '.join(ends)}: its ends differ by "
+                f"{100 * best.share:.0f}%"
+            )
         message = f"the loop has a visible seam: {ends_text}"
         notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
-    frames = round((cycle.last - cycle.first) / float(clock.step))
+    frames = round((cycle.last - cycle.first) / float(take.clock.step))
     # The default is not what was asked for: short cycles are blended as a whole.
     if options.blend > max(frames, _DEFAULTS.blend):
         message = (

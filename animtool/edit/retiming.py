@@ -13,6 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
 from animtool.edit.combine import align_signs
@@ -155,8 +156,14 @@ def _trim_blocks(
     if last_index is not None and last_index >= count and not in_shot:
         last = start + (count - 1) * stream.step
         requested_end = float(start + last_index * stream.step)
-        message = f"last is {requested_end:g}, but the take ends at {float(last):g}"
-        stream.notices.append(Fault("SCN013", message, severity=Severity.NOTE))
+        message = (
+            f"last is {requested_end:g}, but the take ends at {float(last):g}, at "
+            f"{rate_label(stream.fps)}"
+        )
+        hint = f"write {argument('last', f'{float(last):g}')}"
+        hint += ", or trim before a pass that changes the rate"
+        notice = Fault("SCN013", message, hint=hint, severity=Severity.NOTE)
+        stream.notices.append(notice)
 
 
 TRIM = Pass(

@@ -65,7 +65,7 @@ def loop_source(
         else:
             cycle = measure_cycle(take, options.first, options.last)
     seconds = (cycle.last - cycle.first) / float(take.clock.fps)
-    notices = [*stream.notices, *cycle_notices(cycle, take.clock, options)]
+    notices = [*stream.notices, *cycle_notices(cycle, take, options)]
     result = LoopResult(source, output, cycle, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)

@@ -79,8 +79,9 @@ def warn_of_sizes(document: Document, at: Location, values: Mapping[str, Any]) -
     _warn_of_forces(document, at, values)
     for i, body in enumerate(values.get("bodies") or ()):
         _warn_of_body(document, (*at, "bodies", i), body)
-    if values.get("start") and values.get("end"):
-        _warn_of_rope(document, at, values)
+    is_rope = values.get("start") and values.get("end")
+    if is_rope and _warn_of_rope(document, at, values):
+        return  # all its lengths are in another unit
     if values.get("across") and values.get("up"):
         _warn_of_sheet(document, at, values)
     contact = values.get("self_contact")
@@ -138,19 +139,21 @@ def _warn_of_forces(
         document.warn("SIM200", (*at, "gravity"), message, hint)
 
 
-def _warn_of_rope(document: Document, at: Location, values: Mapping[str, Any]) -> None:
-    """Warn of a rope that is too long, or too heavy for its length."""
+def _warn_of_rope(document: Document, at: Location, values: Mapping[str, Any]) -> bool:
+    """Warn of a rope that is too long, or too heavy; return whether it is too long."""
     length, mass = math.dist(values["start"], values["end"]), values.get("mass") or 0.0
     if not length > 0:
-        return
+        return False
     if length > MAX_LENGTH or (length > MAX_ROPE and mass < CABLE * length):
         message = f"the rope is {length_text(length)} long"
         message += f" and weighs {mass:g} kg" if length <= MAX_LENGTH else ""
         hint = "lengths are in metres; for centimetres write "
         hint += "'units: {length: cm}' in the scene"
         document.warn("SIM200", (*at, "to"), message, hint)
-    elif mass > MAX_LINE * length:
+        return True
+    if mass > MAX_LINE * length:
         _warn_of_grams(document, at, mass, f"the rope is {length_text(length)} long")
+    return False
 
 
 def _warn_of_sheet(document: Document, at: Location, values: Mapping[str, Any]) -> None:
