@@ -94,7 +94,10 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     from animtool.batch.plan import check_output_files
 
     if not has_kind_suffix(batch_file, "batch"):
-        raise click.UsageError(f"{batch_file} is not a batch file: use *.batch.yaml.")
+        text = f"{batch_file} is not a batch file; pass a *.batch.yaml"
+        if has_kind_suffix(batch_file, "scene"):
+            text += f" that names it: scene: {batch_file.name}"
+        raise click.UsageError(f"{text}.")
     spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
     resolved_batch = find_batch(with_cuts(spec, params))
     console.faults(resolved_batch.notices)

@@ -146,6 +146,8 @@ def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
 
 # Targets of which none is in a rig, so that the rig is at fault and not their names.
 MIN_TARGETS = 3
+# Fraction of targets that only another rig lacks.
+MIN_UNKNOWN = 0.6
 
 
 class _ClipReader:
@@ -184,9 +186,14 @@ class _ClipReader:
         """Record once, and not for each channel, that the rig is another one."""
         faults, count = self.document.faults, len(self.model.channels)
         unknown = [fault for fault in faults if fault.code == "CLIP002"]
-        if self.rig is None or count < MIN_TARGETS or len(unknown) < count:
+        if self.rig is None or len(unknown) < max(MIN_TARGETS, MIN_UNKNOWN * count):
             return
-        message = f"rig {self.rig.name!r} has none of the {count} targets"
+        if any(fault.hint and "did you mean" in fault.hint for fault in unknown):
+            return
+        lacks = f"has none of the {count} targets"
+        if len(unknown) < count:
+            lacks = f"lacks {len(unknown)} of the {count} targets"
+        message = f"rig {self.rig.name!r} {lacks}"
         hint = "is it the right rig?"
         if self.model.rig is not None:
             hint = f"the clip names {self.model.rig}; animtool retarget transfers "

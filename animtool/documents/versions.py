@@ -44,7 +44,7 @@ _WRONG_KIND_HINTS = {
     "remap": f"animtool mocap face takes it with {flag('remap')}",
     "rig": f"animtool bake CLIP takes it with {flag('rig')}, animtool validate "
     "checks it, animtool convert writes it as USD",
-    "scene": "animtool bake bakes it; end its name in .scene.yaml",
+    "scene": "animtool bake bakes it",
     "targets": f"animtool ik takes it with {flag('targets')}",
 }
 
@@ -117,6 +117,8 @@ def version_of(
             message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {kinds_in_file[0]} file; "
             hint += _WRONG_KIND_HINTS[kinds_in_file[0]]
+            if kinds_in_file[0] == "scene" != path_kind:
+                hint += "; end its name in .scene.yaml"
         document.add("DOC009", (), message, hint)
         document.check()
     newest_version, file_version = newest(table[named_kind]), document.value[named_kind]

@@ -47,6 +47,8 @@ _NEXT_ROLES = {
 }
 # Joints that other joints move, that end bones, or that are no part of the body.
 _NO_ROLE = frozenset({TWIST, END, CONTROL})
+# A take with fewer joints has no limb.
+MIN_BODY_JOINTS = 4
 # Twist joints belong to the bone given by their name or position.
 _TWIST_BONES = ("upper_arm", "forearm", "thigh", "shin")
 
@@ -122,6 +124,10 @@ def map_joints(
     if not pairs:
         message = f"no joint of {source.name!r} maps to one of {target.name!r}"
         hint = "name a preset for each, or write a map file"
+        if len(source.joints) < MIN_BODY_JOINTS:
+            message += f": {source.name!r} has {counted(len(source.joints), 'joint')}"
+            message += f" ({listed(list(map(repr, source.names)), MIN_BODY_JOINTS)})"
+            hint = "choose a file with a skeleton; animtool info lists its joints"
         raise OptionError(Fault("MAP004", message, hint=hint))
     used_joints = {pair.source for pair in pairs.values()}
     used_joints |= {j for chain in chains for j in chain.source}
