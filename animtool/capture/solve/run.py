@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 
@@ -30,6 +31,7 @@ from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.names import most_similar
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
@@ -224,13 +226,27 @@ def solve_markers(
     if match.missing:
         message = f"the capture lacks {counted(len(match.missing), 'marker')} of the "
         message += f"template: {listed(match.missing, 8)}"
-        notices.append(Fault("SOL103", message, severity=Severity.WARNING))
+        hint = _renamed_hint(match)
+        notices.append(Fault("SOL103", message, hint=hint, severity=Severity.WARNING))
     notices += static_notices(model.template.names, positions)
     noise = sampled_noise(model, sample, options.noise)
     swapped = swapped_notices(model, sample, noise, options.noise, sampled_noise)
     notices += swapped or _residual_notices(model.template.names, noise)
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
+
+
+def _renamed_hint(match: MarkerMatch) -> str | None:
+    """Return which missing markers a capture may have under another name."""
+    unused = {re.sub(r"[^a-z0-9]", "", name.lower()): name for name in match.unused}
+    renamed = []
+    for name in match.missing:
+        similar_name = most_similar(re.sub(r"[^a-z0-9]", "", name.lower()), unused)
+        if similar_name is not None:
+            renamed.append(f"{unused[similar_name]!r} for {name!r}")
+    if not renamed:
+        return None
+    return f"is it {listed(renamed, 8)}? add such names to `aliases` in the template"
 
 
 def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:

@@ -164,3 +164,12 @@ def test_a_prefix_and_missing_markers_are_no_hindrance() -> None:
     solve = solve_markers(markers, FIGURE, TEMPLATE)
     assert error(solve.take(), truth) < 0.006
     assert [n.code for n in solve.notices] == ["SOL103"]
+
+
+def test_a_marker_under_another_name_is_suggested() -> None:
+    markers = captured(moving(30, FPS, 1), FPS).markers
+    names = tuple("c_7" if name == "C7" else name for name in markers.names)
+    (notice,) = solve_markers(replace(markers, names=names), FIGURE, TEMPLATE).notices
+    assert notice.code == "SOL103"
+    assert notice.hint is not None
+    assert "'c_7' for 'C7'" in notice.hint
