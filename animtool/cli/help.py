@@ -25,6 +25,7 @@ _GROUPS: dict[str, str] = {
         "acceleration people gate min-angle moved shortest longest blend "
         "repeats first last"
     ),
+    "Options": "",
     "Picture": ("size sheet light caption numbers show turntable findings open watch"),
     "Checks": (
         "select ignore severity profile exit-zero fix diff warn-above weight-tolerance "
@@ -47,6 +48,7 @@ _GROUPS: dict[str, str] = {
         "log-format debug help"
     ),
 }
+_OTHER_GROUP = "Options"  # of options that are not listed
 _GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
 # Options with another heading in one command.
 _GROUPS_BY_COMMAND = {
@@ -144,7 +146,7 @@ class Command(click.Command):
         common = common_options(self.name or "")
         records = {_word(option): record for option, record in self._records(ctx)}
         shown_options = common or [
-            word for word in records if _GROUP_OF[word] != "Report"
+            word for word in records if _GROUP_OF.get(word) != "Report"
         ]
         first_sentences = [
             (records[w][0], _first_sentence(records[w][1]))
@@ -219,9 +221,10 @@ def write_sections(
 
 
 def group_of(command: str, option: click.Option) -> str:
-    """Return the heading of an option; KeyError if it has none."""
+    """Return the heading of an option."""
     word = _word(option)
-    return _GROUPS_BY_COMMAND.get(command, {}).get(word) or _GROUP_OF[word]
+    group = _GROUPS_BY_COMMAND.get(command, {}).get(word)
+    return group or _GROUP_OF.get(word, _OTHER_GROUP)
 
 
 def common_options(command: str) -> list[str]:
@@ -283,8 +286,9 @@ class LazyGroup(click.Group):
     """A click group that imports a command's module when it is called.
 
     Attributes:
-        table: By command name, its ``module:object`` and its one-line help.
-        sections: Names of the commands below each heading of the help.
+        sections: Below each heading of the help, its commands: ``module:object`` and
+            a one-line help by name.
+        table: All commands.
         other_names: What users of other tools type, and the command for it.
         takes_files: Command to suggest for a file in place of a command.
     """
@@ -292,15 +296,18 @@ class LazyGroup(click.Group):
     def __init__(
         self,
         *args: Any,
-        table: Mapping[str, tuple[str, str]],
-        sections: Mapping[str, tuple[str, ...]] | None = None,
+        sections: Mapping[str, Mapping[str, tuple[str, str]]],
         other_names: Mapping[str, str] | None = None,
         takes_files: str = "",
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
-        self.table = table
-        self.sections = sections or {"Commands": tuple(sorted(table))}
+        self.sections = sections
+        self.table = {
+            name: entry
+            for section in sections.values()
+            for name, entry in section.items()
+        }
         self.other_names = other_names or {}
         self.takes_files = takes_files
 
@@ -326,8 +333,8 @@ class LazyGroup(click.Group):
         write_sections(
             formatter,
             {
-                title: [(name, self.table[name][1]) for name in names]
-                for title, names in self.sections.items()
+                title: [(name, text) for name, (_, text) in section.items()]
+                for title, section in self.sections.items()
             },
         )
 

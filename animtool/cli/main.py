@@ -130,61 +130,73 @@ def crash_reason(name: str, path: str = "") -> Fault | None:
     return Fault("IO013", message, location, (), MEMORY_HINT)
 
 
-COMMANDS = {
-    "bake": (
-        "animtool.cli.bake:bake",
-        "Bake a scene, clip, BVH, glTF, FBX or USD file to USD.",
-    ),
-    "batch": (
-        "animtool.cli.batch:batch",
-        "Bake many files on every core; can be resumed.",
-    ),
-    "completion": (
-        "animtool.cli.schema:completion",
-        "Print a shell completion script.",
-    ),
-    "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
-    "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
-    "docs": ("animtool.cli.docs:docs", "Open or print a page of the documentation."),
-    "explain": ("animtool.cli.explain:explain", "Explain a code."),
-    "ik": ("animtool.cli.ik:ik", "Solve the joints of a rig for targets."),
-    "job": ("animtool.cli.job:job", "Write a batch as a render farm job."),
-    "migrate": (
-        "animtool.cli.migrate:migrate",
-        "Update files of older versions.",
-    ),
-    "loop": ("animtool.cli.loop:loop", "Find the cycle of a take and repeat it."),
-    "mocap": ("animtool.cli.mocap:mocap", "Turn captures into motion, and clean it."),
-    "plugins": (
-        "animtool.cli.plugins:plugins",
-        "List passes, readers, executors and other plug-ins.",
-    ),
-    "preview": (
-        "animtool.cli.preview:preview",
-        "Show files: a page that plays, stills and films.",
-    ),
-    "retarget": (
-        "animtool.cli.retarget:retarget",
-        "Transfer a take to another rig, with planted feet held.",
-    ),
-    "report": (
-        "animtool.cli.report:report",
-        "Measure time against error for the settings of a file.",
-    ),
-    "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
-    "info": ("animtool.cli.info:info", "Show what is in a file."),
-    "validate": (
-        "animtool.cli.validate:validate",
-        "Check rigs, clips, scenes and captures.",
-    ),
-}
-
+# Commands below each heading of the help: where each is, and what it does.
 SECTIONS = {
-    "Make": ("bake", "retarget", "ik", "loop", "mocap"),
-    "Look and check": ("preview", "report", "info", "diff", "validate", "explain"),
-    "Files": ("convert", "schema", "migrate"),
-    "Many": ("batch", "job"),
-    "Setup": ("docs", "plugins", "completion"),
+    "Make": {
+        "bake": (
+            "animtool.cli.bake:bake",
+            "Bake a scene, clip, BVH, glTF, FBX or USD file to USD.",
+        ),
+        "retarget": (
+            "animtool.cli.retarget:retarget",
+            "Transfer a take to another rig, with planted feet held.",
+        ),
+        "ik": ("animtool.cli.ik:ik", "Solve the joints of a rig for targets."),
+        "loop": ("animtool.cli.loop:loop", "Find the cycle of a take and repeat it."),
+        "mocap": (
+            "animtool.cli.mocap:mocap",
+            "Turn captures into motion, and clean it.",
+        ),
+    },
+    "Look and check": {
+        "preview": (
+            "animtool.cli.preview:preview",
+            "Show files: a page that plays, stills and films.",
+        ),
+        "report": (
+            "animtool.cli.report:report",
+            "Measure time against error for the settings of a file.",
+        ),
+        "info": ("animtool.cli.info:info", "Show what is in a file."),
+        "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
+        "validate": (
+            "animtool.cli.validate:validate",
+            "Check rigs, clips, scenes and captures.",
+        ),
+        "explain": ("animtool.cli.explain:explain", "Explain a code."),
+    },
+    "Files": {
+        "convert": (
+            "animtool.cli.convert:convert",
+            "Convert a take to another format.",
+        ),
+        "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
+        "migrate": ("animtool.cli.migrate:migrate", "Update files of older versions."),
+    },
+    "Many": {
+        "batch": (
+            "animtool.cli.batch:batch",
+            "Bake many files on every core; can be resumed.",
+        ),
+        "job": ("animtool.cli.job:job", "Write a batch as a render farm job."),
+    },
+    "Setup": {
+        "docs": (
+            "animtool.cli.docs:docs",
+            "Open or print a page of the documentation.",
+        ),
+        "plugins": (
+            "animtool.cli.plugins:plugins",
+            "List passes, readers, executors and other plug-ins.",
+        ),
+        "completion": (
+            "animtool.cli.schema:completion",
+            "Print a shell completion script.",
+        ),
+    },
+}
+COMMANDS = {
+    name: entry for section in SECTIONS.values() for name, entry in section.items()
 }
 # Names of these commands in other tools.
 OTHER_NAMES = {
@@ -218,7 +230,6 @@ def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 
 @click.group(
     cls=LazyGroup,
-    table=COMMANDS,
     sections=SECTIONS,
     other_names=OTHER_NAMES,
     takes_files="bake",

@@ -36,7 +36,7 @@ COMMANDS = {
 
 @click.group(
     cls=LazyGroup,
-    table=COMMANDS,
+    sections={"Commands": dict(sorted(COMMANDS.items()))},
     takes_files="clean",
     epilog="""\b
 Examples:

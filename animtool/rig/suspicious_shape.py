@@ -94,7 +94,7 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
     lengths = np.linalg.norm(offsets[children], axis=1)
     bones = np.linalg.norm(offsets[children] - offsets[parents[children]], axis=1)
     ratio = bones.sum() / max(float(lengths.sum()), np.finfo(float).tiny)
-    has_branches = len(np.unique(parents[children])) < len(children)
+    has_branches = len({*parents[children].tolist()}) < len(children)
     if ratio > MAX_BODY_RATIO or (bones < MIN_WORLD_BONE * lengths).any():
         return False
     if not has_branches or (
