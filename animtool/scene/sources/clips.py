@@ -69,7 +69,7 @@ def clip_stream(
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
                 reported_pairs.add((note.fault.code, note.target))
-                stream.notices.append(_fault_of(file, rig, note))
+                stream.notices.append(_fault_of(path, rig, note))
         return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
@@ -91,8 +91,15 @@ def clip_stream(
     return stream
 
 
-def _fault_of(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
-    """Return the fault of a notice, at the key or channel that causes it."""
+def _fault_of(path: Path, rig: Rig, notice: ClipNotice) -> Fault:
+    """Return the fault of a notice, at the key or channel that causes it.
+
+    The file is read again, since streams do not keep its text.
+    """
+    try:
+        file = open_clip(path)
+    except FormatError:
+        return replace(notice.fault, path=str(path))
     document = file.document
     for i, channel in _causes(file, rig, notice.target):
         key_path: Location = ("channels", i)
