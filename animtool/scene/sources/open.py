@@ -64,8 +64,8 @@ class SourceOptions:
             "cm",
             alias="units",
         ),
-        help="Unit of the lengths of a BVH, glTF or FBX.  [default: cm; m for a "
-        "glTF; as stated in an FBX]",
+        help="Unit of the source's lengths.  [default: as stated; cm for a BVH, m for "
+        "a glTF, mm for markers]",
     )
     up: UpAxis | None = option(
         None,
@@ -79,7 +79,7 @@ class SourceOptions:
             "Up axis of BVH, glTF and FBX files. Default: Y; as stated in FBX.",
             "Z",
         ),
-        help="Up axis of a BVH, glTF or FBX.  [default: Y; as stated in an FBX]",
+        help="Up axis of the source.  [default: as stated; Y for a BVH or glTF]",
     )
     positions: str | None = option(
         None,
