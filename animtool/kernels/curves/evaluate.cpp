@@ -195,7 +195,7 @@ class Walk {
 
   // Goes over at most MOST times, ascending mostly.
   void over(const double* at, std::size_t n) {
-    size_ = 0;
+    size_ = 0, gathered_ = 0;
     for (std::size_t f = 0; f < n;) {
       const double t = at[f];
       if (!(t >= times_[0] && t < times_[last_])) {
@@ -227,10 +227,35 @@ class Walk {
   // Of each time in a segment: the time from the nearer key, of the way to the other one.
   const double* fractions() const { return fractions_; }
 
+  // Whether runs are so short that linear segments are evaluated time by time instead.
+  bool is_dense() const { return size_ && 4 * size_ >= runs_[size_ - 1].end; }
+
+  // Linear curves at all times, from the nearer and the farther key of each.
+  void interpolate(const double* values, double* out) {
+    if (!gathered_) gather();
+    for (std::size_t i = 0; i < gathered_; ++i) {
+      const double value = values[near_[i]];
+      out[i] = value + fractions_[i] * (values[far_[i]] - value);
+    }
+  }
+
  private:
+  void gather() {
+    for (const Run& run : *this) {
+      const bool outside = run.segment == OUTSIDE;
+      const std::size_t far = outside ? run.nearer : 2 * run.segment + 1 - run.nearer;
+      // The product is -0 there, which keeps the sign of zero.
+      if (outside) std::fill(fractions_ + run.begin, fractions_ + run.end, -0.0);
+      std::fill(near_ + run.begin, near_ + run.end, static_cast<std::uint32_t>(run.nearer));
+      std::fill(far_ + run.begin, far_ + run.end, static_cast<std::uint32_t>(far));
+    }
+    gathered_ = runs_[size_ - 1].end;
+  }
+
   const double* times_;
-  std::size_t last_, at_ = 0, size_ = 0;
+  std::size_t last_, at_ = 0, size_ = 0, gathered_ = 0;
   Run runs_[MOST];
+  std::uint32_t near_[MOST], far_[MOST];  // no curve has as many keys
   double fractions_[MOST];
 };
 
@@ -249,7 +274,11 @@ void evaluate_bezier(const Segment& segment, const double* at, double* out, std:
 }
 
 // One curve, held outside its keys.
-void evaluate_curve(const Keys& keys, const Walk& walk, const double* at, double* out) {
+void evaluate_curve(const Keys& keys, bool linear, Walk& walk, const double* at, double* out) {
+  if (linear && walk.is_dense()) {
+    walk.interpolate(keys.values, out);
+    return;
+  }
   for (const Run* run = walk.begin(); run < walk.end(); ++run) {
     const std::size_t f = run->begin, k = run->segment, n = run->end - f;
     const double value = keys.values[run->nearer];
@@ -282,7 +311,8 @@ void evaluate_curve(const Keys& keys, const Walk& walk, const double* at, double
 }
 
 // The last key of a curve begins no segment. Handles are looked at where a segment has them.
-void check_curve(const Keys& keys, std::size_t curve, bool times_known) {
+// Returns whether all segments are linear.
+bool check_curve(const Keys& keys, std::size_t curve, bool times_known) {
   const std::size_t segments = keys.count - 1;
   if (!times_known) {
     // Those between are finite if the ends are, and no segment is longer than the curve.
@@ -292,9 +322,12 @@ void check_curve(const Keys& keys, std::size_t curve, bool times_known) {
     if (wrong) refuse("times", curve, "not ascending");
   }
   check::finite("values", keys.values, keys.count);
-  std::uint64_t bits = 0;
-  for (std::size_t k = 0; k < segments; ++k) bits |= static_cast<std::uint64_t>(keys.kinds[k]);
-  if (bits <= kLinear) return;
+  std::uint64_t bits = 0, common = kLinear;
+  for (std::size_t k = 0; k < segments; ++k) {
+    const auto kind = static_cast<std::uint64_t>(keys.kinds[k]);
+    bits |= kind, common &= kind;
+  }
+  if (bits <= kLinear) return common == kLinear;
   if (bits > kBezier) check::indices("kinds", keys.kinds, segments, kHold, kBezier + 1);
   double out_sum = 0, in_sum = 0;  // no numbers where a handle is not finite
   bool out_back = false, in_back = false;
@@ -309,6 +342,7 @@ void check_curve(const Keys& keys, std::size_t curve, bool times_known) {
   if (in_sum != 0) refuse("ins", curve, "not finite");
   if (out_back) refuse("outs", curve, "a handle points away from its segment");
   if (in_back) refuse("ins", curve, "a handle points away from its segment");
+  return false;
 }
 
 bool equal(const double* a, const double* b, std::size_t count) {
@@ -349,19 +383,20 @@ std::optional<Out<double, 2>> evaluate_curves(In<std::int64_t, 1> first, In<doub
   double* const result = out ? out->data() : made->get();
   for (std::size_t c = 0, next; c < curves; c = next) {
     const Keys keys = keys_of(c);
-    check_curve(keys, c, false);
+    bool linear[TOGETHER];
+    linear[0] = check_curve(keys, c, false);
     for (next = c + 1; next < curves && next < c + TOGETHER; ++next) {
       const Keys other = keys_of(next);
       if (other.count != keys.count || !equal(other.times, keys.times, keys.count) ||
           !equal(at_of(next), at_of(c), frames))
         break;
-      check_curve(other, next, true);
+      linear[next - c] = check_curve(other, next, true);
     }
     Walk walk(keys);
     for (std::size_t f = 0; f < frames; f += Walk::MOST) {
       walk.over(at_of(c) + f, std::min(Walk::MOST, frames - f));
       for (std::size_t i = c; i < next; ++i)
-        evaluate_curve(keys_of(i), walk, at_of(c) + f, result + i * frames + f);
+        evaluate_curve(keys_of(i), linear[i - c], walk, at_of(c) + f, result + i * frames + f);
     }
   }
   return made;
