@@ -12,11 +12,13 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
+from animtool.core.quantities import length_text
 from animtool.documents.document import document_of
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import parse_rig
+from animtool.rig.kinematics import rest_size
 from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.usd.layers.composition import unresolved_hint
@@ -91,6 +93,8 @@ def _is_valid_cloth(
 
 # Rest transforms closer than this [m], [1] differ only by rounding.
 REST_TOLERANCE = 1e-9
+# Difference of sizes below which they are the same in float32 [1].
+UNIT_TOLERANCE = 1e-3
 
 
 def merge_rig(
@@ -128,11 +132,32 @@ def merge_rig(
         meters_per_unit=usd_rig.meters_per_unit,
     )
     notices: list[Fault] = []
+    resized = _resized_notice(stored_rig, usd_rig, path)
     if data.get("hash") != skeleton_hash(tokens, rest, bind):
         merged_rig, notices = _merged_with_usd(merged_rig, usd_rig, str(path))
+    elif resized is not None:
+        # The numbers are the same, and only their unit is another.
+        merged_rig, _ = _merged_with_usd(merged_rig, usd_rig, str(path))
+        notices = [resized]
     names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
     meshes = tuple(_with_joint_names(mesh, names) for mesh in merged_rig.meshes)
     return replace(merged_rig, meshes=meshes), notices
+
+
+def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
+    """Return a warning if the stage's unit is not that the rig was written in."""
+    stored_size, size = rest_size(stored_rig), rest_size(usd_rig)
+    if not min(stored_size, size) > 0 or abs(size / stored_size - 1) < UNIT_TOLERANCE:
+        return None
+    unit = usd_rig.meters_per_unit
+    message = (
+        f"metersPerUnit is {unit:g}, but the Skeleton was written with "
+        f"{unit * stored_size / size:.4g}: it is {length_text(size)} tall instead of "
+        f"{length_text(stored_size)}"
+    )
+    hint = f"set metersPerUnit = {unit * stored_size / size:.4g}, or convert the rig "
+    hint += "again if it is meant to have another size"
+    return Fault("USD126", message, str(path), (), hint, Severity.WARNING)
 
 
 def with_attachments(
