@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_codes
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
 from animtool.edit.combine import (
@@ -235,6 +235,10 @@ DIFFERENCE = Pass(
 )
 
 
+# Distance from the rest offset within which a joint is posed by it, in its length [1].
+POSE_TOLERANCE = 0.25
+
+
 class LayerMode(StrEnum):
     """How a layer combines with the take below it."""
 
@@ -334,6 +338,8 @@ class _LayerPlan:
         is_additive = self.mode is LayerMode.ADDITIVE
         other = on_same_rig(stream.rig, self.other, is_additive=is_additive)
         self._weights(time_codes(Fraction(1), Fraction(1), 1))
+        if is_additive:
+            stream.notices.extend(_pose_notices(other, self.joints))
         return replace(stream, blocks=self._blocks(stream, other))
 
     def _weights(self, times: FloatArray) -> FloatArray:
@@ -363,6 +369,32 @@ class _LayerPlan:
             )
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
+
+
+def _pose_notices(other: Take, joints: list[int] | None) -> list[Fault]:
+    """Return a warning if an additive layer holds poses, not a difference (SCN119)."""
+    rig = other.rig
+    rows = np.arange(len(rig.joints)) if joints is None else np.array(joints)
+    rest = rig.rest_translations[rows]
+    lengths = np.linalg.norm(rest, axis=1)
+    has_length = (lengths > 0) & (rig.parents[rows] >= 0)
+    if not has_length.any():
+        return []
+    first = other.motion.translations.select(slice(0, 1)).dense()[0, rows]
+    offsets = np.linalg.norm(first - rest, axis=1)
+    has_pose = has_length & (offsets <= POSE_TOLERANCE * lengths)
+    if 2 * has_pose.sum() < has_length.sum():
+        return []
+    message = (
+        f"the additive take holds whole poses: {int(has_pose.sum())} of "
+        f"{counted(int(has_length.sum()), 'joint')} are at their rest offsets, which "
+        "are added to those of the take, so that bones are twice as long"
+    )
+    hint = (
+        "use mode: override, with `joints` for a part of the body, or make an additive "
+        "take of it with the pass difference"
+    )
+    return [Fault("SCN119", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _run_layer(

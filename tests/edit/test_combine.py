@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.nasty import nasty_take
 from support.takes import assert_same_motion, motion_of, takes
 
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.edit.layers import LayerMode, blend, difference, layer
+from animtool.edit.layers import LayerMode, blend, difference, layer, rest_take
 from animtool.motion.motion import Channel
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
@@ -70,3 +71,15 @@ def test_shapes_are_matched_by_name(take: Take) -> None:
     with pytest.raises(OptionError) as caught:
         layer(one, shaped(take, a=1.0, c=0.25))
     assert caught.value.code == "SCN017"
+
+
+def test_an_additive_layer_of_whole_poses_is_said() -> None:
+    rig = nasty_take().rig
+    below = other = rest_take(rig, nasty_take().clock)
+    doubled = layer(below, other, mode="additive")
+    assert [notice.code for notice in doubled.notices] == ["SCN119"]
+    assert layer(below, other).notices == ()
+    assert layer(below, difference(other), mode="additive").notices == ()
+    # Only the joints that it affects count.
+    root = below.rig.names[0]
+    assert layer(below, other, mode="additive", joints=root).notices == ()
