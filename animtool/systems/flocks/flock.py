@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, warning
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
@@ -16,6 +17,8 @@ from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.sim.colliders.colliding import collide
 from animtool.sim.equations import Equations
+from animtool.sim.integrators.integrator import Integrator, StepControl
+from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, check_species
@@ -26,6 +29,7 @@ from animtool.systems.flocks.steering import (
     avoidance,
     clamp_speeds,
     goal_accelerations,
+    limit_displacements,
     limit_steering,
 )
 from animtool.systems.framework.interacting import integrate_step
@@ -175,6 +179,7 @@ class FlockForces(SecondOrder):
             v = self._brake_velocities(h, before[1], x, v)
             x, _ = self.spacing.separate(x)
         v = clamp_speeds(self.members, v)
+        x = limit_displacements(self.members, before[0], x, h)
         if self.colliders.active:
             radii = self.members.radii
             collision = collide(x, v, before, self.colliders, t - h, t, radii)
@@ -227,6 +232,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         spacing,
     )
     check_supported(Equations(system), integrator)
+    notices += stability_notices(spec, integrator)
     mesh_sources = [part.get("shows") for part in parts]
     # Species that show the same meshes share them.
     cycles = {show: show() for show in mesh_sources if show is not None}
@@ -245,6 +251,25 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
             ]
         ),
     )
+
+
+def stability_notices(spec: FlocksModel, integrator: Integrator) -> list[Fault]:
+    """Return a warning about a speed rule that is too stiff for the step (SIM101)."""
+    if integrator.control is not StepControl.FIXED:
+        return []
+    rates = [2 * s.speed.weight * s.speed.cruise**2 for s in spec.species]
+    limit = allowed_step(integrator, np.array([[max(rates), 1.0]]))
+    if limit is None or spec.step <= limit:
+        return []
+    species = spec.species[rates.index(max(rates))]
+    weight = species.speed.weight * limit / spec.step
+    message = (
+        f"{integrator.name} is not stable with steps of {plain_number(spec.step)} s: "
+        f"{species.name!r} reaches its cruise of {species.speed.cruise:g} m/s "
+        f"within {plain_number(1 / max(rates))} s"
+    )
+    hint = f"write step: {limit:.2g}, or a speed with weight: {weight:.2g}"
+    return [warning("SIM101", message, hint)]
 
 
 def wrap_motion(motion: FloatArray, domain: DomainModel | None) -> FloatArray:

@@ -11,6 +11,7 @@ from animtool.systems.flocks.spec import PathModel
 
 # Members processed together, so that their distances fit the cache.
 BLOCK_SIZE = 4096
+ROUNDING = 1e-9  # of a sum of displacements, which is no excess of speed [1]
 _TINY_LENGTH = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 
 
@@ -152,6 +153,20 @@ def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
     return np.asarray(
         values * np.minimum(max_length / np.maximum(lengths, _TINY_LENGTH), 1.0)
     )
+
+
+def limit_displacements(
+    members: Members, before: FloatArray, after: FloatArray, h: float
+) -> FloatArray:
+    """Return positions ``(N, 3)`` [m] that members can reach in a time [s]."""
+    max_speeds = members.each([max_speed(entry) for entry in members.entries])
+    offsets = after - before
+    lengths, limits = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)
+    is_beyond = lengths > limits * (1 + ROUNDING)
+    if not is_beyond.any():
+        return after
+    fractions = limits / np.maximum(lengths, _TINY_LENGTH)
+    return np.where(is_beyond[:, None], before + offsets * fractions[:, None], after)
 
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:

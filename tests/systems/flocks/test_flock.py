@@ -449,3 +449,18 @@ def test_members_that_show_a_shape_keep_a_distance_without_a_radius() -> None:
     assert min_distance(mesh_indices) == pytest.approx(2 * mesh_indices.radius)
     free = {**plain, "shows": bird, "repulsion": {"weight": 0}}
     assert min_distance(SpeciesModel.model_validate(free)) == 0
+
+
+def test_a_speed_rule_too_stiff_for_the_step_is_said(simulator: Simulator) -> None:
+    fast = {"name": "jet", "count": 30, "place": {"sphere": {"radius": 4}}}
+    fast["speed"] = {"cruise": 40, "least": 20, "most": 80}
+    # 2 · 0.2 · 40² = 640 1/s, and midpoint is stable up to 2 / 640 s.
+    for step, codes in ((0.01, ["SIM101"]), (0.003, [])):
+        run = SystemRun(simulator.scene(flock(fast, step=step)).systems, 0.0)
+        rows = [row for _, (row,) in run.rows(range(13), 0, 24)]  # type: ignore[arg-type]
+        assert [notice.code for notice in run.notices] == codes
+        lengths = [
+            np.linalg.norm(b.points - a.points, axis=1) for a, b in pairwise(rows)
+        ]
+        # A step that is cut at a frame may turn.
+        assert np.max(lengths) * 24 <= 80 + 2 * 80 * step * 24
