@@ -121,10 +121,11 @@ def read_timeline(path: Path) -> Any:
     except MemoryError:
         raise
     except Exception as error:
-        kind = type(error).__name__
-        message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"
         suffixes = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
-        hint = f"supported: {', '.join(suffixes)}"
+        message = f"is not a timeline: {excerpt(str(error), 200)}"
+        if path.suffix.lower().removeprefix(".") not in suffixes:
+            message = "is not a timeline"
+        hint = f"timelines end in {', '.join(f'.{suffix}' for suffix in suffixes)}"
         raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
     if not isinstance(timeline, otio.schema.Timeline):
         message = f"is a {type(timeline).__name__}, not a timeline"

@@ -96,6 +96,8 @@ _COMMON = {
     "validate": "select ignore profile strict fix format",
 }
 _MAX_SHORT = 40  # lines of the short help
+# Where a context keeps the arguments of its command, before they are parsed.
+ARGUMENTS_KEY = "animtool.arguments"
 
 
 class Command(click.Command):
@@ -109,6 +111,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse arguments; warn about options of the previous version (CLI106)."""
         args, old_options = _with_new_names(args, OLD_OPTIONS.get(self.name or "", {}))
+        ctx.meta[ARGUMENTS_KEY] = tuple(args)
         remaining = super().parse_args(ctx, args)
         if old_options and ctx.obj is not None:
             from animtool.core.errors import Fault, Severity

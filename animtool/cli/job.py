@@ -14,6 +14,7 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
     Parsed,
+    PositiveNumber,
     bake_option,
     common_options,
     count_or_auto,
@@ -65,7 +66,7 @@ Examples:
 )
 @click.option(
     "--task-seconds",
-    type=click.FloatRange(0, min_open=True),
+    type=PositiveNumber(),
     default=120.0,
     show_default=True,
     metavar="SECONDS",

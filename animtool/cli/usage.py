@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
-from animtool.cli.help import LazyGroup
+from animtool.cli.help import ARGUMENTS_KEY, LazyGroup
 from animtool.core.errors import Fault
 from animtool.documents.other_words import OTHER_VALUES
 
@@ -91,6 +91,10 @@ def explained(error: click.ClickException) -> click.ClickException:
         if len(_options(context.command)) == len(context.command.params):
             hint = f"{context.command_path} takes options only"
         text = f"Unexpected argument {first!r}; {hint}"
+    elif isinstance(error, click.MissingParameter) and (
+        given := _given_for(error, context)
+    ):
+        text = given
     elif choice := _CHOICE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
         param = getattr(error, "param", None)
@@ -112,6 +116,20 @@ def explained(error: click.ClickException) -> click.ClickException:
     else:
         return error
     return click.UsageError(text if text.endswith("?") else f"{text}.", context)
+
+
+def _given_for(error: click.MissingParameter, context: click.Context) -> str | None:
+    """Return a text about an argument that was meant for a missing option."""
+    param = error.param
+    arguments = context.meta.get(ARGUMENTS_KEY, ())
+    if not isinstance(param, click.Option) or not arguments:
+        return None
+    # What the command has no argument for.
+    _, extra, _ = context.command.make_parser(context).parse_args([*arguments])
+    if not extra:
+        return None
+    flag = param.opts[-1]
+    return f"Unexpected argument {extra[0]!r}; write {flag} {extra[0]}"
 
 
 def with_option(fault: Fault, context: click.Context) -> Fault:
@@ -149,6 +167,9 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     bare_name = name.lstrip("-")
     if isinstance(command, LazyGroup) and bare_name in command.table:
         yield f"write {path} {bare_name}"
+    output = _argument_named("output", command) if bare_name == "to" else None
+    if output is not None:
+        yield f"{output} is an argument: {path} SOURCE {output}"
     flags = [flag for param in _options(command) for flag in param.opts]
     meant = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
     if meant:

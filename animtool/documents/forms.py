@@ -63,6 +63,8 @@ def form_hint(
             text = flow_text(str(location[depth - 1]), shown)
             if shown and len(text) <= MAX_EXAMPLE:
                 return f"{'write' if shown is entries else 'for example'} {text}"
+        if entries:
+            return f"write '- {next(iter(entries[0]))}:', with a dash for each entry"
     forms = _entry_forms(annotation_of(info))
     name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:

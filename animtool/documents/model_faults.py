@@ -11,7 +11,7 @@ from animtool.core.arguments import flag
 from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.names import FILE_KINDS, most_similar, nearest, sort_by_similarity
 from animtool.core.record import dataclass
-from animtool.documents.document import Document, Location
+from animtool.documents.document import Document, Location, location_text
 from animtool.documents.forms import (
     components,
     example_hint,
@@ -180,6 +180,13 @@ class ModelFaults:
                 location = (*mapping, sibling, *inner)
                 if key in fields_at(self.model, self.value, location):
                     return f"it is a key of {sibling!r}: write it there"
+                # An entry that is named by its only key, such as a system.
+                only_key = next(iter(within), None) if len(within) == 1 else None
+                if only_key and key in fields_at(
+                    self.model, self.value, (*location, only_key)
+                ):
+                    where = location_text((*location, only_key))
+                    return f"it is a key of {where}: write it there"
         return None
 
     def _no_known_key(self, mapping: Location) -> bool:

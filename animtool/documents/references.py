@@ -77,7 +77,7 @@ def _outside_hint(path: Path, name: str, written: bool) -> str:
         )
     settings = find_config(path).path
     if settings is None and (around := innermost_project(folder, target)) is not None:
-        return f"an empty {around / 'animtool.toml'} makes that folder the project"
+        return f"to use files of all {around}, create an empty file animtool.toml in it"
     root = path_from_folder(
         target.parent, folder if settings is None else settings.parent
     )

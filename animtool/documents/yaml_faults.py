@@ -6,10 +6,16 @@ import re
 
 from animtool.documents.yaml_slips import YamlFault, find_slip
 
+# An entry whose keys are on its line: `- trim: first: 5, last: 60`.
+_ENTRY_ON_A_LINE = re.compile(r"\s*-\s+(\w+):\s+(\w+:\s[^#{}\[\]]*[^\s#{}\[\]])\s*")
 # Messages of libyaml's scanner, and how to fix the file. The first match counts.
 _SCANNER_FAULTS = {
     "expected ',' or ']'": ("a list in [ ] is not closed", "add a comma or ]"),
     "expected ',' or '}'": ("keys in { } are not closed", "add a comma or }"),
+    "expected hexdecimal number": (
+        "an escape in double quotes without its digits",
+        "write a path with /, or in single quotes",
+    ),
     "scanning a quoted scalar": ("a quote is not closed", "close it on the same line"),
     "unknown escape character": (
         "unknown escape in double quotes",
@@ -99,7 +105,10 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
             message = f"line {line} is indented further than line {line_before}"
             hint = f"start it in column {_indent_width(lines[line_before - 1]) + 1}"
             return YamlFault(message, hint, line, column)
+        entry = _ENTRY_ON_A_LINE.fullmatch(line_text)
         hint = "put the value in quotes"
+        if entry is not None:
+            hint = f"put its keys in braces: - {entry[1]}: {{{entry[2]}}}"
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _indentation_fault(lines, line, column)

@@ -129,4 +129,6 @@ def _check_weight(weight: float, bounded: bool) -> None:
     if not math.isfinite(weight):
         raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
     if bounded and not 0 <= weight <= 1:
-        raise OptionError(Fault("SCN014", f"weight {weight:g} is not between 0 and 1"))
+        hint = f"for {weight:g}% write {weight / 100:g}" if 1 < weight <= 100 else None
+        message = f"weight {weight:g} is not between 0 and 1"
+        raise OptionError(Fault("SCN014", message, hint=hint))

@@ -197,3 +197,39 @@ def test_a_driver_in_radians(workplace: Path) -> None:
         "controls:\n- {name: curl, range: [0, 1]}\n"
     )
     assert faults(workplace, "validate", "a.rig.yaml", code=0) == [("RIG112", 5)]
+
+
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        (("retarget", WALK, BIPED, "-o", "o.usda"), f"write --to {BIPED}"),
+        (("convert", WALK, "--to", "usda"), "OUTPUT is an argument"),
+        (("plugins", "list"), "options only"),
+        (("job", "a.batch.yaml", "--task-seconds", "00:10:00"), "above 0"),
+        (("job", "a.scene.yaml", "-o", "jobs"), "scene: a.scene.yaml"),
+    ],
+)
+def test_an_argument_in_another_place(
+    workplace: Path, command: tuple[str, ...], hint: str
+) -> None:
+    for name in ("a.batch.yaml", "a.scene.yaml"):
+        (workplace / name).touch()
+    done = animtool(*command, cwd=workplace)
+    assert done.code == 2
+    assert hint in done.stderr
+
+
+def test_a_missing_file_that_would_be_replaced_is_missing(workplace: Path) -> None:
+    done = animtool("bake", "gone.usdc", cwd=workplace)
+    assert done.code == 3
+    assert "IO001" in done.stderr
+    assert "OUT003" not in done.stderr
+
+
+def test_a_stage_of_a_frame_a_second_is_said(workplace: Path) -> None:
+    assert animtool("bake", WALK, "-o", "a.usda", cwd=workplace).code == 0
+    layer = workplace / "a.usda"
+    text = layer.read_text("utf-8")
+    layer.write_text(text.replace("timeCodesPerSecond = 30", "timeCodesPerSecond = 1"))
+    command = ("bake", layer, "-o", "b.usda")
+    assert faults(workplace, *command, code=0) == [("TAKE009", 0)]

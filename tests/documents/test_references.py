@@ -41,7 +41,8 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
     rig.touch()
     hint = refused(clip, "../rigs/hero.rig.yaml")
     settings = tmp_path / "show/animtool.toml"
-    assert hint == f"an empty {settings} makes that folder the project"
+    assert str(settings.parent) in hint
+    assert settings.name in hint
     document = document_of("clip: animtool/1\n", clip)
     name = "../rigs/hero.rig.yaml"
     # It does what the hint says, and so does the line for settings that exist.

@@ -18,6 +18,8 @@ HEAD = "rig: animtool/1\n"
         ("   joints: []\n", (2, 10), "line 2 is indented further than line 1"),
         ("\tname: x\n", (2, 1), "a tab indents this line"),
         ("name: a: b\n", (2, 8), "a value contains ': '"),
+        ("passes:\n- trim: first: 5, last: 60\n", (3, 14), "a value contains ': '"),
+        ('name: "q6\\u.usdc"\n', (2, 12), "an escape in double quotes"),
         ("name: @x\n", (2, 7), "cannot start with '@'"),
         ("name: [a, b\njoints: 1\n", (2, 7), "'[' is not closed"),
         ("name: {a: 1\njoints: 1\n", (2, 7), "'{' is not closed"),

@@ -207,7 +207,9 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
             input_by_key[name_key(path.resolve())] = path
     for output in targets:
         input_path = input_by_key.get(name_key(output.final))
-        if input_path is not None and same_file(output.final, input_path):
+        if input_path is None or not input_path.exists():
+            continue  # reading says that it does not exist
+        if same_file(output.final, input_path):
             message = "is an input of this command"
             hint = f"choose another {argument('output')}"
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))

@@ -380,12 +380,24 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
         return None
     name_by_folded = {name.casefold(): name for name in reversed(names)}
     similar_name = most_similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
-    if not similar_name:
+    if not similar_name or not _equal_stems(missing.name, similar_name):
         if missing is path or is_pattern(missing.name):
             return None
         return f"there is no folder {missing.as_posix()!r}"
     suggested_path = missing.with_name(name_by_folded[similar_name]).as_posix()
     return f"did you mean {'' if missing is path else 'the folder '}{suggested_path!r}?"
+
+
+def _equal_stems(name: str, other: str) -> bool:
+    """Return whether names are similar without their suffixes.
+
+    >>> _equal_stems("stride.clip.yaml", "sec.clip.yaml")
+    False
+    >>> _equal_stems("wlk.bvh", "walk.bvh")
+    True
+    """
+    stems = [text.casefold().partition(".")[0] for text in (name, other)]
+    return stems[0] == stems[1] or most_similar(stems[0], stems[1:], 0.6) is not None
 
 
 def is_pattern(text: str) -> bool:

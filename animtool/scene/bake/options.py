@@ -135,7 +135,7 @@ class BakeOptions:
         "count",
         not_for=("file",),
         metavar="N",
-        help="Drop the first N 'ns:' parts of joint names.",
+        help="Drop the first N 'ns:' parts of joint names; 1 drops 'mixamorig:'.",
     )
     rest_frame: int | None = option(
         None,

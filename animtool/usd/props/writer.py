@@ -149,11 +149,7 @@ def _constant_notice(
     message = (
         f"{path} is constant at frames {', '.join(spans)}: its file has none there"
     )
-    hint = (
-        "set the frame of its file to match the first with frame:"
-        if constant.all()
-        else None
-    )
+    hint = "write `frame:` with the first frame of its file" if constant.all() else None
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 

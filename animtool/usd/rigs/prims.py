@@ -22,6 +22,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
+from animtool.usd.layers.composition import unresolved_arcs
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.faults import (
     MAX_METADATA,
@@ -355,11 +356,10 @@ def prim_below(stage: Any, prim_path: str | None) -> str:
 
 def composition_notices(stage: Any, where: str) -> list[Fault]:
     """Report unresolved references of a stage."""
-    texts = sorted(
-        {" ".join(str(error).split()) for error in stage.GetCompositionErrors()}
-    )
+    hint = "what it holds is missing; correct the path, or restore the file"
     return [
-        Fault("USD112", text[:300], where, severity=Severity.WARNING) for text in texts
+        Fault("USD112", f"{prim}: {text}"[:300], where, (), hint, Severity.WARNING)
+        for prim, text in sorted(unresolved_arcs(stage))
     ]
 
 

@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted
+from animtool.core.quantities import duration_text
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -44,6 +45,10 @@ from animtool.usd.takes.animation_values import (
     shape_weights,
     with_rest,
 )
+
+# A take of so many frames whose stage plays several of them in a time code is slow by
+# mistake: time codes of seconds have samples between them.
+MIN_FRAMES, MIN_RATE_RATIO = 12, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +86,7 @@ def read_animation(
     clock = Clock(fps, grid.start, grid.step, grid.count)
     codes = clock.times.tolist()
     notices += _grid_notices(grid, len(times), where)
+    notices += _rate_notices(stage, clock, where)
     rig = skeleton.rig
     meters = rig.meters_per_unit
 
@@ -142,6 +148,22 @@ def _columns(
         return columns, []
     unknown = unknown_joint_faults(attr, skeleton.tokens, prim.GetPath())
     return columns, [replace(fault, path=where.path) for fault in unknown]
+
+
+def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
+    """Return a warning about frames that are read as seconds (TAKE009)."""
+    shown_rate = float(stage.GetFramesPerSecond())
+    if not stage.HasAuthoredMetadata("framesPerSecond") or clock.count < MIN_FRAMES:
+        return []
+    if clock.step < 1 or not shown_rate >= MIN_RATE_RATIO * clock.fps:
+        return []
+    seconds = float((clock.count - 1) * clock.step / clock.fps)
+    message = (
+        f"timeCodesPerSecond is {float(clock.fps):g}, so {clock.count} frames last "
+        f"{duration_text(seconds)}; framesPerSecond is {shown_rate:g}"
+    )
+    hint = f"if its time codes are frames, set timeCodesPerSecond = {shown_rate:g}"
+    return [Fault("TAKE009", message, where.path, (), hint, Severity.WARNING)]
 
 
 def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:

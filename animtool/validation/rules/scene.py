@@ -253,7 +253,7 @@ def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
             f"its file has no frame of the take, which needs {first_time:g} to "
             f"{last_time:g}"
         )
-        hint = "set the frame of its file to match the first with frame:"
+        hint = "write `frame:` with the first frame of its file"
         location = ("props", indices[track.path])
         yield subject.fault("SCN213", location, message, hint)
 

@@ -247,6 +247,7 @@ def test_what_was_read_is_not_replaced(tmp_path: Path) -> None:
             note_input(tmp_path / "shot.usda")
             note_input(tmp_path / "layer.usda", composed=True)
 
+    (tmp_path / "shot.usda").touch()
     read(tmp_path / "other.usda", tmp_path / "layer.usda")
     with pytest.raises(OptionError) as caught:
         read(tmp_path / "other.usda", tmp_path / "shot.usda")
