@@ -51,9 +51,9 @@ class Out {
       : shape_{static_cast<std::size_t>(lengths)...},
         data_(block<T>((static_cast<std::size_t>(lengths) * ...))) {}
 
-  // Keeps only the first numbers, with a new shape.
+  // Shrinks the array to a new shape; the first numbers stay.
   template <typename... Lengths>
-  void cut(Lengths... lengths) {
+  void truncate(Lengths... lengths) {
     shape_ = {static_cast<std::size_t>(lengths)...};
   }
 
@@ -66,7 +66,7 @@ class Out {
   Block<T> data_;
 };
 
-// Bytes of arguments and of results.
+// Byte strings: an argument, owned by the caller, and a result.
 struct Text {
   std::string_view bytes;
 };

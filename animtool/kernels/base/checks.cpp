@@ -11,18 +11,18 @@ namespace {
 
 // Whether all elements pass a test. Works without branches, with integers of the same width as the
 // elements, so that the loop vectorises.
-template <class T, class Good>
-bool all(const T* values, std::size_t begin, std::size_t end, Good good) {
+template <class T, class Test>
+bool all_pass(const T* values, std::size_t begin, std::size_t end, Test passes) {
   using Count = std::conditional_t<sizeof(T) == 4, std::uint32_t, std::uint64_t>;
-  Count bad = 0;
-  for (std::size_t i = begin; i < end; ++i) bad |= static_cast<Count>(!good(values + i));
-  return !bad;
+  Count has_failure = 0;
+  for (std::size_t i = begin; i < end; ++i) has_failure |= static_cast<Count>(!passes(values + i));
+  return !has_failure;
 }
 
 }  // namespace
 
-void refuse(const char* name, const std::string& what) {
-  throw std::invalid_argument(std::string(name) + ": " + what);
+void refuse(const char* name, const std::string& message) {
+  throw std::invalid_argument(std::string(name) + ": " + message);
 }
 
 std::string number_text(double value) {
@@ -35,18 +35,18 @@ std::string number_text(std::uint64_t value) { return std::to_string(value); }
 
 void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes) {
-  bool fits = axes == sizes.size();
-  const std::size_t* at = actual;
+  bool is_match = axes == sizes.size();
+  const std::size_t* actual_size = actual;
   for (const std::size_t size : sizes) {
-    fits = fits && (size == ANY || *at == size);
-    ++at;
+    is_match = is_match && (size == ANY || *actual_size == size);
+    ++actual_size;
   }
-  if (!fits) {
-    std::string there, asked;
-    for (std::size_t i = 0; i < axes; ++i) there += (i ? ", " : "") + text(actual[i]);
+  if (!is_match) {
+    std::string actual_text, expected_text;
+    for (std::size_t i = 0; i < axes; ++i) actual_text += (i ? ", " : "") + text(actual[i]);
     for (const std::size_t size : sizes)
-      asked += (asked.empty() ? "" : ", ") + (size == ANY ? "any" : text(size));
-    refuse(name, "shape (" + there + ") is not (" + asked + ")");
+      expected_text += (expected_text.empty() ? "" : ", ") + (size == ANY ? "any" : text(size));
+    refuse(name, "shape (" + actual_text + ") is not (" + expected_text + ")");
   }
   if (reinterpret_cast<std::uintptr_t>(data) % alignment) refuse(name, "the array is not aligned");
 }
@@ -61,8 +61,8 @@ template void refuse_range(const char*, double, double, double);
 template void refuse_range(const char*, std::int64_t, std::int64_t, std::int64_t);
 template void refuse_range(const char*, std::uint64_t, std::uint64_t, std::uint64_t);
 
-void at_most(const char* name, std::size_t rows, std::size_t most) {
-  if (rows > most) refuse(name, text(rows) + " rows are more than " + text(most));
+void at_most(const char* name, std::size_t rows, std::size_t max_rows) {
+  if (rows > max_rows) refuse(name, text(rows) + " rows are more than " + text(max_rows));
 }
 
 void finite(const char* name, double value) {
@@ -81,8 +81,9 @@ void not_negative(const char* name, double value) {
 
 template <class T>
 void finite(const char* name, const T* values, std::size_t count) {
-  constexpr T most = std::numeric_limits<T>::max();
-  if (all(values, 0, count, [](const T* at) { return std::fabs(*at) <= most; })) return;
+  constexpr T max_value = std::numeric_limits<T>::max();
+  if (all_pass(values, 0, count, [](const T* value) { return std::fabs(*value) <= max_value; }))
+    return;
   for (std::size_t i = 0; i < count; ++i)
     if (!std::isfinite(values[i]))
       refuse(name, text(values[i]) + " at index " + text(i) + " is not finite");
@@ -94,12 +95,15 @@ template void finite(const char*, const double*, std::size_t);
 template <class T>
 void indices(const char* name, const T* values, std::size_t count, std::int64_t low,
              std::int64_t end) {
-  constexpr std::int64_t most = std::numeric_limits<T>::max();
-  const T least = static_cast<T>(low), last = static_cast<T>(end - 1 < most ? end - 1 : most);
-  const auto good = [&](const T* at) { return (*at >= least) & (*at <= last); };
-  if (all(values, 0, count, good)) return;
+  constexpr std::int64_t max_value = std::numeric_limits<T>::max();
+  const T min_index = static_cast<T>(low),
+          max_index = static_cast<T>(end - 1 < max_value ? end - 1 : max_value);
+  const auto is_valid = [&](const T* value) {
+    return (*value >= min_index) & (*value <= max_index);
+  };
+  if (all_pass(values, 0, count, is_valid)) return;
   for (std::size_t i = 0; i < count; ++i) {
-    if (good(values + i)) continue;
+    if (is_valid(values + i)) continue;
     if (end <= low) refuse(name, text(values[i]) + " where nothing can be named");
     refuse(name, text(values[i]) + " is not between " + text(low) + " and " + text(end - 1));
   }
@@ -112,10 +116,10 @@ template void indices(const char*, const std::int64_t*, std::size_t, std::int64_
 template <class T>
 void ascending(const char* name, const T* values, std::size_t count) {
   if (!count) return;
-  const auto good = [](const T* at) { return at[0] >= at[-1]; };
-  if (values[0] == values[0] && all(values, 1, count, good)) return;
+  const auto is_ordered = [](const T* value) { return value[0] >= value[-1]; };
+  if (values[0] == values[0] && all_pass(values, 1, count, is_ordered)) return;
   for (std::size_t i = 0; i < count; ++i)
-    if (!(i ? good(values + i) : values[0] == values[0]))
+    if (!(i ? is_ordered(values + i) : values[0] == values[0]))
       refuse(name, "it does not ascend at index " + text(i));
 }
 

@@ -19,11 +19,12 @@ constexpr std::size_t ANY = std::numeric_limits<std::size_t>::max();
 // Largest number of rows of arrays that are indexed with int32; a row has at most 12 numbers.
 constexpr std::size_t MAX_ROWS = std::numeric_limits<std::int32_t>::max() / 12;
 
-[[noreturn]] void refuse(const char* name, const std::string& what);
+// Raises a ValueError in Python: the argument's name, and what is wrong with it.
+[[noreturn]] void refuse(const char* name, const std::string& message);
 
-// All types of numbers are formatted as one of these three.
+// The type that a number is converted to for messages: one of these three.
 template <class T>
-using Shown =
+using Printable =
     std::conditional_t<std::is_floating_point_v<T>, double,
                        std::conditional_t<std::is_signed_v<T>, std::int64_t, std::uint64_t>>;
 
@@ -31,12 +32,13 @@ std::string number_text(double value);
 std::string number_text(std::int64_t value);
 std::string number_text(std::uint64_t value);
 
+// Returns a number as text for messages.
 template <class T>
 std::string text(T value) {
-  return number_text(static_cast<Shown<T>>(value));
+  return number_text(static_cast<Printable<T>>(value));
 }
 
-// Checks the shape (ANY matches every size), and the alignment of the data.
+// Checks the shape (ANY matches every size), and that the data is aligned.
 void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes);
 
@@ -48,16 +50,17 @@ void shape(const char* name, const Array& array, std::initializer_list<std::size
 template <class T>
 [[noreturn]] void refuse_range(const char* name, T value, T low, T high);
 
-// Checks that a number or a count is in a closed range; NaN is in none.
+// Checks that a number or a count is in a closed range; NaN is outside of any range.
 template <class T>
 void between(const char* name, T value, std::type_identity_t<T> low, std::type_identity_t<T> high) {
   if (value >= low && value <= high) return;
-  refuse_range<Shown<T>>(name, value, low, high);
+  refuse_range<Printable<T>>(name, value, low, high);
 }
 
-void at_most(const char* name, std::size_t rows, std::size_t most);
+// Checks the number of rows of an array.
+void at_most(const char* name, std::size_t rows, std::size_t max_rows);
 
-// Checks points (N, 3), and returns N.
+// Checks the shape of points (N, 3); returns N.
 template <class Array>
 std::size_t points(const char* name, const Array& array) {
   shape(name, array, {ANY, 3});
@@ -65,11 +68,12 @@ std::size_t points(const char* name, const Array& array) {
   return array.shape(0);
 }
 
+// Checks a single number.
 void finite(const char* name, double value);
 void positive(const char* name, double value);
 void not_negative(const char* name, double value);
 
-// Checks that all are finite, for float and double.
+// Checks that all numbers are finite; for float and double.
 template <class T>
 void finite(const char* name, const T* values, std::size_t count);
 
@@ -95,7 +99,7 @@ void indices(const char* name, const Array& array, std::int64_t low, std::int64_
   indices(name, array.data(), array.size(), low, end);
 }
 
-// Checks that numbers never decrease; NaN fails.
+// Checks that numbers do not decrease; NaN fails.
 template <class T>
 void ascending(const char* name, const T* values, std::size_t count);
 

@@ -11,46 +11,47 @@
 
 namespace animtool::cholesky {
 
-// What is stored on the diagonal of a factor: the square root of a pivot, or its reciprocal, which
-// makes solves faster; and the value stored for a pivot that is ignored.
+// How a factor stores its diagonal: the square root of a pivot, or its reciprocal, which makes
+// solves faster. IGNORED is stored for a pivot that is ignored.
 struct Roots {
   static constexpr double IGNORED = HUGE_VAL;
-  static double of(double pivot) { return std::sqrt(pivot); }
+  static double from_pivot(double pivot) { return std::sqrt(pivot); }
   static double divide(double value, double stored) { return value / stored; }
 };
 struct Inverses {
   static constexpr double IGNORED = 0;
-  static double of(double pivot) { return 1 / std::sqrt(pivot); }
+  static double from_pivot(double pivot) { return 1 / std::sqrt(pivot); }
   static double divide(double value, double stored) { return value * stored; }
 };
 
-enum class Small { FAIL, IGNORE };
+// What happens at a pivot that is too small: the factorisation fails, or ignores it.
+enum class SmallPivot { FAIL, IGNORE };
 
 // Factors a matrix (n, n) in place, reading and overwriting the lower triangle. Returns false if
-// pivot k is not above `least(k)`. Works by columns, so that the inner loops run over contiguous
-// memory; `column` is a buffer for n numbers.
-template <class Form, Small SMALL, class MinPivot>
+// pivot k is not above `min_pivot(k)`. Works by columns, so that the inner loops run over
+// contiguous memory; `column` is a buffer for n numbers.
+template <class Diagonal, SmallPivot SMALL_PIVOT, class MinPivot>
 bool factor(double* a, std::size_t n, std::size_t stride, double* column, MinPivot min_pivot) {
   for (std::size_t j = 0; j < n; ++j) {
-    double stored = Form::IGNORED;
+    double stored = Diagonal::IGNORED;
     const double pivot = a[j * stride + j];
     if (pivot > min_pivot(j))
-      stored = Form::of(pivot);
-    else if (SMALL == Small::FAIL)
+      stored = Diagonal::from_pivot(pivot);
+    else if (SMALL_PIVOT == SmallPivot::FAIL)
       return false;
     a[j * stride + j] = stored;
     for (std::size_t i = j + 1; i < n; ++i)
-      column[i] = a[i * stride + j] = Form::divide(a[i * stride + j], stored);
+      column[i] = a[i * stride + j] = Diagonal::divide(a[i * stride + j], stored);
     for (std::size_t i = j + 1; i < n; ++i) {
-      const double at = column[i];
+      const double multiplier = column[i];
       double* row = a + i * stride;
-      for (std::size_t k = j + 1; k <= i; ++k) row[k] -= at * column[k];
+      for (std::size_t k = j + 1; k <= i; ++k) row[k] -= multiplier * column[k];
     }
   }
   return true;
 }
 
-// Row pointers of a matrix.
+// Returns a pointer to each row of a dense matrix.
 struct Rows {
   const double* a;
   std::size_t stride;
@@ -58,23 +59,23 @@ struct Rows {
   const double* operator()(std::size_t i) const { return a + i * stride; }
 };
 
-// Replaces x, which is 0 before `first`, by L^-1 x.
-template <class Form, class RowOf>
+// Replaces x by L^-1 x; x is 0 before `first`.
+template <class Diagonal, class RowOf>
 void solve_forward(RowOf row_of, std::size_t n, double* x, std::size_t first = 0) {
   for (std::size_t i = first; i < n; ++i) {
     const double* row = row_of(i);
     double sum = x[i];
     for (std::size_t k = first; k < i; ++k) sum -= row[k] * x[k];
-    x[i] = Form::divide(sum, row[i]);
+    x[i] = Diagonal::divide(sum, row[i]);
   }
 }
 
 // Replaces x by L^-T x.
-template <class Form, class RowOf>
+template <class Diagonal, class RowOf>
 void solve_backward(RowOf row_of, std::size_t n, double* x) {
   for (std::size_t i = n; i-- > 0;) {
     const double* row = row_of(i);
-    x[i] = Form::divide(x[i], row[i]);
+    x[i] = Diagonal::divide(x[i], row[i]);
     for (std::size_t k = 0; k < i; ++k) x[k] -= row[k] * x[i];
   }
 }

@@ -14,12 +14,14 @@ class Groups {
     std::iota(parents_.begin(), parents_.end(), std::size_t{0});
   }
 
-  std::size_t first_of(std::size_t i) {
+  // Returns the smallest element of the group of i.
+  std::size_t find_root(std::size_t i) {
     while (parents_[i] != i) i = parents_[i] = parents_[parents_[i]];
     return i;
   }
-  void join(std::size_t i, std::size_t j) {
-    i = first_of(i), j = first_of(j);
+  // Merges the groups of two elements.
+  void merge(std::size_t i, std::size_t j) {
+    i = find_root(i), j = find_root(j);
     if (i != j) parents_[std::max(i, j)] = std::min(i, j);
   }
 

@@ -14,14 +14,15 @@
 
 namespace animtool {
 
+// Frees memory from malloc.
 struct FreeDeleter {
   void operator()(void* memory) const noexcept { std::free(memory); }
 };
 template <typename T>
 using Block = std::unique_ptr<T[], FreeDeleter>;
 
-// Large blocks use huge pages if the system has them: the first access to a small page takes as
-// long as the work on its contents.
+// Allocates uninitialised memory. Large blocks use huge pages if the system has them: the first
+// access to a small page takes as long as the work on its contents.
 template <typename T>
 Block<T> block(std::size_t count) {
   static_assert(std::is_trivially_copyable_v<T>);

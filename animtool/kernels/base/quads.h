@@ -1,5 +1,5 @@
-// SIMD registers of four doubles, for sources that are compiled for them and test the processor
-// before they run. In other builds, Quads is the same as Plain.
+// SIMD registers of four doubles. Sources that use them are compiled for such processors, and test
+// the processor before they run. In other builds, Quads is the same as Portable.
 #pragma once
 
 #include <cstdlib>
@@ -14,8 +14,8 @@
 namespace animtool {
 
 // Whether registers of four doubles may be used: the processor has them, and the environment
-// variable ANIMTOOL_PORTABLE is not set. Static: a copy that is compiled for newer processors
-// must not be linked into other sources.
+// variable ANIMTOOL_PORTABLE is not set. Static: a copy that is compiled for newer processors must
+// not be linked into other sources.
 [[maybe_unused]] static bool has_quads() {
 #ifdef ANIMTOOL_QUADS
   return __builtin_cpu_supports("avx2") && !std::getenv("ANIMTOOL_PORTABLE");
@@ -26,7 +26,7 @@ namespace animtool {
 
 #ifndef ANIMTOOL_QUADS
 
-using Quads = Plain;
+using Quads = Portable;
 
 #else
 
@@ -41,7 +41,7 @@ struct Registers<double, 4, Quads> {
   using Row = __m256d;
 
   template <class Function>
-  static Row each(Function function) {
+  static Row generate(Function function) {
     return _mm256_setr_pd(function(0), function(1), function(2), function(3));
   }
   static Row load(const double* from) { return _mm256_loadu_pd(from); }
@@ -55,17 +55,17 @@ struct Registers<double, 4, Quads> {
   static Row min(Row a, Row b) { return _mm256_min_pd(a, b); }
   static Row max(Row a, Row b) { return _mm256_max_pd(a, b); }
   static Row less(Row a, Row b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
-  static Row select(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
-  static Row masked(Row where, Row a) { return _mm256_and_pd(where, a); }
+  static Row select(Row mask, Row a, Row b) { return _mm256_blendv_pd(b, a, mask); }
+  static Row masked(Row mask, Row a) { return _mm256_and_pd(mask, a); }
   static Row mask_or(Row a, Row b) { return _mm256_or_pd(a, b); }
-  static unsigned mask_bits(Row where) { return static_cast<unsigned>(_mm256_movemask_pd(where)); }
+  static unsigned mask_bits(Row mask) { return static_cast<unsigned>(_mm256_movemask_pd(mask)); }
   static double largest(Row a) {
-    const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
-    return _mm_cvtsd_f64(_mm_max_sd(two, _mm_unpackhi_pd(two, two)));
+    const __m128d pair = _mm_max_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
+    return _mm_cvtsd_f64(_mm_max_sd(pair, _mm_unpackhi_pd(pair, pair)));
   }
   static double smallest(Row a) {
-    const __m128d two = _mm_min_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
-    return _mm_cvtsd_f64(_mm_min_sd(two, _mm_unpackhi_pd(two, two)));
+    const __m128d pair = _mm_min_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
+    return _mm_cvtsd_f64(_mm_min_sd(pair, _mm_unpackhi_pd(pair, pair)));
   }
   static Row totals(const Row* rows) {
     const Row low = _mm256_hadd_pd(rows[0], rows[1]), high = _mm256_hadd_pd(rows[2], rows[3]);
@@ -86,7 +86,7 @@ struct Registers<float, 8, Quads> {
   using Row = __m256;
 
   template <class Doubles>
-  static Row converted(const Doubles& a) {
+  static Row convert(const Doubles& a) {
     return _mm256_set_m128(_mm256_cvtpd_ps(a.high), _mm256_cvtpd_ps(a.low));
   }
   static Row load(const float* from) { return _mm256_loadu_ps(from); }
@@ -98,7 +98,7 @@ struct Registers<float, 8, Quads> {
   static Row sqrt(Row a) { return _mm256_sqrt_ps(a); }
   static Row max(Row a, Row b) { return _mm256_max_ps(a, b); }
   static Row less(Row a, Row b) { return _mm256_cmp_ps(a, b, _CMP_LT_OQ); }
-  static Row masked(Row where, Row a) { return _mm256_and_ps(where, a); }
+  static Row masked(Row mask, Row a) { return _mm256_and_ps(mask, a); }
 };
 
 // Eight doubles, in two registers.
@@ -109,7 +109,7 @@ struct Registers<double, 8, Quads> {
     __m256d low, high;
   };
 
-  static Row converted(__m256 a) {
+  static Row convert(__m256 a) {
     return {_mm256_cvtps_pd(_mm256_castps256_ps128(a)),
             _mm256_cvtps_pd(_mm256_extractf128_ps(a, 1))};
   }

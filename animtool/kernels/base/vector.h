@@ -9,8 +9,9 @@ template <class N>
 struct Vector3 {
   N x{}, y{}, z{};
 
-  // Several vectors at once: each component contiguous in memory, or all equal.
-  static Vector3 of(const double* p) { return {N::of(p), N::of(p + 4), N::of(p + 8)}; }
+  // Loads several vectors at once: each component is contiguous in memory. `broadcast` repeats one
+  // vector.
+  static Vector3 load(const double* p) { return {N::load(p), N::load(p + 4), N::load(p + 8)}; }
   static Vector3 broadcast(const double* p) { return {p[0], p[1], p[2]}; }
   void store(double* to) const { x.store(to), y.store(to + 4), z.store(to + 8); }
 

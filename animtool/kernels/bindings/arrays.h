@@ -17,10 +17,10 @@ namespace animtool {
 namespace nb = nanobind;
 using namespace nanobind::literals;
 
-// Kernels run with the interpreter lock released.
-using Unlocked = nb::call_guard<nb::gil_scoped_release>;
+// Kernels run without the interpreter lock.
+using WithoutLock = nb::call_guard<nb::gil_scoped_release>;
 
-// A keyword argument stored in a member of a kernel's argument struct.
+// A keyword argument that is stored in a member of the argument struct of a kernel.
 template <class Struct, class Member>
 struct Field {
   const char* name;
@@ -29,34 +29,35 @@ struct Field {
   nb::arg arg() const { return nb::arg(name); }
 };
 
-// Binds a kernel, or the constructor of a class, with a struct of arguments.
+// Binds a kernel whose arguments are stored in a struct.
 template <class Result, class Struct, class... Members>
 void define(nb::module_& m, const char* name, Result (*kernel)(const Struct&), const char* doc,
             Field<Struct, Members>... fields) {
-  const auto call = [=](Members... members) {
+  const auto call_kernel = [=](Members... members) {
     Struct arguments{};
     ((arguments.*fields.member = members), ...);
     return kernel(arguments);
   };
-  m.def(name, call, Unlocked(), fields.arg()..., doc);
+  m.def(name, call_kernel, WithoutLock(), fields.arg()..., doc);
 }
+// Binds the constructor of a class whose arguments are stored in a struct.
 template <class Class, class Struct, class... Members>
 void define_class(nb::class_<Class>& bound, Field<Struct, Members>... fields) {
-  const auto make = [=](Class* room, Members... members) {
+  const auto construct = [=](Class* memory, Members... members) {
     Struct arguments{};
     ((arguments.*fields.member = members), ...);
-    new (room) Class(arguments);
+    new (memory) Class(arguments);
   };
-  bound.def("__init__", make, fields.arg()...);
+  bound.def("__init__", construct, fields.arg()...);
 }
 
 }  // namespace animtool
 
 namespace nanobind::detail {
 
-// Whether a buffer holds numbers T, by the letters of Python's `struct`.
+// Whether a buffer contains numbers of type T, by the format letters of Python's `struct`.
 template <typename T>
-bool holds(const Py_buffer& buffer) {
+bool has_format(const Py_buffer& buffer) {
   if (buffer.itemsize != sizeof(T) || !buffer.format || buffer.format[1]) return false;
   const char* letters = std::is_same_v<T, bool>       ? "?"
                         : std::is_floating_point_v<T> ? "fd"
@@ -65,8 +66,8 @@ bool holds(const Py_buffer& buffer) {
   return std::strchr(letters, buffer.format[0]);
 }
 
-// Arrays that fit are read by their buffers, the quickest way; others are converted.
-// Either lives until the call returns, like the arguments.
+// Arrays that match are read through their buffers, which is the fastest way. Other arguments are
+// converted. Both stay alive until the call returns, like the arguments.
 template <typename T, std::size_t N>
 struct type_caster<animtool::View<T, N>> {
   using Array = ndarray<T, ndim<N>, c_contig, device::cpu>;
@@ -86,7 +87,7 @@ struct type_caster<animtool::View<T, N>> {
     constexpr int requirements =
         PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (std::is_const_v<T> ? 0 : PyBUF_WRITABLE);
     if (!PyObject_GetBuffer(source.ptr(), &buffer_, requirements)) {
-      if (buffer_.ndim == N && holds<std::remove_const_t<T>>(buffer_)) {
+      if (buffer_.ndim == N && has_format<std::remove_const_t<T>>(buffer_)) {
         for (std::size_t axis = 0; axis < N; ++axis)
           shape[axis] = static_cast<std::size_t>(buffer_.shape[axis]);
         value = View(static_cast<T*>(buffer_.buf), shape);

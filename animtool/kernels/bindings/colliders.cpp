@@ -7,31 +7,31 @@
 namespace animtool {
 
 void bind_colliders(nb::module_& m) {
-  m.def("build_mesh_tree", &build_mesh_tree, Unlocked(), "points"_a, "triangles"_a,
+  m.def("build_mesh_tree", &build_mesh_tree, WithoutLock(), "points"_a, "triangles"_a,
         R"(A tree of boxes over triangles ``(T, 3)`` of points ``(P, 3)``, for distances.
 
 Returns ``(triangles, corner_normals, edge_normals, bounds, nodes)``: the triangles in the
-order of the tree, what tells inside from outside at corners ``(P, 3)`` and edges
-``(T, 3, 3)``, zero on the rim of an open mesh, and the nodes: boxes ``(M, 6)``, and two
-children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
+order of the tree; the normals that distinguish inside from outside at corners ``(P, 3)`` and
+edges ``(T, 3, 3)``, zero on the boundary of an open mesh; the boxes of the nodes ``(M, 6)``; and
+the two children of each node, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
 
   nb::class_<MeshSurface>(
       m, "MeshSurface",
       R"(Triangles ``(T, 3)`` whose points move from their initial positions ``(P, 3)``.
 
 Its tree is built once, and its boxes are refitted to the points.)")
-      .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), Unlocked(), "points"_a, "triangles"_a)
-      .def("distances", &MeshSurface::distances, Unlocked(), "positions"_a, "points"_a,
+      .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), WithoutLock(), "points"_a, "triangles"_a)
+      .def("distances", &MeshSurface::distances, WithoutLock(), "positions"_a, "points"_a,
            R"(Signed distances ``(N,)`` of points ``(N, 3)``, negative inside.
 
 The points of the mesh are at ``positions`` ``(P, 3)``.)");
 
-  m.def("collide_particles", &collide_particles, Unlocked(), "colliders"_a, "before"_a, "after"_a,
-        "radii"_a, "begins"_a, "step"_a,
+  m.def("collide_particles", &collide_particles, WithoutLock(), "colliders"_a, "before"_a,
+        "after"_a, "radii"_a, "begins"_a, "step"_a,
         R"(Resolve the collisions of N particles in a step.
 
 ``colliders``: ``kinds`` ``(C, 3)`` (0 plane, 1 sphere, 2 capsule, 3 box, 4 mesh; whether it
-is a container; a mesh's node), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
+is a container; the root node of a mesh), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
 friction, margin, depenetration speed), ``poses`` ``(C, 2, 7)`` at both ends of the step
 (origin, quaternion), then the points and the arrays of `build_mesh_tree` of all meshes.
 States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``; particles exist
@@ -41,12 +41,12 @@ Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider in conta
 the kind of contact (0 none, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; outward directions
 ``(N, 3)``.)");
 
-  m.def("sample_colliders", &sample_colliders, Unlocked(), "colliders"_a, "points"_a, "share"_a,
+  m.def("sample_colliders", &sample_colliders, WithoutLock(), "colliders"_a, "points"_a, "share"_a,
         "step"_a,
-        R"(Look at C colliders from N points at a share of a step.
+        R"(Sample C colliders at N points, at a fraction ``share`` of a step.
 
-Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, negative inside;
-ways out and velocities of the surfaces ``(C, N, 3)``.)");
+Returns ``(distances, normals, velocities)``: ``(C, N)`` minus the margins, negative inside;
+outward normals and velocities of the surfaces ``(C, N, 3)``.)");
 }
 
 }  // namespace animtool

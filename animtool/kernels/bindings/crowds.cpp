@@ -6,8 +6,8 @@
 namespace animtool {
 
 void bind_crowds(nb::module_& m) {
-  using S = CrowdStep;
-  m.def("flock_accelerations", &flock_accelerations, Unlocked(), "points"_a, "velocities"_a,
+  using Step = CrowdStep;
+  m.def("flock_accelerations", &flock_accelerations, WithoutLock(), "points"_a, "velocities"_a,
         "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a, "attraction"_a,
         "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "max_tests"_a,
         R"(Accelerations of M flock members from others in sight ``(M, 3)`` [m/s²].
@@ -21,8 +21,8 @@ origin and length of each axis ``(2, 3)``, length 0 if not periodic.
 Returns ``(accelerations, counts, pairs)``: numbers of visible others ``(M,)``, and the number of
 tested pairs; if that exceeds ``max_tests``, the result is incomplete.)");
 
-  m.def("flock_braking", &flock_braking, Unlocked(), "points"_a, "velocities"_a, "min_distances"_a,
-        "sight"_a, "min_gap"_a, "period"_a, "max_tests"_a,
+  m.def("flock_braking", &flock_braking, WithoutLock(), "points"_a, "velocities"_a,
+        "min_distances"_a, "sight"_a, "min_gap"_a, "period"_a, "max_tests"_a,
         R"(Braking accelerations of N members ahead of others ``(N, 3)`` [m/s²].
 
 The minimum distance of a pair is the mean of their ``min_distances`` ``(N,)`` [m], 0 for none. Within
@@ -34,8 +34,8 @@ Returns ``(accelerations, pairs)``: the number of tested pairs; if it exceeds ``
 is incomplete.)");
 
   m.def(
-      "flock_separate", &flock_separate, Unlocked(), "points"_a, "min_distances"_a, "max_passes"_a,
-      "relaxation"_a, "clearance"_a, "period"_a, "max_tests"_a,
+      "flock_separate", &flock_separate, WithoutLock(), "points"_a, "min_distances"_a,
+      "max_passes"_a, "relaxation"_a, "clearance"_a, "period"_a, "max_tests"_a,
       R"(Separate N members that are closer than the mean of their ``min_distances`` ``(N, 3)`` [m].
 
 Each of at most ``max_passes`` passes moves them by ``relaxation`` of the missing distance, plus ``clearance``
@@ -62,21 +62,23 @@ most ``max_passes`` passes, until the largest overlap is ``tolerance`` [m].
 
 Returns ``(points, velocities, overlap, pressed)``: target shoulder yaws, positive for others on
 the left and negative on the right, -1 to 1 ``(N,)``.)",
-         Field{"points", &S::points}, Field{"velocities", &S::velocities},
-         Field{"preferred", &S::preferred}, Field{"radii", &S::radii},
-         Field{"max_speeds", &S::max_speeds}, Field{"yielding", &S::yielding},
-         Field{"shoulders", &S::shoulders}, Field{"depth", &S::depth}, Field{"groups", &S::groups},
-         Field{"modes", &S::modes}, Field{"starts", &S::starts}, Field{"walls", &S::walls},
-         Field{"sight", &S::sight}, Field{"nearest", &S::nearest}, Field{"horizon", &S::horizon},
-         Field{"space", &S::space}, Field{"push", &S::push}, Field{"headway", &S::headway},
-         Field{"side", &S::side}, Field{"step", &S::step}, Field{"max_passes", &S::max_passes},
-         Field{"tolerance", &S::tolerance});
+         Field{"points", &Step::points}, Field{"velocities", &Step::velocities},
+         Field{"preferred", &Step::preferred}, Field{"radii", &Step::radii},
+         Field{"max_speeds", &Step::max_speeds}, Field{"yielding", &Step::yielding},
+         Field{"shoulders", &Step::shoulders}, Field{"depth", &Step::depth},
+         Field{"groups", &Step::groups}, Field{"modes", &Step::modes},
+         Field{"starts", &Step::starts}, Field{"walls", &Step::walls}, Field{"sight", &Step::sight},
+         Field{"nearest", &Step::nearest}, Field{"horizon", &Step::horizon},
+         Field{"space", &Step::space}, Field{"push", &Step::push}, Field{"headway", &Step::headway},
+         Field{"side", &Step::side}, Field{"step", &Step::step},
+         Field{"max_passes", &Step::max_passes}, Field{"tolerance", &Step::tolerance});
 
   m.def(
-      "travel_distances", &travel_distances, Unlocked(), "free"_a, "cell"_a, "seeds"_a, "starts"_a,
+      "travel_distances", &travel_distances, WithoutLock(), "free"_a, "cell"_a, "seeds"_a,
+      "starts"_a,
       R"(Distances of grid nodes from seeds along free nodes ``(R, C)`` [m]; infinite if unreachable.
 
-``seeds`` are node numbers, and ``starts`` their distances from the end of the path.)");
+``seeds`` are node numbers, and ``starts`` are their initial distances.)");
 }
 
 }  // namespace animtool

@@ -6,9 +6,9 @@
 namespace animtool {
 
 void bind_fluid(nb::module_& m) {
-  m.def("fluid_steps", &fluid_steps, Unlocked(), "colliders"_a, "owners"_a, "bodies"_a, "state"_a,
-        "accelerations"_a, "spacing"_a, "density"_a, "viscosity"_a, "tension"_a, "sound"_a,
-        "step"_a, "substeps"_a,
+  m.def("fluid_steps", &fluid_steps, WithoutLock(), "colliders"_a, "owners"_a, "bodies"_a,
+        "state"_a, "accelerations"_a, "spacing"_a, "density"_a, "viscosity"_a, "tension"_a,
+        "sound"_a, "step"_a, "substeps"_a,
         R"(State of N fluid particles after a step [s], in substeps.
 
 ``state`` is positions and velocities ``(2, N, 3)``, ``accelerations`` ``(N, 3)`` [m/s²] are
@@ -18,15 +18,15 @@ yz), and the centre of mass at both ends of the step [m]. ``sound`` is the speed
 at most a spacing per substep; ``tension`` is the surface tension [N/m].
 
 Returns ``(state, pressures, impulses, compression)``: pressures are means over the step ``(N,)``
-[Pa]; impulses on bodies ``(2, B, 6)`` [N s] with angular impulses about the origin, and times
-their time before the end; compression is the mean over the particles.)");
+[Pa]; impulses on bodies ``(2, B, 6)`` [N s] with angular impulses about the origin, and the same
+multiplied by their time before the end; compression is the mean over the particles.)");
 
-  m.def("fluid_densities", &fluid_densities, Unlocked(), "colliders"_a, "points"_a, "spacing"_a,
+  m.def("fluid_densities", &fluid_densities, WithoutLock(), "colliders"_a, "points"_a, "spacing"_a,
         R"(Densities of a fluid at its particles ``(N, 3)``, over the rest density ``(N,)``.
 
-The first poses of ``colliders`` count, as walls as dense as the fluid in front of them.)");
+The first poses of ``colliders`` are used, as walls that are as dense as the adjacent fluid.)");
 
-  m.def("fluid_area", &fluid_area, Unlocked(), "points"_a, "spacing"_a,
+  m.def("fluid_area", &fluid_area, WithoutLock(), "points"_a, "spacing"_a,
         R"(Area of a fluid's free surface around its particles ``(N, 3)`` [m²].
 
 Surface tension is its gradient. Walls are not fluid.)");

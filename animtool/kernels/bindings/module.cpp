@@ -6,11 +6,12 @@ using namespace animtool;
 NB_MODULE(_kernels, m) {
   // Objects that are still alive when a command exits are not leaks.
   nanobind::set_leak_warnings(false);
-  m.doc() = R"(Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.
+  m.doc() =
+      R"(Loops that numpy cannot vectorise. They read C-contiguous arrays, and return new arrays.
 
-Shapes, indices, counts and settings are checked: what is wrong is a ValueError that begins
-with the argument's name. NaN and infinity in coordinates, rotations, weights and values go
-through to the results, but where a function says otherwise: keys' times, samples to fit,
+Shapes, indices, counts and settings are checked: an invalid one raises a ValueError that begins
+with the argument's name. NaN and infinity in coordinates, rotations, weights and values
+propagate to the results, unless a function says otherwise. Times of keys, samples to fit,
 points of a mesh, and frames and limits of a chain are finite.)";
 
   bind_capture(m);

@@ -6,7 +6,7 @@
 namespace animtool {
 
 void bind_particles(nb::module_& m) {
-  m.def("gravity", &gravity, Unlocked(), "points"_a, "masses"_a, "constant"_a, "softening"_a,
+  m.def("gravity", &gravity, WithoutLock(), "points"_a, "masses"_a, "constant"_a, "softening"_a,
         "accuracy"_a,
         R"(Gravity of N bodies, with Plummer softening.
 
@@ -17,19 +17,20 @@ not interact. Points and masses are finite, no mass is negative.
 
 Returns ``(accelerations, potentials, rates)``: ``(N, 3)`` [m/s²], ``(N,)`` [m²/s²], and the
 largest ``constant * (masses[i] + masses[j]) / (d² + softening²)^1.5`` of each body with
-another ``(N,)`` [1/s²], with a tree only among near ones.)");
+another ``(N,)`` [1/s²]; with a tree, only near bodies are included.)");
 
-  m.def("molecule_pairs", &molecule_pairs, Unlocked(), "points"_a, "box"_a, "reach"_a,
+  m.def("molecule_pairs", &molecule_pairs, WithoutLock(), "points"_a, "box"_a, "reach"_a,
         "max_pairs"_a,
-        R"(Neighbour list of N molecules within a reach, in a periodic box.
+        R"(Neighbour list of N molecules within the distance ``reach``, in a periodic box.
 
-Points are finite, anywhere; no side of ``box`` ``(3,)`` is below twice the reach.
+Points are finite, and may be outside the box. No side of ``box`` ``(3,)`` is below twice the
+reach.
 
 Returns ``(order, starts, partners)``: molecules ordered so that neighbours are close ``(N,)``;
 the first partner of each ``(N + 1,)``; and partners, as positions in that order, each pair once,
 padded per molecule to multiples of four with N. More than ``max_pairs`` are refused.)");
 
-  m.def("molecule_forces", &molecule_forces, Unlocked(), "points"_a, "order"_a, "starts"_a,
+  m.def("molecule_forces", &molecule_forces, WithoutLock(), "points"_a, "order"_a, "starts"_a,
         "partners"_a, "box"_a, "kinds"_a, "forces"_a, "charges"_a.none(), "cutoff"_a, "onset"_a,
         "damping"_a,
         R"(Forces between N molecules, by a list of `molecule_pairs`.
@@ -42,10 +43,10 @@ by their product, damped by erfc of ``damping`` times the distance and shifted, 
 Returns ``(forces, energies, virial)``: ``(N, 3)``, half the pair energies of each ``(N,)``, and
 the sum of forces times distances. NaN propagates.)");
 
-  m.def("curl_noise", &curl_noise, Unlocked(), "points"_a, "times"_a, "seed"_a,
+  m.def("curl_noise", &curl_noise, WithoutLock(), "points"_a, "times"_a, "seed"_a,
         R"(Divergence-free noise of size 1 ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.
 
-Between whole times one field blends into the next.)");
+Between integer times one field blends into the next.)");
 }
 
 }  // namespace animtool

@@ -28,7 +28,7 @@ Bodies of a joint do not collide, nor do the pairs ``excluded`` ``(P, 2)``.)")
            "inertias"_a, "bodies"_a, "numbers"_a, "points"_a, "point_starts"_a, "face_starts"_a,
            "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a, "excluded"_a);
 
-  m.def("step_rigid", &step_rigid, Unlocked(), "bodies"_a, "state"_a, "pairs"_a, "contacts"_a,
+  m.def("step_rigid", &step_rigid, WithoutLock(), "bodies"_a, "state"_a, "pairs"_a, "contacts"_a,
         "joint_impulses"_a, "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a,
         "substeps"_a, "max_iterations"_a, "tolerance"_a, "sleep_speed"_a, "sleep_time"_a,
         R"(Take a step of rigid bodies, in substeps.

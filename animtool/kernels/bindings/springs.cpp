@@ -9,7 +9,7 @@
 namespace animtool {
 
 void bind_springs(nb::module_& m) {
-  using A = SpringArrays;
+  using Arrays = SpringArrays;
   nb::class_<SpringNetwork> network(m, "SpringNetwork",
                                     R"(Particles, springs between them and external forces.
 
@@ -18,15 +18,17 @@ Inverse masses ``(N,)`` are 0 for pinned particles; ``drags`` ``(N,)`` are [1/s]
 of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times of ``knots``
 ``(K,)``: positions of ``pinned`` particles ``(K or 1, P, 3)``; target points of
 ``anchors`` ``(K or 1, A, 3)``; the wind ``(K or 1, 1, 3)``.)");
-  define_class(
-      network, Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
-      Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
-      Field{"damping", &A::damping}, Field{"limit", &A::limit}, Field{"triangles", &A::triangles},
-      Field{"gravity", &A::gravity}, Field{"air_drag", &A::air_drag},
-      Field{"air_lift", &A::air_lift}, Field{"knots", &A::knots}, Field{"pinned", &A::pinned},
-      Field{"pinned_path", &A::pinned_path}, Field{"anchors", &A::anchors},
-      Field{"anchor_stiffness", &A::anchor_stiffness}, Field{"anchor_damping", &A::anchor_damping},
-      Field{"anchor_path", &A::anchor_path}, Field{"winds", &A::winds});
+  define_class(network, Field{"inverse_masses", &Arrays::inverse_masses},
+               Field{"drags", &Arrays::drags}, Field{"ends", &Arrays::ends},
+               Field{"rest", &Arrays::rest}, Field{"stiffness", &Arrays::stiffness},
+               Field{"damping", &Arrays::damping}, Field{"limit", &Arrays::limit},
+               Field{"triangles", &Arrays::triangles}, Field{"gravity", &Arrays::gravity},
+               Field{"air_drag", &Arrays::air_drag}, Field{"air_lift", &Arrays::air_lift},
+               Field{"knots", &Arrays::knots}, Field{"pinned", &Arrays::pinned},
+               Field{"pinned_path", &Arrays::pinned_path}, Field{"anchors", &Arrays::anchors},
+               Field{"anchor_stiffness", &Arrays::anchor_stiffness},
+               Field{"anchor_damping", &Arrays::anchor_damping},
+               Field{"anchor_path", &Arrays::anchor_path}, Field{"winds", &Arrays::winds});
   network.def("set_paths", &SpringNetwork::set_paths, "pinned_path"_a, "anchor_path"_a,
               "Replace the paths of pinned particles and anchors over the same knots.");
 
@@ -45,38 +47,39 @@ Coulomb's coefficient of ``friction``, and the ``speed`` of separating closer pa
 
 Edges are pairs of particles, the lower first, in order.)");
 
-  m.def("part_springs", &part_springs, Unlocked(), "network"_a, "layers"_a, "before"_a, "after"_a,
-        "h"_a,
+  m.def("part_springs", &part_springs, WithoutLock(), "network"_a, "layers"_a, "before"_a,
+        "after"_a, "h"_a,
         R"(Resolve self-contact in a step of h.
 
-From positions ``(N, 3)``; returns the state ``(2, N, 3)``. No contact history is used.)");
+The step leads from positions ``before`` ``(N, 3)`` to the state ``after`` ``(2, N, 3)``. Returns the
+resolved state. No contact history is used.)");
 
-  m.def("pierced_edges", &pierced_edges, Unlocked(), "positions"_a, "triangles"_a,
+  m.def("pierced_edges", &pierced_edges, WithoutLock(), "positions"_a, "triangles"_a,
         "others"_a.none() = nb::none(),
         R"(Count pairs of an edge through a triangle ``(T, 3)`` that has neither of its ends.
 
-At ``positions`` ``(N, 3)``. With ``others`` ``(U, 3)``, edges of each through triangles of the
-other alone.)");
+Particles are at ``positions`` ``(N, 3)``. With ``others`` ``(U, 3)``, only edges of one mesh through
+triangles of the other are counted.)");
 
-  m.def("spring_order", &spring_order, Unlocked(), "ends"_a, "particles"_a,
+  m.def("spring_order", &spring_order, WithoutLock(), "ends"_a, "particles"_a,
         R"(Return the solver order ``(S,)`` of springs ``(S, 2)``.
 
 By particle, with independent springs next to each other, so that several are solved at
 once.)");
 
-  m.def("spring_accelerations", &spring_accelerations, Unlocked(), "network"_a, "t"_a, "h"_a,
+  m.def("spring_accelerations", &spring_accelerations, WithoutLock(), "network"_a, "t"_a, "h"_a,
         "state"_a, "torn"_a,
         R"(Return accelerations ``(N, 3)`` at a state ``(2, N, 3)`` and a time.
 
 They are 0 for pinned particles; ``torn`` springs ``(S,)`` have no force. Velocities of anchor
 targets are those of the preceding h.)");
 
-  m.def("spring_energy", &spring_energy, Unlocked(), "network"_a, "positions"_a,
+  m.def("spring_energy", &spring_energy, WithoutLock(), "network"_a, "positions"_a,
         R"(Return the energy of springs at positions ``(N, 3)``, and the largest length ratio.
 
 Returns ``(energy, longest)``: the largest ratio of length to rest length; 0 without springs.)");
 
-  m.def("step_springs", &step_springs, Unlocked(), "network"_a, "state"_a, "torn"_a, "origin"_a,
+  m.def("step_springs", &step_springs, WithoutLock(), "network"_a, "state"_a, "torn"_a, "origin"_a,
         "first"_a, "cell"_a, "cells"_a, "substeps"_a, "colliders"_a.none(),
         R"(Take semi-implicit Euler steps from a state ``(2, N, 3)``.
 
@@ -92,7 +95,7 @@ knot.
 Returns ``(state, torn, unresolved, impulses)``: particles left inside colliders at the end, and
 impulses on colliders.)");
 
-  m.def("project_springs", &project_springs, Unlocked(), "network"_a, "state"_a, "torn"_a,
+  m.def("project_springs", &project_springs, WithoutLock(), "network"_a, "state"_a, "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "min_substeps"_a,
         "max_substeps"_a, "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a,
         "limit"_a = 0.0,
@@ -127,7 +130,7 @@ strands above which a step is corrected once more.)")
            "rests"_a, "folds"_a, "gravity"_a, "drag"_a, "stiffness"_a, "fold_stiffness"_a,
            "draw_stiffness"_a, "draw_damping"_a, "stretch"_a);
 
-  m.def("follow_strands", &follow_strands, Unlocked(), "strands"_a, "targets"_a, "state"_a,
+  m.def("follow_strands", &follow_strands, WithoutLock(), "strands"_a, "targets"_a, "state"_a,
         "span"_a, "substeps"_a, "colliders"_a.none(), "threads"_a = 1,
         "own"_a = CarrierColliders{0, 0},
         R"(Advance strands over a frame, from a state ``(2, N, 3)``.
@@ -141,7 +144,7 @@ with segments too. The number of ``threads`` does not change the result.
 Returns ``(state, touched, unresolved, stretch)``: most particles in contact in a step;
 particles left inside at the end; the largest strain along strands at the end.)");
 
-  m.def("solve_springs", &solve_springs, Unlocked(), "network"_a, "state"_a, "before"_a.none(),
+  m.def("solve_springs", &solve_springs, WithoutLock(), "network"_a, "state"_a, "before"_a.none(),
         "torn"_a, "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
         "tolerance"_a, "colliders"_a.none(), "pulls"_a.none() = nb::none(),
         R"(Take implicit steps: of Euler, or backward differences of ``two_steps``.

@@ -15,11 +15,13 @@ namespace animtool {
 
 namespace {
 
+// Why a row could not be read.
 enum RowFault { kNone = 0, kCount = 1, kNotANumber = 2 };
 
 bool is_blank(char c) { return c == ' ' || c == '\t'; }
 bool is_line_end(char c) { return c == '\n' || c == '\r'; }
 
+// The position after a line end, which may be CR, LF or CR LF.
 const char* after_line_end(const char* p, const char* end) {
   if (p == end) return p;
   if (*p == '\r' && p + 1 != end && p[1] == '\n') return p + 2;
@@ -38,16 +40,16 @@ BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool
   std::string bad_token;
 
   check::between("columns", columns, 0, std::numeric_limits<std::int32_t>::max());
-  // No row is shorter than one digit and one separator a column, so the text
-  // itself bounds the reservation; a row with more columns is never complete.
-  const std::size_t room = std::min(columns, text.size() / 2 + 1);
-  const std::size_t most = text.size() / (2 * (columns ? columns : 1)) + 1;
-  const std::size_t capacity = limit < most ? limit : most;
-  Out<double, 2> values(capacity, room);
+  // A row has at least one digit and one separator per column, so the length of the text bounds the
+  // allocation; a row with more columns is never complete.
+  const std::size_t row_capacity = std::min(columns, text.size() / 2 + 1);
+  const std::size_t max_rows = text.size() / (2 * (columns ? columns : 1)) + 1;
+  const std::size_t capacity = limit < max_rows ? limit : max_rows;
+  Out<double, 2> values(capacity, row_capacity);
   Out<std::int64_t, 1> row_lines(capacity);
   while (rows < capacity && p != end) {
     const char* const line = p;
-    double* row = values.get() + rows * room;
+    double* row = values.get() + rows * row_capacity;
     count = 0;
     while (true) {
       while (is_blank(*p)) ++p;
@@ -61,11 +63,11 @@ BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool
         bad_token.assign(token, static_cast<std::size_t>(p - token < 40 ? p - token : 40));
         break;
       }
-      if (count < room) row[count] = value;
+      if (count < row_capacity) row[count] = value;
       ++count;
     }
-    // A line that the text stops in is read again with what follows; so is one
-    // whose carriage return may be half of a CR LF.
+    // An incomplete last line is read again with the text that follows; so is one whose carriage
+    // return may be half of a CR LF.
     if (!final && (p == end || (*p == '\r' && p + 1 == end))) {
       p = line;
       fault = kNone;
@@ -80,8 +82,8 @@ BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool
     p = after_line_end(p, end);
     ++lines;
   }
-  values.cut(rows, columns);
-  row_lines.cut(rows);
+  values.truncate(rows, columns);
+  row_lines.truncate(rows);
   return {std::move(values),
           std::move(row_lines),
           static_cast<std::size_t>(p - begin),
@@ -107,19 +109,21 @@ Bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals) {
       if (j) text.push_back(' ');
       const auto digits_after = static_cast<int>(decimals.data()[j]);
       const double scaled = std::fabs(*v) * static_cast<double>(kScales[digits_after]);
-      if (!(scaled < 9e15)) {  // beyond exact integers: rare, so the C library does it
+      if (!(scaled < 9e15)) {  // larger than exact integers: rare, so the C library formats it
         const int n = std::snprintf(digits, sizeof digits, "%.17g", *v);
         for (int k = 0; k < n; ++k) text.push_back(digits[k] == ',' ? '.' : digits[k]);
         continue;
       }
-      const auto fixed = static_cast<std::int64_t>(std::nearbyint(scaled));
-      if (fixed != 0 && std::signbit(*v)) text.push_back('-');
-      std::int64_t integer = fixed / kScales[digits_after], part = fixed % kScales[digits_after];
+      const auto fixed_point = static_cast<std::int64_t>(std::nearbyint(scaled));
+      if (fixed_point != 0 && std::signbit(*v)) text.push_back('-');
+      std::int64_t integer = fixed_point / kScales[digits_after],
+                   decimal_part = fixed_point % kScales[digits_after];
       char* q = digits + sizeof digits;
-      int left = digits_after;
-      while (left > 0 && part % 10 == 0) part /= 10, --left;
-      if (left > 0) {
-        for (; left > 0; --left, part /= 10) *--q = static_cast<char>('0' + part % 10);
+      int digits_left = digits_after;
+      while (digits_left > 0 && decimal_part % 10 == 0) decimal_part /= 10, --digits_left;
+      if (digits_left > 0) {
+        for (; digits_left > 0; --digits_left, decimal_part /= 10)
+          *--q = static_cast<char>('0' + decimal_part % 10);
         *--q = '.';
       }
       do *--q = static_cast<char>('0' + integer % 10);

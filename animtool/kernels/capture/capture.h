@@ -1,4 +1,4 @@
-// Kernels for motion capture: cameras, faces and BVH rows.
+// Kernels for motion capture: cameras, faces and rows of BVH files.
 #pragma once
 
 #include <cstdint>
@@ -16,20 +16,20 @@ BvhRows parse_bvh_rows(Text text, std::size_t columns, std::size_t limit, bool f
 
 Bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
 
-// weights, poses, residuals, shares, rounds, change
-using FittedFace =
+// weights, poses, residuals, robust weights, iterations, change
+using FaceFit =
     std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 2>, Out<double, 2>, int, double>;
-FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
-                    std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
-                    double threshold, double smooth, double rest, double enough, int rounds,
-                    bool warm);
+FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
+                 std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
+                 double threshold, double smooth, double rest, double tolerance, int max_iterations,
+                 bool warm);
 
 // points, numbers, tallies, residuals, states
-using Triangulated =
+using Triangulation =
     std::tuple<Out<double, 3>, Out<double, 3>, Out<double, 3>, Out<float, 4>, Out<std::uint8_t, 3>>;
-Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
-                                In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
-                                double gate, double condition, bool detailed);
+Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
+                                 In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
+                                 double gate, double condition, bool detailed);
 
 Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> cameras);
 

@@ -1,10 +1,10 @@
 // Blend-shape weights of a face from landmarks: bounded, robust, smooth in time.
 //
-// A landmark n is at R (N_n + sum_s w_s D_sn) + t. Rounds of Gauss-Newton linearise head pose
-// and camera, eliminate the pose, and leave per frame a quadratic of the weights; frames are
-// coupled by the squares of differences from frame to frame. The bounded problem of a window
-// is solved by coordinate descent, which finds the active bounds, and by Newton's method on
-// the free weights, block-tridiagonal by Cholesky.
+// A landmark n is at R (N_n + sum_s w_s D_sn) + t. Gauss-Newton iterations linearise head pose and
+// camera and eliminate the pose, which leaves a quadratic of the weights per frame; frames are
+// coupled by the squares of differences between frames. The bounded problem of all frames is solved
+// by coordinate descent, which finds the active bounds, and by Newton's method on the free weights,
+// block-tridiagonal by Cholesky.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -19,39 +19,42 @@ namespace animtool {
 
 namespace {
 
-constexpr std::size_t POSE = 6;
-// Sweeps of coordinate descent before a Newton step, and steps per round.
-constexpr int SWEEPS = 2, STEPS = 30;
-// Halvings of a Newton step before descent continues without it.
-constexpr int HALVINGS = 4;
+// Degrees of freedom of a pose.
+constexpr std::size_t POSE_DOFS = 6;
+// Sweeps of coordinate descent before a Newton step, and largest number of such steps.
+constexpr int DESCENT_SWEEPS = 2, MAX_STEPS = 30;
+// Halvings of a Newton step before it is skipped.
+constexpr int MAX_HALVINGS = 4;
 // Pose directions with less than this fraction of the largest information are unobservable.
-constexpr double UNOBSERVED = 1e-9;
+constexpr double MIN_INFORMATION = 1e-9;
 
 using Mat3 = std::array<double, 9>;
 
-Mat3 matrix(const double* q) {
-  Mat3 matrix;
-  ik::to_matrix(q, matrix.data());
-  return matrix;
+Mat3 rotation_matrix(const double* q) {
+  Mat3 rotation_matrix;
+  ik::to_matrix(q, rotation_matrix.data());
+  return rotation_matrix;
 }
 
-void rotate(double* q, const double* v) {
+// Multiplies a quaternion by the quaternion of a rotation vector, on the right.
+void rotate_locally(double* q, const double* v) {
   const double angle = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]), half = angle / 2;
-  const double s = half < 1e-4 ? 0.5 - half * half / 12 : std::sin(half) / angle;
-  const double x = s * v[0], y = s * v[1], z = s * v[2], w = std::cos(half);
+  const double factor = half < 1e-4 ? 0.5 - half * half / 12 : std::sin(half) / angle;
+  const double x = factor * v[0], y = factor * v[1], z = factor * v[2], w = std::cos(half);
   double product[4] = {
       q[3] * x + q[0] * w + q[1] * z - q[2] * y, q[3] * y - q[0] * z + q[1] * w + q[2] * x,
       q[3] * z + q[0] * y - q[1] * x + q[2] * w, q[3] * w - q[0] * x - q[1] * y - q[2] * z};
-  const double size = std::sqrt(product[0] * product[0] + product[1] * product[1] +
+  const double norm = std::sqrt(product[0] * product[0] + product[1] * product[1] +
                                 product[2] * product[2] + product[3] * product[3]);
-  for (int i = 0; i < 4; ++i) q[i] = product[i] / size;
+  for (int i = 0; i < 4; ++i) q[i] = product[i] / norm;
 }
 
-// Of the n × n block in `a` with a row of `stride`; rows without a positive pivot count as
-// zero. `column` has n.
-void factor(double* a, std::size_t n, std::size_t stride, double floor, double* column) {
+// Factors an n × n block in place; pivots below `floor` are ignored. `column` is a buffer for n
+// numbers.
+void factor_block(double* a, std::size_t n, std::size_t stride, double min_pivot, double* column) {
   using namespace cholesky;
-  cholesky::factor<Roots, Small::IGNORE>(a, n, stride, column, [&](std::size_t) { return floor; });
+  cholesky::factor<Roots, SmallPivot::IGNORE>(a, n, stride, column,
+                                              [&](std::size_t) { return min_pivot; });
 }
 
 void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x,
@@ -59,14 +62,15 @@ void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x
   cholesky::solve_forward<cholesky::Roots>(cholesky::Rows{l, stride}, n, x, first);
 }
 
-// Cost of a frame's weights: half of w' H w - g' w, 0 to 1.
-struct Quadratics {
+// The cost of all frames' weights in [0, 1]: half of w' H w - g' w per frame, and squared
+// differences.
+struct WeightProblem {
   std::size_t frames, shapes;
-  double smooth;             // of the squares of differences
+  double smooth;             // weight of the squared differences
   std::vector<double> h, g;  // (F, S, S), (F, S)
   std::vector<double> low, top;
 
-  Quadratics(std::size_t f, std::size_t s, double smoothing)
+  WeightProblem(std::size_t f, std::size_t s, double smoothing)
       : frames(f),
         shapes(s),
         smooth(smoothing),
@@ -76,33 +80,37 @@ struct Quadratics {
         step_(f * s),
         free_(f * s),
         counts_(f),
-        kept_(f * s),
+        solutions_(f * s),
         columns_(s * s) {}
 
-  double neighbours(std::size_t f) const {
+  // Diagonal of the coupling with neighbouring frames.
+  double coupling_weight(std::size_t f) const {
     return smooth * static_cast<double>((f > 0) + (f + 1 < frames));
   }
 
-  double coupling(const double* w, std::size_t f, std::size_t s) const {
+  // Weighted sum of the same weight in neighbouring frames.
+  double neighbour_sum(const double* w, std::size_t f, std::size_t s) const {
     return smooth * ((f > 0 ? w[(f - 1) * shapes + s] : 0.0) +
                      (f + 1 < frames ? w[(f + 1) * shapes + s] : 0.0));
   }
 
-  void slope(const double* w, std::size_t f, double* out) const {
+  // Gradient of the cost by a frame's weights.
+  void compute_gradient(const double* w, std::size_t f, double* out) const {
     const double* hf = h.data() + f * shapes * shapes;
     const double* wf = w + f * shapes;
-    const double coupled = neighbours(f);
+    const double weight = coupling_weight(f);
     for (std::size_t s = 0; s < shapes; ++s)
-      out[s] = coupled * wf[s] - g[f * shapes + s] - coupling(w, f, s);
+      out[s] = weight * wf[s] - g[f * shapes + s] - neighbour_sum(w, f, s);
     for (std::size_t k = 0; k < shapes; ++k) {
       if (wf[k] == 0) continue;
-      const double by = wf[k];
+      const double weight_k = wf[k];
       const double* row = hf + k * shapes;
-      for (std::size_t s = 0; s < shapes; ++s) out[s] += by * row[s];
+      for (std::size_t s = 0; s < shapes; ++s) out[s] += weight_k * row[s];
     }
   }
 
-  double value(const double* w) {
+  // Cost of all frames.
+  double total_cost(const double* w) {
     double sum = 0;
     std::vector<double>& hw = columns_;
     for (std::size_t f = 0; f < frames; ++f) {
@@ -123,149 +131,155 @@ struct Quadratics {
     return sum;
   }
 
-  // One sweep over the frames, forwards or backwards; returns the largest change.
-  double sweep(double* w, bool back) {
-    double most = 0;
-    std::vector<double> slopes(shapes);
+  // One sweep of coordinate descent over the frames, forwards or backwards; returns the largest
+  // change.
+  double sweep(double* w, bool backwards) {
+    double max_change = 0;
+    std::vector<double> gradient(shapes);
     for (std::size_t i = 0; i < frames; ++i) {
-      const std::size_t f = back ? frames - 1 - i : i;
+      const std::size_t f = backwards ? frames - 1 - i : i;
       double* wf = w + f * shapes;
       const double* hf = h.data() + f * shapes * shapes;
-      const double coupled = neighbours(f);
-      slope(w, f, slopes.data());
+      const double coupling = coupling_weight(f);
+      compute_gradient(w, f, gradient.data());
       for (std::size_t s = 0; s < shapes; ++s) {
-        const double bend = hf[s * shapes + s] + coupled;
-        if (!(bend > 0)) continue;
-        const double weight = std::clamp(wf[s] - slopes[s] / bend, 0.0, 1.0);
+        const double curvature = hf[s * shapes + s] + coupling;
+        if (!(curvature > 0)) continue;
+        const double weight = std::clamp(wf[s] - gradient[s] / curvature, 0.0, 1.0);
         const double change = weight - wf[s];
         if (change == 0) continue;
         wf[s] = weight;
-        most = std::max(most, std::fabs(change));
-        for (std::size_t k = 0; k < shapes; ++k) slopes[k] += change * hf[s * shapes + k];
-        slopes[s] += change * coupled;
+        max_change = std::max(max_change, std::fabs(change));
+        for (std::size_t k = 0; k < shapes; ++k) gradient[k] += change * hf[s * shapes + k];
+        gradient[s] += change * coupling;
       }
     }
-    return most;
+    return max_change;
   }
 
-  // The weights with zero gradient at free entries, bounds fixed: `step_`.
-  void newton(const double* w) {
-    std::vector<double> slopes(shapes), right(shapes), pivots(shapes);
-    std::vector<std::size_t> slots(shapes, shapes), before(shapes, shapes);
+  // Computes `step_`, after which the gradient is zero at free weights; weights at their bounds are
+  // fixed.
+  void compute_newton_step(const double* w) {
+    std::vector<double> gradient(shapes), right_hand_side(shapes), pivots(shapes);
+    std::vector<std::size_t> slots(shapes, shapes), previous_index(shapes, shapes);
     for (std::size_t f = 0; f < frames; ++f) {
       const double* hf = h.data() + f * shapes * shapes;
-      std::size_t* unbound = free_.data() + f * shapes;
+      std::size_t* free_shapes = free_.data() + f * shapes;
       double* l = factors_.data() + f * shapes * shapes;
-      slope(w, f, slopes.data());
+      compute_gradient(w, f, gradient.data());
       std::size_t n = 0;
       for (std::size_t s = 0; s < shapes; ++s) {
-        const double at = w[f * shapes + s];
-        const bool bound = (at <= 0 && slopes[s] >= 0) || (at >= 1 && slopes[s] <= 0);
-        if (!bound && hf[s * shapes + s] + neighbours(f) > 0) unbound[n++] = s;
+        const double weight = w[f * shapes + s];
+        const bool is_bound =
+            (weight <= 0 && gradient[s] >= 0) || (weight >= 1 && gradient[s] <= 0);
+        if (!is_bound && hf[s * shapes + s] + coupling_weight(f) > 0) free_shapes[n++] = s;
       }
       counts_[f] = n;
       double trace = 0;
       for (std::size_t i = 0; i < n; ++i) {
         for (std::size_t j = 0; j <= i; ++j)
-          l[i * shapes + j] = hf[unbound[i] * shapes + unbound[j]];
-        l[i * shapes + i] += neighbours(f);
+          l[i * shapes + j] = hf[free_shapes[i] * shapes + free_shapes[j]];
+        l[i * shapes + i] += coupling_weight(f);
         trace = std::max(trace, l[i * shapes + i]);
-        right[i] = -slopes[unbound[i]];
+        right_hand_side[i] = -gradient[free_shapes[i]];
       }
       if (f > 0 && smooth > 0) {
         const std::size_t m = counts_[f - 1];
-        const double* lb = factors_.data() + (f - 1) * shapes * shapes;
-        const double* stored = kept_.data() + (f - 1) * shapes;
-        std::fill(before.begin(), before.end(), shapes);
-        for (std::size_t i = 0; i < m; ++i) before[free_[(f - 1) * shapes + i]] = i;
+        const double* previous_factor = factors_.data() + (f - 1) * shapes * shapes;
+        const double* previous = solutions_.data() + (f - 1) * shapes;
+        std::fill(previous_index.begin(), previous_index.end(), shapes);
+        for (std::size_t i = 0; i < m; ++i) previous_index[free_[(f - 1) * shapes + i]] = i;
         for (std::size_t i = 0; i < n; ++i) {
-          const std::size_t at = before[unbound[i]];
+          const std::size_t weight = previous_index[free_shapes[i]];
           double* column = columns_.data() + i * shapes;
-          if (at == shapes) continue;
+          if (weight == shapes) continue;
           std::fill(column, column + m, 0.0);
-          column[at] = smooth;
-          solve_forward(lb, m, shapes, column, at);
+          column[weight] = smooth;
+          solve_forward(previous_factor, m, shapes, column, weight);
           double sum = 0;
-          for (std::size_t k = at; k < m; ++k) sum += column[k] * stored[k];
-          right[i] += sum;
+          for (std::size_t k = weight; k < m; ++k) sum += column[k] * previous[k];
+          right_hand_side[i] += sum;
           for (std::size_t j = 0; j <= i; ++j) {
-            const std::size_t other = before[unbound[j]];
-            if (other == shapes) continue;
-            const double* second = columns_.data() + j * shapes;
+            const std::size_t other_start = previous_index[free_shapes[j]];
+            if (other_start == shapes) continue;
+            const double* other_column = columns_.data() + j * shapes;
             double dot = 0;
-            for (std::size_t k = std::max(at, other); k < m; ++k) dot += column[k] * second[k];
+            for (std::size_t k = std::max(weight, other_start); k < m; ++k)
+              dot += column[k] * other_column[k];
             l[i * shapes + j] -= dot;
           }
         }
       }
-      factor(l, n, shapes, 1e-14 * trace, pivots.data());
-      solve_forward(l, n, shapes, right.data());
-      std::copy(right.begin(), right.begin() + static_cast<std::ptrdiff_t>(n),
-                kept_.begin() + static_cast<std::ptrdiff_t>(f * shapes));
+      factor_block(l, n, shapes, 1e-14 * trace, pivots.data());
+      solve_forward(l, n, shapes, right_hand_side.data());
+      std::copy(right_hand_side.begin(), right_hand_side.begin() + static_cast<std::ptrdiff_t>(n),
+                solutions_.begin() + static_cast<std::ptrdiff_t>(f * shapes));
     }
     std::fill(step_.begin(), step_.end(), 0.0);
     for (std::size_t f = frames; f-- > 0;) {
       const std::size_t n = counts_[f];
-      const std::size_t* unbound = free_.data() + f * shapes;
+      const std::size_t* free_shapes = free_.data() + f * shapes;
       const double* l = factors_.data() + f * shapes * shapes;
-      double* x = kept_.data() + f * shapes;
+      double* x = solutions_.data() + f * shapes;
       if (f + 1 < frames && smooth > 0) {
-        std::fill(right.begin(), right.end(), 0.0);
+        std::fill(right_hand_side.begin(), right_hand_side.end(), 0.0);
         for (std::size_t i = 0; i < n; ++i)
-          right[i] = smooth * step_[(f + 1) * shapes + unbound[i]];
-        solve_forward(l, n, shapes, right.data());
-        for (std::size_t i = 0; i < n; ++i) x[i] += right[i];
+          right_hand_side[i] = smooth * step_[(f + 1) * shapes + free_shapes[i]];
+        solve_forward(l, n, shapes, right_hand_side.data());
+        for (std::size_t i = 0; i < n; ++i) x[i] += right_hand_side[i];
       }
       cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{l, shapes}, n, x);
-      for (std::size_t i = 0; i < n; ++i) step_[f * shapes + unbound[i]] = x[i];
+      for (std::size_t i = 0; i < n; ++i) step_[f * shapes + free_shapes[i]] = x[i];
     }
   }
 
-  // Cost of a frame's weights for fixed neighbours.
-  double cost(const double* w, const double* direction, std::size_t f) const {
+  // Cost of a frame's weights, with those of neighbouring frames fixed.
+  double frame_cost(const double* w, const double* frame_weights, std::size_t f) const {
     const double* hf = h.data() + f * shapes * shapes;
     double sum = 0;
     for (std::size_t s = 0; s < shapes; ++s) {
-      if (direction[s] == 0) continue;
-      double row = 0.5 * neighbours(f) * direction[s] - g[f * shapes + s] - coupling(w, f, s);
+      if (frame_weights[s] == 0) continue;
+      double row =
+          0.5 * coupling_weight(f) * frame_weights[s] - g[f * shapes + s] - neighbour_sum(w, f, s);
       const double* hs = hf + s * shapes;
-      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * direction[k];
-      sum += direction[s] * row;
+      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * frame_weights[k];
+      sum += frame_weights[s] * row;
     }
     return sum;
   }
 
-  // Take the part of a frame's step that lowers its cost.
-  void take_step(double* w, std::size_t f, double* candidate) const {
+  // Moves a frame along its step, shortened until the cost falls.
+  void apply_frame_step(double* w, std::size_t f, double* candidate) const {
     double *weights = w + f * shapes, fraction = 1;
     const double* step = step_.data() + f * shapes;
-    const double from = cost(w, weights, f);
-    for (int half = 0; half < HALVINGS; ++half, fraction /= 2) {
+    const double start_cost = frame_cost(w, weights, f);
+    for (int halving = 0; halving < MAX_HALVINGS; ++halving, fraction /= 2) {
       for (std::size_t s = 0; s < shapes; ++s)
         candidate[s] = std::clamp(weights[s] + fraction * step[s], 0.0, 1.0);
-      if (cost(w, candidate, f) < from) {
+      if (frame_cost(w, candidate, f) < start_cost) {
         std::copy(candidate, candidate + shapes, weights);
         return;
       }
     }
   }
 
-  // Minimise over weights until a descent step changes them by less than `tolerance`.
+  // Minimises the cost over the weights, until a descent sweep changes them by less than
+  // `tolerance`; returns the last change.
   double solve(double* w, double tolerance) {
     std::vector<double> candidate(frames * shapes);
     double change = 0;
-    for (int step = 0; step < STEPS; ++step) {
+    for (int step = 0; step < MAX_STEPS; ++step) {
       change = 0;
-      for (int i = 0; i < SWEEPS; ++i) change = sweep(w, i % 2);
+      for (int i = 0; i < DESCENT_SWEEPS; ++i) change = sweep(w, i % 2);
       if (change < tolerance) break;
-      const double from = value(w);
-      newton(w);
+      const double start_cost = total_cost(w);
+      compute_newton_step(w);
       for (std::size_t i = 0; i < candidate.size(); ++i)
         candidate[i] = std::clamp(w[i] + step_[i], 0.0, 1.0);
-      if (value(candidate.data()) < from)
+      if (total_cost(candidate.data()) < start_cost)
         std::copy(candidate.begin(), candidate.end(), w);
       else
-        for (std::size_t f = 0; f < frames; ++f) take_step(w, f, candidate.data());
+        for (std::size_t f = 0; f < frames; ++f) apply_frame_step(w, f, candidate.data());
     }
     return change;
   }
@@ -274,36 +288,38 @@ struct Quadratics {
   std::vector<double> factors_, step_;
   std::vector<std::size_t> free_;
   std::vector<std::size_t> counts_;
-  std::vector<double> kept_, columns_;
+  std::vector<double> solutions_, columns_;
 };
 
+// The blend shapes of a face.
 struct Face {
   std::size_t landmarks, shapes;
   const double *neutral, *deltas;      // (N, 3), (S, N, 3)
   const double* camera;                // fx, fy, cx, cy; null for landmarks in three dimensions
-  std::vector<double> deltas_of_rows;  // (N, 3, S): of a landmark its three rows
-  std::vector<double> gram;            // (S, S): the sum of all, for weights of one
+  std::vector<double> rows_of_deltas;  // (N, 3, S): the three rows of each landmark
+  std::vector<double> gram;            // (S, S): sum over all rows, with weights of 1
 
   void prepare() {
-    deltas_of_rows.resize(landmarks * 3 * shapes);
+    rows_of_deltas.resize(landmarks * 3 * shapes);
     for (std::size_t s = 0; s < shapes; ++s)
       for (std::size_t i = 0; i < 3 * landmarks; ++i)
-        deltas_of_rows[i * shapes + s] = deltas[s * 3 * landmarks + i];
+        rows_of_deltas[i * shapes + s] = deltas[s * 3 * landmarks + i];
     gram.assign(shapes * shapes, 0.0);
     for (std::size_t i = 0; i < 3 * landmarks; ++i)
-      add(gram.data(), 1, &deltas_of_rows[i * shapes], &deltas_of_rows[i * shapes]);
+      add_outer_product(gram.data(), 1, &rows_of_deltas[i * shapes], &rows_of_deltas[i * shapes]);
   }
 
-  void add(double* h, double by, const double* a, const double* b) const {
+  // Adds a scaled outer product to a matrix (S, S).
+  void add_outer_product(double* h, double scale, const double* a, const double* b) const {
     for (std::size_t s = 0; s < shapes; ++s) {
-      const double scaled = by * a[s];
+      const double scaled = scale * a[s];
       if (scaled == 0) continue;
       for (std::size_t k = 0; k < shapes; ++k) h[s * shapes + k] += scaled * b[k];
     }
   }
 
-  // Landmarks at weights, in the face's frame (N, 3).
-  void deformed(const double* w, double* out) const {
+  // Computes landmarks with weights, in the frame of the face (N, 3).
+  void deform(const double* w, double* out) const {
     std::copy(neutral, neutral + 3 * landmarks, out);
     for (std::size_t s = 0; s < shapes; ++s) {
       if (w[s] == 0) continue;
@@ -313,56 +329,59 @@ struct Face {
   }
 };
 
-// A frame linearised at its current state.
+// Linearises one frame at its current weights and pose.
 class LinearizedFrame {
  public:
   explicit LinearizedFrame(const Face& face)
-      : face_(face), points_(3 * face.landmarks), cross_(face.shapes * POSE) {}
+      : face_(face), points_(3 * face.landmarks), cross_(face.shapes * POSE_DOFS) {}
 
-  // Residuals (N,) and robust weights of observed landmarks; returns the loss.
-  double residuals(const double* observed, const double* w, const double* pose, double threshold,
-                   double power, double* length, double* weight) {
-    face_.deformed(w, points_.data());
-    const Mat3 r = matrix(pose);
+  // Computes the lengths of residuals (N,) and robust weights of observed landmarks; returns the
+  // loss.
+  double compute_residuals(const double* observed, const double* w, const double* pose,
+                           double threshold, double power, double* lengths,
+                           double* robust_weights) {
+    face_.deform(w, points_.data());
+    const Mat3 r = rotation_matrix(pose);
     const std::size_t width = face_.camera ? 2 : 3;
     double loss = 0;
     for (std::size_t n = 0; n < face_.landmarks; ++n) {
       const double* pixel = observed + n * width;
       double residual[3];
-      if (!residual_of(pixel, &points_[3 * n], r, pose + 4, residual)) {
-        length[n] = NAN, weight[n] = 0;
+      if (!compute_residual(pixel, &points_[3 * n], r, pose + 4, residual)) {
+        lengths[n] = NAN, robust_weights[n] = 0;
         continue;
       }
       double sum = 0;
       for (std::size_t k = 0; k < width; ++k) sum += residual[k] * residual[k];
-      length[n] = std::sqrt(sum);
-      weight[n] = length[n] <= threshold ? 1 : std::pow(threshold / length[n], power);
-      loss += weight[n] * sum;
+      lengths[n] = std::sqrt(sum);
+      robust_weights[n] = lengths[n] <= threshold ? 1 : std::pow(threshold / lengths[n], power);
+      loss += robust_weights[n] * sum;
     }
     return loss;
   }
 
-  // The quadratic of the weights, the pose eliminated.
-  void linearize(const double* observed, const double* w, const double* pose, const double* weight,
-                 double* h, double* g) {
+  // Computes the quadratic of the weights, with the pose eliminated.
+  void linearize(const double* observed, const double* w, const double* pose,
+                 const double* robust_weights, double* h, double* g) {
     const std::size_t shapes = face_.shapes, landmarks = face_.landmarks;
-    const Mat3 r = matrix(pose);
-    face_.deformed(w, points_.data());
+    const Mat3 r = rotation_matrix(pose);
+    face_.deform(w, points_.data());
     std::fill(g, g + shapes, 0.0);
     std::fill(cross_.begin(), cross_.end(), 0.0);
-    std::fill(pose_h_, pose_h_ + POSE * POSE, 0.0);
-    std::fill(pose_g_, pose_g_ + POSE, 0.0);
+    std::fill(pose_h_, pose_h_ + POSE_DOFS * POSE_DOFS, 0.0);
+    std::fill(pose_g_, pose_g_ + POSE_DOFS, 0.0);
     if (face_.camera)
       std::fill(h, h + shapes * shapes, 0.0);
     else
       std::copy(face_.gram.begin(), face_.gram.end(), h);
     for (std::size_t n = 0; n < landmarks; ++n) {
       const double* p = &points_[3 * n];
-      const double* rows = &face_.deltas_of_rows[3 * n * shapes];
-      const double by = weight[n];
-      if (!face_.camera && by != 1)
-        for (int k = 0; k < 3; ++k) face_.add(h, by - 1, rows + k * shapes, rows + k * shapes);
-      if (by == 0) continue;
+      const double* rows = &face_.rows_of_deltas[3 * n * shapes];
+      const double robust_weight = robust_weights[n];
+      if (!face_.camera && robust_weight != 1)
+        for (int k = 0; k < 3; ++k)
+          face_.add_outer_product(h, robust_weight - 1, rows + k * shapes, rows + k * shapes);
+      if (robust_weight == 0) continue;
       if (!face_.camera) {
         const double* x = observed + 3 * n;
         const double d[3] = {x[0] - pose[4], x[1] - pose[5], x[2] - pose[6]};
@@ -370,84 +389,87 @@ class LinearizedFrame {
           const double y = r[k] * d[0] + r[3 + k] * d[1] + r[6 + k] * d[2];
           double unit[3] = {0, 0, 0};
           unit[k] = 1;
-          row(by, y - face_.neutral[3 * n + k], unit, p, rows, nullptr, g);
+          add_row(robust_weight, y - face_.neutral[3 * n + k], unit, p, rows, nullptr, g);
         }
         continue;
       }
-      double residual[3], slopes[6];
-      residual_of(observed + 2 * n, p, r, pose + 4, residual, slopes);
+      double residual[3], derivatives[6];
+      compute_residual(observed + 2 * n, p, r, pose + 4, residual, derivatives);
       for (int k = 0; k < 2; ++k) {
         double z = residual[k];
-        for (int c = 0; c < 3; ++c) z += slopes[3 * k + c] * (p[c] - face_.neutral[3 * n + c]);
-        row(by, z, slopes + 3 * k, p, rows, h, g);
+        for (int c = 0; c < 3; ++c) z += derivatives[3 * k + c] * (p[c] - face_.neutral[3 * n + c]);
+        add_row(robust_weight, z, derivatives + 3 * k, p, rows, h, g);
       }
     }
     double largest = 0;
-    for (std::size_t i = 0; i < POSE; ++i) largest = std::max(largest, pose_h_[i * POSE + i]);
-    std::copy(pose_h_, pose_h_ + POSE * POSE, factor_);
-    double pivots[POSE];
-    factor(factor_, POSE, POSE, UNOBSERVED * largest, pivots);
+    for (std::size_t i = 0; i < POSE_DOFS; ++i)
+      largest = std::max(largest, pose_h_[i * POSE_DOFS + i]);
+    std::copy(pose_h_, pose_h_ + POSE_DOFS * POSE_DOFS, factor_);
+    double pivots[POSE_DOFS];
+    factor_block(factor_, POSE_DOFS, POSE_DOFS, MIN_INFORMATION * largest, pivots);
     if (largest == 0) return;
     // H - C P^-1 C' by the rows of L^-1 C'.
-    std::vector<double>& solved = solved_;
-    solved.resize(POSE * shapes);
-    double right[POSE];
-    std::copy(pose_g_, pose_g_ + POSE, right);
-    solve_forward(factor_, POSE, POSE, right);
+    std::vector<double>& coupling = coupling_;
+    coupling.resize(POSE_DOFS * shapes);
+    double right_hand_side[POSE_DOFS];
+    std::copy(pose_g_, pose_g_ + POSE_DOFS, right_hand_side);
+    solve_forward(factor_, POSE_DOFS, POSE_DOFS, right_hand_side);
     for (std::size_t s = 0; s < shapes; ++s) {
-      double column[POSE];
-      for (std::size_t i = 0; i < POSE; ++i) column[i] = cross_[i * shapes + s];
-      solve_forward(factor_, POSE, POSE, column);
-      for (std::size_t i = 0; i < POSE; ++i) {
-        solved[i * shapes + s] = column[i];
-        g[s] -= column[i] * right[i];
+      double column[POSE_DOFS];
+      for (std::size_t i = 0; i < POSE_DOFS; ++i) column[i] = cross_[i * shapes + s];
+      solve_forward(factor_, POSE_DOFS, POSE_DOFS, column);
+      for (std::size_t i = 0; i < POSE_DOFS; ++i) {
+        coupling[i * shapes + s] = column[i];
+        g[s] -= column[i] * right_hand_side[i];
       }
     }
-    for (std::size_t i = 0; i < POSE; ++i)
-      face_.add(h, -1, &solved[i * shapes], &solved[i * shapes]);
-    std::copy(right, right + POSE, right_);
+    for (std::size_t i = 0; i < POSE_DOFS; ++i)
+      face_.add_outer_product(h, -1, &coupling[i * shapes], &coupling[i * shapes]);
+    std::copy(right_hand_side, right_hand_side + POSE_DOFS, right_hand_side_);
   }
 
-  // Update the pose for solved weights. Call after the same `linearize`.
+  // Updates the pose for new weights. Call it after `linearize` of the same frame.
   void update_pose(const double* w, double* pose) const {
-    double step[POSE];
-    for (std::size_t i = 0; i < POSE; ++i) {
-      double sum = right_[i];
-      for (std::size_t s = 0; s < face_.shapes; ++s) sum -= solved_[i * face_.shapes + s] * w[s];
+    double step[POSE_DOFS];
+    for (std::size_t i = 0; i < POSE_DOFS; ++i) {
+      double sum = right_hand_side_[i];
+      for (std::size_t s = 0; s < face_.shapes; ++s) sum -= coupling_[i * face_.shapes + s] * w[s];
       step[i] = sum;
     }
-    cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{factor_, POSE}, POSE, step);
+    cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{factor_, POSE_DOFS}, POSE_DOFS, step);
     apply_pose_step(step, pose);
   }
 
-  // The data of a frame that `update_pose` needs.
-  static std::size_t stored_size(std::size_t shapes) { return POSE * shapes + POSE + POSE * POSE; }
+  // Stores and restores the data of a frame that `update_pose` needs.
+  static std::size_t stored_size(std::size_t shapes) {
+    return POSE_DOFS * shapes + POSE_DOFS + POSE_DOFS * POSE_DOFS;
+  }
   void store(double* out) {
-    solved_.resize(POSE * face_.shapes);
-    out = std::copy(solved_.begin(), solved_.end(), out);
-    out = std::copy(right_, right_ + POSE, out);
-    std::copy(factor_, factor_ + POSE * POSE, out);
+    coupling_.resize(POSE_DOFS * face_.shapes);
+    out = std::copy(coupling_.begin(), coupling_.end(), out);
+    out = std::copy(right_hand_side_, right_hand_side_ + POSE_DOFS, out);
+    std::copy(factor_, factor_ + POSE_DOFS * POSE_DOFS, out);
   }
   void restore(const double* in) {
-    solved_.resize(POSE * face_.shapes);
-    std::copy(in, in + POSE * face_.shapes, solved_.begin());
-    in += POSE * face_.shapes;
-    std::copy(in, in + POSE, right_);
-    std::copy(in + POSE, in + POSE + POSE * POSE, factor_);
+    coupling_.resize(POSE_DOFS * face_.shapes);
+    std::copy(in, in + POSE_DOFS * face_.shapes, coupling_.begin());
+    in += POSE_DOFS * face_.shapes;
+    std::copy(in, in + POSE_DOFS, right_hand_side_);
+    std::copy(in + POSE_DOFS, in + POSE_DOFS + POSE_DOFS * POSE_DOFS, factor_);
   }
 
  private:
-  // x = R (p + rotate × p + shift) + t: the shift is in the frame of the face.
+  // x = R (p + rotate × p + shift) + t, with the shift in the frame of the face.
   static void apply_pose_step(const double* step, double* pose) {
-    const Mat3 r = matrix(pose);
+    const Mat3 r = rotation_matrix(pose);
     for (int i = 0; i < 3; ++i)
       pose[4 + i] += r[3 * i] * step[3] + r[3 * i + 1] * step[4] + r[3 * i + 2] * step[5];
-    rotate(pose, step);
+    rotate_locally(pose, step);
   }
 
-  // Residual of an observation, and its derivatives along the face's axes (2, 3).
-  bool residual_of(const double* pixel, const double* p, const Mat3& r, const double* t,
-                   double* residual, double* slopes = nullptr) const {
+  // Computes the residual of an observation, and its derivatives along the axes of the face (2, 3).
+  bool compute_residual(const double* pixel, const double* p, const Mat3& r, const double* t,
+                        double* residual, double* derivatives = nullptr) const {
     double x[3];
     for (int i = 0; i < 3; ++i)
       x[i] = r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i];
@@ -457,51 +479,54 @@ class LinearizedFrame {
     }
     if (!(x[2] > 0)) return false;
     for (int k = 0; k < 2; ++k) {
-      const double focal = face_.camera[k], at = x[k] / x[2];
-      residual[k] = pixel[k] - (focal * at + face_.camera[2 + k]);
-      if (slopes)
+      const double focal = face_.camera[k], ratio = x[k] / x[2];
+      residual[k] = pixel[k] - (focal * ratio + face_.camera[2 + k]);
+      if (derivatives)
         for (int c = 0; c < 3; ++c)
-          slopes[3 * k + c] = focal / x[2] * (r[3 * k + c] - at * r[6 + c]);
+          derivatives[3 * k + c] = focal / x[2] * (r[3 * k + c] - ratio * r[6 + c]);
     }
     return std::isfinite(residual[0] + residual[1]);
   }
 
-  // One row: the residual along a direction of the face's frame.
-  void row(double by, double z, const double* axis, const double* p, const double* rows, double* h,
-           double* g) {
+  // Adds one row: the residual along a direction in the frame of the face.
+  void add_row(double scale, double z, const double* axis, const double* p, const double* rows,
+               double* h, double* g) {
     const std::size_t shapes = face_.shapes;
     // axis · (rotate × p) = rotate · (p × axis)
-    const double pose[POSE] = {p[1] * axis[2] - p[2] * axis[1],
-                               p[2] * axis[0] - p[0] * axis[2],
-                               p[0] * axis[1] - p[1] * axis[0],
-                               axis[0],
-                               axis[1],
-                               axis[2]};
-    line_.resize(shapes);
+    const double pose_row[POSE_DOFS] = {p[1] * axis[2] - p[2] * axis[1],
+                                        p[2] * axis[0] - p[0] * axis[2],
+                                        p[0] * axis[1] - p[1] * axis[0],
+                                        axis[0],
+                                        axis[1],
+                                        axis[2]};
+    shape_row_.resize(shapes);
     for (std::size_t s = 0; s < shapes; ++s)
-      line_[s] = axis[0] * rows[s] + axis[1] * rows[shapes + s] + axis[2] * rows[2 * shapes + s];
-    if (h) face_.add(h, by, line_.data(), line_.data());
-    for (std::size_t s = 0; s < shapes; ++s) g[s] += by * z * line_[s];
-    for (std::size_t i = 0; i < POSE; ++i) {
-      const double scaled = by * pose[i];
+      shape_row_[s] =
+          axis[0] * rows[s] + axis[1] * rows[shapes + s] + axis[2] * rows[2 * shapes + s];
+    if (h) face_.add_outer_product(h, scale, shape_row_.data(), shape_row_.data());
+    for (std::size_t s = 0; s < shapes; ++s) g[s] += scale * z * shape_row_[s];
+    for (std::size_t i = 0; i < POSE_DOFS; ++i) {
+      const double scaled = scale * pose_row[i];
       if (scaled == 0) continue;
-      for (std::size_t s = 0; s < shapes; ++s) cross_[i * shapes + s] += scaled * line_[s];
-      for (std::size_t k = 0; k < POSE; ++k) pose_h_[i * POSE + k] += scaled * pose[k];
+      for (std::size_t s = 0; s < shapes; ++s) cross_[i * shapes + s] += scaled * shape_row_[s];
+      for (std::size_t k = 0; k < POSE_DOFS; ++k)
+        pose_h_[i * POSE_DOFS + k] += scaled * pose_row[k];
       pose_g_[i] += scaled * z;
     }
   }
 
   const Face& face_;
-  std::vector<double> points_, cross_, line_, solved_;
-  double pose_h_[POSE * POSE]{}, pose_g_[POSE]{}, factor_[POSE * POSE]{}, right_[POSE]{};
+  std::vector<double> points_, cross_, shape_row_, coupling_;
+  double pose_h_[POSE_DOFS * POSE_DOFS]{}, pose_g_[POSE_DOFS]{}, factor_[POSE_DOFS * POSE_DOFS]{},
+      right_hand_side_[POSE_DOFS]{};
 };
 
 }  // namespace
 
-FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
-                    std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
-                    double threshold, double smooth, double rest, double tolerance,
-                    int max_iterations, bool warm) {
+FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
+                 std::optional<In<double, 1>> camera, In<double, 2> poses, In<double, 2> weights,
+                 double threshold, double smooth, double rest, double tolerance, int max_iterations,
+                 bool warm) {
   const std::size_t landmarks = neutral.shape(1), shapes = deltas.shape(0),
                     frames = observed.shape(0);
   const std::size_t width = camera ? 2 : 3;
@@ -535,23 +560,23 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
             {},        {}};
   face.prepare();
   LinearizedFrame linear(face);
-  Quadratics problem(frames, shapes, smooth);
+  WeightProblem problem(frames, shapes, smooth);
   std::copy(weights.data(), weights.data() + frames * shapes, result.get());
   std::copy(poses.data(), poses.data() + frames * 7, fitted_poses.get());
-  std::vector<double> before(frames * shapes),
-      stored(frames * LinearizedFrame::stored_size(shapes));
+  std::vector<double> previous_weights(frames * shapes),
+      frame_data(frames * LinearizedFrame::stored_size(shapes));
   double* w = result.get();
   for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
-  const std::size_t each = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
+  const std::size_t neutral_stride = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
   const auto update_residuals = [&](std::size_t f, double limit, double power) {
-    face.neutral = neutral.data() + f * each;
-    linear.residuals(observed.data() + f * landmarks * width, w + f * shapes,
-                     fitted_poses.get() + 7 * f, limit, power, lengths.get() + f * landmarks,
-                     robust_weights.get() + f * landmarks);
+    face.neutral = neutral.data() + f * neutral_stride;
+    linear.compute_residuals(observed.data() + f * landmarks * width, w + f * shapes,
+                             fitted_poses.get() + 7 * f, limit, power,
+                             lengths.get() + f * landmarks, robust_weights.get() + f * landmarks);
   };
   for (; iteration < max_iterations; ++iteration) {
-    std::copy(w, w + frames * shapes, before.begin());
-    // Huber's loss first, which has one minimum; then a redescending one.
+    std::copy(w, w + frames * shapes, previous_weights.begin());
+    // Starts with Huber's loss, which has one minimum; then uses a redescending one.
     const bool is_early = !warm && iteration < 3;
     const double power = is_early ? 1 : 2;
     const double limit = is_early && iteration == 0 ? HUGE_VAL : threshold;
@@ -561,17 +586,17 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
       linear.linearize(observed.data() + f * landmarks * width, w + f * shapes,
                        fitted_poses.get() + 7 * f, robust_weights.get() + f * landmarks, h,
                        problem.g.data() + f * shapes);
-      linear.store(stored.data() + f * LinearizedFrame::stored_size(shapes));
+      linear.store(frame_data.data() + f * LinearizedFrame::stored_size(shapes));
       for (std::size_t s = 0; s < shapes; ++s) h[s * shapes + s] += rest;
     }
     problem.solve(w, is_early ? std::max(tolerance, 1e-3) : tolerance);
     for (std::size_t f = 0; f < frames; ++f) {
-      linear.restore(stored.data() + f * LinearizedFrame::stored_size(shapes));
+      linear.restore(frame_data.data() + f * LinearizedFrame::stored_size(shapes));
       linear.update_pose(w + f * shapes, fitted_poses.get() + 7 * f);
     }
     change = 0;
     for (std::size_t i = 0; i < frames * shapes; ++i)
-      change = std::max(change, std::fabs(w[i] - before[i]));
+      change = std::max(change, std::fabs(w[i] - previous_weights[i]));
     if (iteration >= (warm ? 1 : 4) && change < 10 * tolerance) {
       ++iteration;
       break;

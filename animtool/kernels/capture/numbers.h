@@ -20,6 +20,7 @@
 
 namespace animtool {
 
+// Kinds of numbers in a text.
 enum class NumberKind { finite, not_finite, overflow, malformed };
 
 inline bool is_digit(char c) { return static_cast<unsigned char>(c - '0') < 10; }
@@ -31,8 +32,8 @@ inline bool equals_ignoring_case(const char* p, const char* end, const char* wor
   return p == end;
 }
 
-// nan, inf and infinity of C, and the spellings of older Microsoft runtimes
-// (1.#QNAN, 1.#IND, 1.#INF).
+// Whether a token is nan, inf or infinity of C, or a spelling of older Microsoft runtimes (1.#QNAN,
+// 1.#IND, 1.#INF).
 inline bool is_not_finite(const char* p, const char* end) {
   if (p != end && (*p == '-' || *p == '+')) ++p;
   if (end - p >= 3 && p[0] == '1' && p[1] == '.' && p[2] == '#') return true;
@@ -41,15 +42,15 @@ inline bool is_not_finite(const char* p, const char* end) {
          equals_ignoring_case(p, end, "nan(snan)");
 }
 
-// The general case, for more digits than 53 bits hold or a large exponent. The
-// token is known to be well formed.
-inline NumberKind slow_number(const char* p, const char* end, double& value) {
+// Reads a number with more digits than 53 bits hold, or a large exponent. The token must be well
+// formed.
+inline NumberKind read_general_number(const char* p, const char* end, double& value) {
   if (*p == '+') ++p;
 #if defined(__cpp_lib_to_chars)
   const auto result = std::from_chars(p, end, value);
   if (result.ec == std::errc()) return NumberKind::finite;
-  // from_chars leaves the value alone when it is out of range, on either side: the
-  // position of the first digit that is not zero, and the exponent, tell which.
+  // from_chars does not set the value if it is out of range, on either side: the position of the
+  // first nonzero digit and the exponent tell on which side it is.
   const bool negative = *p == '-';
   std::int64_t position = 0, exponent = 0;
   bool nonzero = false, after_point = false;
@@ -66,12 +67,12 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
     }
   }
   if (d != end) {
-    const bool below = *++d == '-';
+    const bool is_negative_exponent = *++d == '-';
     if (*d == '-' || *d == '+') ++d;
     for (; d != end && exponent < 1000000; ++d) exponent = exponent * 10 + (*d - '0');
-    if (below) exponent = -exponent;
+    if (is_negative_exponent) exponent = -exponent;
   }
-  const bool tiny = position + exponent <= 0;
+  const bool is_underflow = position + exponent <= 0;
 #else
 #if defined(_WIN32)
   static const _locale_t c_locale = _create_locale(LC_ALL, "C");
@@ -82,9 +83,9 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
 #endif
   if (std::isfinite(value)) return NumberKind::finite;
   const bool negative = *p == '-';
-  const bool tiny = false;
+  const bool is_underflow = false;
 #endif
-  if (tiny) {
+  if (is_underflow) {
     value = negative ? -0.0 : 0.0;
     return NumberKind::finite;
   }
@@ -93,10 +94,9 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
   return NumberKind::overflow;
 }
 
-// Appends the digits at p, eight at a time where eight bytes can be read: the
-// first byte that is no digit is found by a bit scan, and the digits before it
-// are summed in pairs, fours and eights by three multiplications
-// (D. Lemire, Number parsing at a gigabyte per second, 2021).
+// Appends the digits at p to the mantissa, eight at a time where eight bytes can be read: a bit
+// scan finds the first byte that is not a digit, and three multiplications sum the digits before it
+// in pairs, fours and eights (D. Lemire, Number parsing at a gigabyte per second, 2021).
 inline void read_digits(const char*& p, const char* end, std::uint64_t& mantissa) {
   static constexpr std::uint64_t kTens[] = {1,      10,      100,      1000,     10000,
                                             100000, 1000000, 10000000, 100000000};
@@ -105,8 +105,8 @@ inline void read_digits(const char*& p, const char* end, std::uint64_t& mantissa
       std::uint64_t word;
       std::memcpy(&word, p, 8);
       word ^= 0x3030303030303030u;
-      const std::uint64_t others = ((word + 0x0606060606060606u) | word) & 0xF0F0F0F0F0F0F0F0u;
-      const int count = others ? std::countr_zero(others) / 8 : 8;
+      const std::uint64_t other_bytes = ((word + 0x0606060606060606u) | word) & 0xF0F0F0F0F0F0F0F0u;
+      const int count = other_bytes ? std::countr_zero(other_bytes) / 8 : 8;
       if (count == 0) return;
       word <<= 64 - 8 * count;
       word = (word * 10) + (word >> 8);
@@ -121,9 +121,9 @@ inline void read_digits(const char*& p, const char* end, std::uint64_t& mantissa
   while (is_digit(*p)) mantissa = mantissa * 10 + static_cast<unsigned>(*p++ - '0');
 }
 
-// Reads the token that starts at p; on return p is one past its last character.
-// A token ends at a blank, a line end or `end`, where the text holds a zero byte
-// (as Python's bytes do), so that runs of digits need no second test.
+// Reads the token that starts at p; on return p is one past its last character. A token ends at a
+// blank, a line end, or `end`, where the text has a zero byte (as Python's bytes do), so that runs
+// of digits need no second test.
 //
 // Clinger's fast path: a mantissa below 2^53 and a power of ten up to 10^22 are
 // both exact doubles, so one multiplication or division rounds correctly
@@ -160,17 +160,17 @@ inline NumberKind read_number(const char*& p, const char* end, double& value) {
     }
     if (negative_exponent) exponent = -exponent;
   }
-  const auto at_end = [&] {
+  const auto is_at_end = [&] {
     return *p == ' ' || *p == '\n' || *p == '\t' || *p == '\r' || p == end;
   };
-  if (!well_formed || !at_end()) {
-    while (!at_end()) ++p;
+  if (!well_formed || !is_at_end()) {
+    while (!is_at_end()) ++p;
     if (!is_not_finite(start, p)) return NumberKind::malformed;
     value = std::numeric_limits<double>::quiet_NaN();
     return NumberKind::not_finite;
   }
 
-  // 19 digits cannot overflow 64 bits, so the comparison below sees them all.
+  // 19 digits cannot overflow 64 bits, so this comparison uses all of them.
   constexpr std::uint64_t kExactMantissa = std::uint64_t{1} << 53;
   const std::int64_t scale = exponent - fraction;
   if (count <= 19 && mantissa <= kExactMantissa && scale >= -22 && scale <= 22) {
@@ -179,7 +179,7 @@ inline NumberKind read_number(const char*& p, const char* end, double& value) {
     value = std::copysign(v, negative ? -1.0 : 1.0);
     return NumberKind::finite;
   }
-  return slow_number(start, p, value);
+  return read_general_number(start, p, value);
 }
 
 }  // namespace animtool

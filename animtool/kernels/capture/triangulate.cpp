@@ -1,5 +1,5 @@
-// Triangulation of points from several cameras: start from rays, least squares of the
-// reprojection, and cameras excluded by their residuals.
+// Triangulation of points from several cameras: a start from rays, least squares of the
+// reprojection, and exclusion of cameras by their residuals.
 //
 // Hartley and Sturm, Triangulation, 1997; Fischler and Bolles, Random sample consensus, 1981;
 // Rousseeuw, Least median of squares regression, 1984. Lens: the rational model of OpenCV.
@@ -20,22 +20,23 @@ namespace animtool {
 namespace {
 
 constexpr double NAN_VALUE = std::numeric_limits<double>::quiet_NaN();
-// Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation, width
-// and height of the image, 0 if unknown.
+// Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation, width and
+// height of the image; 0 if unknown.
 constexpr std::size_t CAMERA_NUMBERS = 27;
-// Tallies of a camera in a frame, and values of a point.
+// Tallies of a camera in a frame, and numbers of a point.
 constexpr std::size_t TALLIES = 8, POINT_NUMBERS = 5;
-// Most cameras of a point compared in pairs; 24 are 276 pairs.
-constexpr std::size_t MAX_PAIRED = 24;
+// Largest number of cameras of a point that are compared in pairs; 24 cameras have 276 pairs.
+constexpr std::size_t MAX_PAIRED_CAMERAS = 24;
 constexpr int MAX_STEPS = 12, MAX_INLIER_PASSES = 8, UNDISTORT_STEPS = 20;
-// A step whose squared length is this much of the variance ends the search: the next one
-// would be about a thousand times as short.
+// The search stops after a step with this squared length, relative to the variance: the next step
+// would be about a thousand times shorter.
 constexpr double SMALL_STEP = 1e-6;
-// Fraction of the squared gate below which residuals pass at any leverage of five cameras.
+// Fraction of the squared gate below which residuals pass at any leverage of up to five cameras.
 constexpr double SAFE_RESIDUAL = 0.7;
-// Smallest pivot of a matrix against its own diagonal: rays of an angle of 1e-5.
-constexpr double SINGULAR = 1e-10;
-enum State : std::uint8_t {
+// Smallest pivot of a matrix relative to its diagonal, for rays at an angle of 1e-5.
+constexpr double MIN_PIVOT = 1e-10;
+// States of an observation.
+enum ViewState : std::uint8_t {
   UNSEEN = 0,
   USED = 1,
   REJECTED = 2,
@@ -56,39 +57,43 @@ struct NormalEquations {
   }
 };
 
-// The factor of a symmetric matrix, with the inverses of its diagonal.
+// The Cholesky factor of a symmetric matrix, with the reciprocals of its diagonal.
 struct Factor {
   double l[9];
 
-  bool of(const NormalEquations& n) {
+  // Factors a matrix; returns false if it is singular.
+  bool factorize(const NormalEquations& n) {
     using namespace cholesky;
-    const double least[3] = {0, SINGULAR * n.yy, SINGULAR * n.zz};
+    const double min_pivots[3] = {0, MIN_PIVOT * n.yy, MIN_PIVOT * n.zz};
     double column[3];
     l[0] = n.xx, l[3] = n.xy, l[4] = n.yy, l[6] = n.xz, l[7] = n.yz, l[8] = n.zz;
-    return factor<Inverses, Small::FAIL>(l, 3, 3, column, [&](std::size_t i) { return least[i]; });
+    return factor<Inverses, SmallPivot::FAIL>(l, 3, 3, column,
+                                              [&](std::size_t i) { return min_pivots[i]; });
   }
 
-  // The rows of the inverse of the factor, times a vector.
-  Vec half(double x, double y, double z) const {
-    double to[3] = {x, y, z};
-    cholesky::solve_forward<cholesky::Inverses>(cholesky::Rows{l, 3}, 3, to);
-    return {to[0], to[1], to[2]};
+  // Multiplies a vector by the inverse of the factor.
+  Vec solve_lower(double x, double y, double z) const {
+    double solution[3] = {x, y, z};
+    cholesky::solve_forward<cholesky::Inverses>(cholesky::Rows{l, 3}, 3, solution);
+    return {solution[0], solution[1], solution[2]};
   }
 
+  // Multiplies a vector by the inverse of the matrix.
   Vec solve(double x, double y, double z) const {
-    const Vec h = half(x, y, z);
+    const Vec h = solve_lower(x, y, z);
     const double r = h.z * l[8], q = (h.y - l[7] * r) * l[4];
     return {(h.x - l[3] * q - l[6] * r) * l[0], q, r};
   }
 
   // The trace of the inverse of the matrix.
   double trace() const {
-    const Vec p = half(1, 0, 0), q = half(0, 1, 0), r = half(0, 0, 1);
+    const Vec p = solve_lower(1, 0, 0), q = solve_lower(0, 1, 0), r = solve_lower(0, 0, 1);
     return p.x * p.x + p.y * p.y + p.z * p.z + q.y * q.y + q.z * q.z + r.z * r.z;
   }
 };
 
-struct Distorted {
+// A distorted position (x, y), and its derivatives by the undistorted one.
+struct Distortion {
   double x, y, xx, xy, yx, yy;  // a distorted place, and its slopes by the place
 };
 
@@ -98,52 +103,58 @@ struct Camera {
   std::array<double, 9> r;
   std::array<double, 3> t;
   double width, height;
-  double information;  // 1 / noise^2
-  bool plain;          // without distortion
+  double information;   // 1 / noise^2
+  bool is_undistorted;  // has no lens distortion
 
-  void read(const double* n, double noise) {
-    fx = n[0], fy = n[1], cx = n[2], cy = n[3], skew = n[4];
-    std::copy(n + 5, n + 13, k.begin());
-    std::copy(n + 13, n + 22, r.begin());
-    std::copy(n + 22, n + 25, t.begin());
-    width = n[25], height = n[26];
+  // Reads the numbers of a camera.
+  void read(const double* numbers, double noise) {
+    fx = numbers[0], fy = numbers[1], cx = numbers[2], cy = numbers[3], skew = numbers[4];
+    std::copy(numbers + 5, numbers + 13, k.begin());
+    std::copy(numbers + 13, numbers + 22, r.begin());
+    std::copy(numbers + 22, numbers + 25, t.begin());
+    width = numbers[25], height = numbers[26];
     information = 1 / (noise * noise);
-    plain = std::all_of(k.begin(), k.end(), [](double v) { return v == 0; });
+    is_undistorted = std::all_of(k.begin(), k.end(), [](double v) { return v == 0; });
   }
 
-  Distorted distort(double x, double y) const {
+  // Applies the lens distortion to a normalised position.
+  Distortion distort(double x, double y) const {
     const auto [k1, k2, p1, p2, k3, k4, k5, k6] = k;
     const double s = x * x + y * y;
     const double numerator = 1 + s * (k1 + s * (k2 + s * k3)),
                  denominator = 1 + s * (k4 + s * (k5 + s * k6));
-    const double numerator_s = k1 + s * (2 * k2 + 3 * s * k3),
-                 denominator_s = k4 + s * (2 * k5 + 3 * s * k6);
-    const double g = numerator / denominator,
-                 g_s = 2 * (numerator_s - g * denominator_s) / denominator;
-    return {x * g + 2 * p1 * x * y + p2 * (s + 2 * x * x),
-            y * g + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
-            g + x * x * g_s + 2 * p1 * y + 6 * p2 * x,
-            x * y * g_s + 2 * p1 * x + 2 * p2 * y,
-            x * y * g_s + 2 * p1 * x + 2 * p2 * y,
-            g + y * y * g_s + 6 * p1 * y + 2 * p2 * x};
+    const double numerator_slope = k1 + s * (2 * k2 + 3 * s * k3),
+                 denominator_slope = k4 + s * (2 * k5 + 3 * s * k6);
+    const double radial = numerator / denominator,
+                 radial_slope = 2 * (numerator_slope - radial * denominator_slope) / denominator;
+    return {x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
+            y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
+            radial + x * x * radial_slope + 2 * p1 * y + 6 * p2 * x,
+            x * y * radial_slope + 2 * p1 * x + 2 * p2 * y,
+            x * y * radial_slope + 2 * p1 * x + 2 * p2 * y,
+            radial + y * y * radial_slope + 6 * p1 * y + 2 * p2 * x};
   }
 
-  // The centre of the first pixel is 0, so that half a pixel around belongs to the image.
-  bool outside(double u, double v) const {
+  // Whether a pixel is outside of the image. The centre of the first pixel is 0, so that half a
+  // pixel around it belongs to the image.
+  bool is_outside(double u, double v) const {
     return width > 0 && (u < -0.5 || v < -0.5 || u > width + 0.5 || v > height + 0.5);
   }
 
-  // The direction (x, y, 1) of a pixel; false if no direction near it projects there.
-  bool ray(double u, double v, double& x, double& y) const {
+  // Computes the direction (x, y, 1) of a pixel; returns false if no direction near it projects to
+  // the pixel.
+  bool compute_ray(double u, double v, double& x, double& y) const {
     const double b = (v - cy) / fy, a = (u - cx - skew * b) / fx;
     x = a, y = b;
-    if (plain) return true;
+    if (is_undistorted) return true;
     for (int step = 0; step < UNDISTORT_STEPS; ++step) {
-      const Distorted l = distort(x, y);
-      const double ra = l.x - a, rb = l.y - b, det = l.xx * l.yy - l.xy * l.yx;
+      const Distortion distortion = distort(x, y);
+      const double residual_x = distortion.x - a, residual_y = distortion.y - b,
+                   determinant = distortion.xx * distortion.yy - distortion.xy * distortion.yx;
       // The image folds where the determinant is not positive.
-      if (!(det > 0 && l.xx + l.yy > 0)) return false;
-      const double dx = (l.yy * ra - l.xy * rb) / det, dy = (l.xx * rb - l.yx * ra) / det;
+      if (!(determinant > 0 && distortion.xx + distortion.yy > 0)) return false;
+      const double dx = (distortion.yy * residual_x - distortion.xy * residual_y) / determinant,
+                   dy = (distortion.xx * residual_y - distortion.yx * residual_x) / determinant;
       x -= dx, y -= dy;
       if (dx * dx + dy * dy < 1e-24) return std::isfinite(x) && std::isfinite(y);
     }
@@ -154,79 +165,89 @@ struct Camera {
 // A camera's observation of a point.
 struct CameraView {
   const Camera* camera;
-  std::size_t number;
+  std::size_t camera_index;
   double u, v, x, y;  // pixel; direction
   double weight;      // information of each axis [1/px^2]
-  bool used;
+  bool is_used;
   double ru, rv;                  // residual [px]
-  double au, bu, cu, av, bv, cv;  // its slopes by the point
+  double au, bu, cu, av, bv, cv;  // derivatives of the residual by the point
   double depth;
 
-  double squared() const { return weight * (ru * ru + rv * rv); }
+  // Squared residual over its variance.
+  double squared_residual() const { return weight * (ru * ru + rv * rv); }
 
+  // Computes the residual of a point, and its derivatives; returns whether the point is in front of
+  // the camera.
   bool project(const Vec& p) {
     const auto& r = camera->r;
     const auto& t = camera->t;
     const double z = r[6] * p.x + r[7] * p.y + r[8] * p.z + t[2];
-    const double i = 1 / z;
-    const double a = (r[0] * p.x + r[1] * p.y + r[2] * p.z + t[0]) * i;
-    const double b = (r[3] * p.x + r[4] * p.y + r[5] * p.z + t[1]) * i;
-    const double ax = (r[0] - a * r[6]) * i, ay = (r[1] - a * r[7]) * i, az = (r[2] - a * r[8]) * i;
-    const double bx = (r[3] - b * r[6]) * i, by = (r[4] - b * r[7]) * i, bz = (r[5] - b * r[8]) * i;
+    const double inverse_depth = 1 / z;
+    const double a = (r[0] * p.x + r[1] * p.y + r[2] * p.z + t[0]) * inverse_depth;
+    const double b = (r[3] * p.x + r[4] * p.y + r[5] * p.z + t[1]) * inverse_depth;
+    const double ax = (r[0] - a * r[6]) * inverse_depth, ay = (r[1] - a * r[7]) * inverse_depth,
+                 az = (r[2] - a * r[8]) * inverse_depth;
+    const double bx = (r[3] - b * r[6]) * inverse_depth, by = (r[4] - b * r[7]) * inverse_depth,
+                 bz = (r[5] - b * r[8]) * inverse_depth;
     const double fx = camera->fx, fy = camera->fy, skew = camera->skew;
     depth = z;
-    if (camera->plain) {
+    if (camera->is_undistorted) {
       ru = fx * a + skew * b + camera->cx - u, rv = fy * b + camera->cy - v;
       au = fx * ax + skew * bx, bu = fx * ay + skew * by, cu = fx * az + skew * bz;
       av = fy * bx, bv = fy * by, cv = fy * bz;
     } else {
-      const Distorted l = camera->distort(a, b);
-      const double p0 = fx * l.xx + skew * l.yx, p1 = fx * l.xy + skew * l.yy, q0 = fy * l.yx,
-                   q1 = fy * l.yy;
-      ru = fx * l.x + skew * l.y + camera->cx - u, rv = fy * l.y + camera->cy - v;
+      const Distortion distortion = camera->distort(a, b);
+      const double p0 = fx * distortion.xx + skew * distortion.yx,
+                   p1 = fx * distortion.xy + skew * distortion.yy, q0 = fy * distortion.yx,
+                   q1 = fy * distortion.yy;
+      ru = fx * distortion.x + skew * distortion.y + camera->cx - u,
+      rv = fy * distortion.y + camera->cy - v;
       au = p0 * ax + p1 * bx, bu = p0 * ay + p1 * by, cu = p0 * az + p1 * bz;
       av = q0 * ax + q1 * bx, bv = q0 * ay + q1 * by, cv = q0 * az + q1 * bz;
     }
     return z > 0;
   }
 
-  void add_ray(NormalEquations& n, double w) const {
+  // Adds the equations of the ray to a linear system.
+  void add_ray(NormalEquations& equations, double weight) const {
     const auto& r = camera->r;
     const auto& t = camera->t;
-    n.add(r[0] - x * r[6], r[1] - x * r[7], r[2] - x * r[8], x * t[2] - t[0], w);
-    n.add(r[3] - y * r[6], r[4] - y * r[7], r[5] - y * r[8], y * t[2] - t[1], w);
+    equations.add(r[0] - x * r[6], r[1] - x * r[7], r[2] - x * r[8], x * t[2] - t[0], weight);
+    equations.add(r[3] - y * r[6], r[4] - y * r[7], r[5] - y * r[8], y * t[2] - t[1], weight);
   }
 };
 
+// A solved point, with the factor of its normal equations.
 struct Solution {
   Vec point{NAN_VALUE, NAN_VALUE, NAN_VALUE};
   Factor factor{};
-  double trace = 0;  // of the matrix
-  bool converged = false;
+  double trace = 0;  // trace of the matrix
+  bool has_converged = false;
 };
 
 bool finite(const Vec& p) { return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z); }
 
-// A point and the cameras that observe it.
-class Point {
+// Solves a point from the cameras that observe it.
+class PointSolver {
  public:
   std::array<CameraView, 256> views;
   std::size_t count = 0;
-  double gate = 0;  // squared, of weighted residuals
+  double squared_gate = 0;  // of weighted residuals
 
-  std::size_t used() const {
+  std::size_t count_used() const {
     std::size_t n = 0;
-    for (std::size_t i = 0; i < count; ++i) n += views[i].used;
+    for (std::size_t i = 0; i < count; ++i) n += views[i].is_used;
     return n;
   }
 
+  // Solves the linear equations of the rays that are used.
   bool solve_linear(Vec& p) const {
-    NormalEquations n;
+    NormalEquations equations;
     for (std::size_t i = 0; i < count; ++i)
-      if (views[i].used) views[i].add_ray(n, 1);
-    Factor f;
-    if (!f.of(n)) return false;
-    p = f.solve(n.x, n.y, n.z);
+      if (views[i].is_used) views[i].add_ray(equations, 1);
+    Factor factor;
+    if (!factor.factorize(equations)) return false;
+    p = factor.solve(equations.x, equations.y, equations.z);
     return finite(p);
   }
 
@@ -234,49 +255,52 @@ class Point {
   Solution refine(Vec p) {
     Solution solution;
     for (int step = 0; step < MAX_STEPS; ++step) {
-      NormalEquations n;
+      NormalEquations equations;
       for (std::size_t i = 0; i < count; ++i) {
-        CameraView& s = views[i];
-        if (!s.used) continue;
-        if (!s.project(p)) return solution;
-        n.add(s.au, s.bu, s.cu, s.ru, s.weight);
-        n.add(s.av, s.bv, s.cv, s.rv, s.weight);
+        CameraView& view = views[i];
+        if (!view.is_used) continue;
+        if (!view.project(p)) return solution;
+        equations.add(view.au, view.bu, view.cu, view.ru, view.weight);
+        equations.add(view.av, view.bv, view.cv, view.rv, view.weight);
       }
-      if (!solution.factor.of(n)) return solution;
-      const Vec d = solution.factor.solve(n.x, n.y, n.z);
-      p.x -= d.x, p.y -= d.y, p.z -= d.z;
-      if (!(n.x * d.x + n.y * d.y + n.z * d.z > SMALL_STEP)) {
+      if (!solution.factor.factorize(equations)) return solution;
+      const Vec correction = solution.factor.solve(equations.x, equations.y, equations.z);
+      p.x -= correction.x, p.y -= correction.y, p.z -= correction.z;
+      if (!(equations.x * correction.x + equations.y * correction.y + equations.z * correction.z >
+            SMALL_STEP)) {
         for (std::size_t i = 0; i < count; ++i) {
-          CameraView& s = views[i];
-          s.ru -= s.au * d.x + s.bu * d.y + s.cu * d.z;
-          s.rv -= s.av * d.x + s.bv * d.y + s.cv * d.z;
+          CameraView& view = views[i];
+          view.ru -= view.au * correction.x + view.bu * correction.y + view.cu * correction.z;
+          view.rv -= view.av * correction.x + view.bv * correction.y + view.cv * correction.z;
         }
-        solution.trace = n.xx + n.yy + n.zz;
-        solution.point = p, solution.converged = finite(p);
+        solution.trace = equations.xx + equations.yy + equations.zz;
+        solution.point = p, solution.has_converged = finite(p);
         return solution;
       }
     }
     return solution;
   }
 
+  // Solves with the cameras that are used.
   Solution solve() {
     Vec p{};
     return solve_linear(p) ? refine(p) : Solution{};
   }
 
-  // A residual over its tolerance, without its own leverage on the point.
-  double studentised(const CameraView& s, const Solution& solution) const {
-    if (!s.used) return s.squared();
-    const double w = s.weight;
-    const Vec u = solution.factor.half(s.au, s.bu, s.cu),
-              v = solution.factor.half(s.av, s.bv, s.cv);
-    const double a = 1 - w * (u.x * u.x + u.y * u.y + u.z * u.z),
-                 b = -w * (u.x * v.x + u.y * v.y + u.z * v.z),
-                 c = 1 - w * (v.x * v.x + v.y * v.y + v.z * v.z);
-    const double det = a * c - b * b;
+  // A squared residual over its variance, corrected for its leverage on the point.
+  double studentised_residual(const CameraView& view, const Solution& solution) const {
+    if (!view.is_used) return view.squared_residual();
+    const double weight = view.weight;
+    const Vec u = solution.factor.solve_lower(view.au, view.bu, view.cu),
+              v = solution.factor.solve_lower(view.av, view.bv, view.cv);
+    const double a = 1 - weight * (u.x * u.x + u.y * u.y + u.z * u.z),
+                 b = -weight * (u.x * v.x + u.y * v.y + u.z * v.z),
+                 c = 1 - weight * (v.x * v.x + v.y * v.y + v.z * v.z);
+    const double determinant = a * c - b * b;
     // Full leverage leaves no residual.
-    if (!(det > 1e-9)) return s.squared();
-    return w * (c * s.ru * s.ru - 2 * b * s.ru * s.rv + a * s.rv * s.rv) / det;
+    if (!(determinant > 1e-9)) return view.squared_residual();
+    return weight * (c * view.ru * view.ru - 2 * b * view.ru * view.rv + a * view.rv * view.rv) /
+           determinant;
   }
 
   void project_all(const Vec& p) {
@@ -284,131 +308,137 @@ class Point {
       if (!views[i].project(p)) views[i].ru = views[i].rv = std::numeric_limits<double>::max();
   }
 
+  // Whether all residuals are well below the gate.
   bool is_consistent() const {
     for (std::size_t i = 0; i < count; ++i)
-      if (!(views[i].squared() <= SAFE_RESIDUAL * gate)) return false;
+      if (!(views[i].squared_residual() <= SAFE_RESIDUAL * squared_gate)) return false;
     return true;
   }
 
-  double worst(const Solution& solution, std::size_t& which) const {
+  double max_residual(const Solution& solution, std::size_t& index) const {
     double largest = -1;
     for (std::size_t i = 0; i < count; ++i) {
-      if (!views[i].used) continue;
-      const double at = studentised(views[i], solution);
-      if (!(at <= largest)) largest = at, which = i;
+      if (!views[i].is_used) continue;
+      const double residual = studentised_residual(views[i], solution);
+      if (!(residual <= largest)) largest = residual, index = i;
     }
     return largest;
   }
 
-  // Exclude the worst camera until the rest agree; then include those that agree again.
+  // Excludes the camera with the largest residual until the others agree; then includes those that
+  // agree again.
   Solution exclude_outliers(Solution solution) {
-    std::size_t used_count = count, which = 0;
-    while (solution.converged && worst(solution, which) > gate && used_count > 2) {
-      views[which].used = false, --used_count;
+    std::size_t used_count = count, worst_index = 0;
+    while (solution.has_converged && max_residual(solution, worst_index) > squared_gate &&
+           used_count > 2) {
+      views[worst_index].is_used = false, --used_count;
       solution = solve();
     }
-    return solution.converged ? refine_inliers(solution) : solution;
+    return solution.has_converged ? refine_inliers(solution) : solution;
   }
 
-  // Cameras with a passing residual, iterated to a fixed set.
+  // Repeats the solution with the cameras that pass the gate, until they do not change.
   Solution refine_inliers(Solution solution) {
-    for (int round = 0; round < MAX_INLIER_PASSES && solution.converged; ++round) {
+    for (int pass = 0; pass < MAX_INLIER_PASSES && solution.has_converged; ++pass) {
       for (std::size_t i = 0; i < count; ++i)
-        if (!views[i].used && !views[i].project(solution.point))
+        if (!views[i].is_used && !views[i].project(solution.point))
           views[i].ru = views[i].rv = std::numeric_limits<double>::max();
-      bool changed = false;
+      bool has_changed = false;
       std::size_t used_count = 0;
-      std::array<bool, 256> next{};
+      std::array<bool, 256> passes{};
       for (std::size_t i = 0; i < count; ++i) {
-        next[i] = studentised(views[i], solution) <= gate;
-        changed = changed || next[i] != views[i].used;
-        used_count += next[i];
+        passes[i] = studentised_residual(views[i], solution) <= squared_gate;
+        has_changed = has_changed || passes[i] != views[i].is_used;
+        used_count += passes[i];
       }
-      if (!changed || used_count < 2) return used_count < 2 ? Solution{} : solution;
-      for (std::size_t i = 0; i < count; ++i) views[i].used = next[i];
+      if (!has_changed || used_count < 2) return used_count < 2 ? Solution{} : solution;
+      for (std::size_t i = 0; i < count; ++i) views[i].is_used = passes[i];
       solution = refine(solution.point);
     }
     return solution;
   }
 
-  // The cost of a point: residuals truncated at the gate.
-  double cost(const Vec& p, std::size_t& agree) {
+  // Cost of a point: residuals truncated at the gate; counts the cameras that agree.
+  double cost(const Vec& p, std::size_t& agree_count) {
     double sum = 0;
-    agree = 0;
+    agree_count = 0;
     for (std::size_t i = 0; i < count; ++i) {
-      const double at = views[i].project(p) ? views[i].squared() : gate;
-      if (at < gate)
-        sum += at, ++agree;
+      const double residual = views[i].project(p) ? views[i].squared_residual() : squared_gate;
+      if (residual < squared_gate)
+        sum += residual, ++agree_count;
       else
-        sum += gate;
+        sum += squared_gate;
     }
     return sum;
   }
 
-  bool pair(std::size_t i, std::size_t j, Vec& p) const {
-    NormalEquations n;
-    views[i].add_ray(n, 1), views[j].add_ray(n, 1);
-    Factor f;
-    if (!f.of(n)) return false;
-    p = f.solve(n.x, n.y, n.z);
+  // Computes the point from the rays of two cameras.
+  bool intersect_pair(std::size_t i, std::size_t j, Vec& p) const {
+    NormalEquations equations;
+    views[i].add_ray(equations, 1), views[j].add_ray(equations, 1);
+    Factor factor;
+    if (!factor.factorize(equations)) return false;
+    p = factor.solve(equations.x, equations.y, equations.z);
     return finite(p);
   }
 
-  // The point that most cameras agree on, among those of all pairs. None if two distinct
-  // ones have as many, and no more than two.
+  // The point on which most cameras agree, of those from all pairs. Fails if several points have
+  // two cameras, and none has more.
   Solution consensus() {
-    const std::size_t compared = std::min(count, MAX_PAIRED);
-    double best = std::numeric_limits<double>::max();
-    std::size_t agreed = 0, ties = 0;
-    Vec at{};
-    for (std::size_t i = 0; i + 1 < compared; ++i)
-      for (std::size_t j = i + 1; j < compared; ++j) {
+    const std::size_t compared_count = std::min(count, MAX_PAIRED_CAMERAS);
+    double min_cost = std::numeric_limits<double>::max();
+    std::size_t best_count = 0, tie_count = 0;
+    Vec best_point{};
+    for (std::size_t i = 0; i + 1 < compared_count; ++i)
+      for (std::size_t j = i + 1; j < compared_count; ++j) {
         Vec p{};
-        std::size_t agree = 0;
-        if (!pair(i, j, p)) continue;
-        const double sum = cost(p, agree);
-        if (agree == 2 && count > 2) ++ties;
-        if (sum < best) best = sum, agreed = agree, at = p;
+        std::size_t agree_count = 0;
+        if (!intersect_pair(i, j, p)) continue;
+        const double point_cost = cost(p, agree_count);
+        if (agree_count == 2 && count > 2) ++tie_count;
+        if (point_cost < min_cost) min_cost = point_cost, best_count = agree_count, best_point = p;
       }
-    if (agreed < 2 || (agreed == 2 && ties > 1)) return Solution{};
-    project_all(at);
-    for (std::size_t i = 0; i < count; ++i) views[i].used = views[i].squared() <= gate;
-    const Solution solution = refine(at);
-    return solution.converged ? refine_inliers(solution) : solution;
+    if (best_count < 2 || (best_count == 2 && tie_count > 1)) return Solution{};
+    project_all(best_point);
+    for (std::size_t i = 0; i < count; ++i)
+      views[i].is_used = views[i].squared_residual() <= squared_gate;
+    const Solution solution = refine(best_point);
+    return solution.has_converged ? refine_inliers(solution) : solution;
   }
 
   Solution solve_robust() {
-    Solution all = solve();
-    if (all.converged && is_consistent()) return all;
-    std::size_t which = 0;
-    if (all.converged && worst(all, which) <= gate) return all;
+    Solution solution_of_all = solve();
+    if (solution_of_all.has_converged && is_consistent()) return solution_of_all;
+    std::size_t worst_index = 0;
+    if (solution_of_all.has_converged && max_residual(solution_of_all, worst_index) <= squared_gate)
+      return solution_of_all;
     if (count < 3) return Solution{};
     if (count > 4) {
-      const Solution solution = exclude_outliers(all);
-      // One camera against four or more that agree: no pair would differ.
-      if (solution.converged && used() + 1 >= count && used() >= 4) return solution;
+      const Solution solution = exclude_outliers(solution_of_all);
+      // One camera against four or more that agree: a search over pairs would give the same.
+      if (solution.has_converged && count_used() + 1 >= count && count_used() >= 4) return solution;
     }
-    for (std::size_t i = 0; i < count; ++i) views[i].used = true;
+    for (std::size_t i = 0; i < count; ++i) views[i].is_used = true;
     return consensus();
   }
 
-  // The least median of squared residuals [px^2] over the points of every pair.
+  // The smallest median of squared residuals [px^2], over the points of all pairs.
   double least_median() {
-    const std::size_t compared = std::min(count, MAX_PAIRED);
-    double best = NAN_VALUE;
-    std::vector<double> at(count);
-    for (std::size_t i = 0; i + 1 < compared; ++i)
-      for (std::size_t j = i + 1; j < compared; ++j) {
+    const std::size_t compared_count = std::min(count, MAX_PAIRED_CAMERAS);
+    double min_median = NAN_VALUE;
+    std::vector<double> residuals(count);
+    for (std::size_t i = 0; i + 1 < compared_count; ++i)
+      for (std::size_t j = i + 1; j < compared_count; ++j) {
         Vec p{};
-        if (!pair(i, j, p)) continue;
+        if (!intersect_pair(i, j, p)) continue;
         for (std::size_t k = 0; k < count; ++k)
-          at[k] = views[k].project(p) ? views[k].ru * views[k].ru + views[k].rv * views[k].rv
-                                      : std::numeric_limits<double>::max();
-        const auto middle = at.begin() + static_cast<std::ptrdiff_t>(count / 2);
-        std::nth_element(at.begin(), middle, at.end());
-        if (!(*middle >= best)) best = *middle;
+          residuals[k] = views[k].project(p) ? views[k].ru * views[k].ru + views[k].rv * views[k].rv
+                                             : std::numeric_limits<double>::max();
+        const auto median = residuals.begin() + static_cast<std::ptrdiff_t>(count / 2);
+        std::nth_element(residuals.begin(), median, residuals.end());
+        if (!(*median >= min_median)) min_median = *median;
       }
-    return best;
+    return min_median;
   }
 };
 
@@ -431,9 +461,9 @@ void check_views(const In<double, 4>& pixels, const In<double, 2>& cameras) {
 
 }  // namespace
 
-Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
-                                In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
-                                double gate, double condition, bool detailed) {
+Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
+                                 In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
+                                 double gate, double condition, bool detailed) {
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   if (confidences) check::shape("confidences", *confidences, {F, C, M});
@@ -442,34 +472,35 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
   for (std::size_t c = 0; c < C; ++c) check::positive("noise", noise.data()[c]);
   check::positive("gate", gate);
   check::positive("condition", condition);
-  const double* trust = confidences ? confidences->data() : nullptr;
+  const double* confidence_data = confidences ? confidences->data() : nullptr;
 
-  const std::size_t kept = detailed ? F : 0;
+  const std::size_t detail_frames = detailed ? F : 0;
   Out<double, 3> points(F, M, 3), numbers(F, M, POINT_NUMBERS), tallies(F, C, TALLIES);
-  Out<float, 4> residuals(kept, C, M, 2);
-  Out<std::uint8_t, 3> states(kept, C, M);
+  Out<float, 4> residuals(detail_frames, C, M, 2);
+  Out<std::uint8_t, 3> states(detail_frames, C, M);
   const std::vector<Camera> views = read_cameras(cameras, noise.data());
-  std::fill_n(residuals.get(), kept * C * M * 2, std::numeric_limits<float>::quiet_NaN());
+  std::fill_n(residuals.get(), detail_frames * C * M * 2, std::numeric_limits<float>::quiet_NaN());
   std::fill_n(tallies.get(), F * C * TALLIES, 0.0);
-  Point point;
-  point.gate = gate * gate;
+  PointSolver point;
+  point.squared_gate = gate * gate;
   std::array<std::uint8_t, 256> state;
   for (std::size_t f = 0; f < F; ++f)
     for (std::size_t m = 0; m < M; ++m) {
-      double* const sums = tallies.get() + f * C * TALLIES;
+      double* const frame_tallies = tallies.get() + f * C * TALLIES;
       const auto pixel = [&](std::size_t c) { return pixels.data() + 2 * ((f * C + c) * M + m); };
       point.count = 0;
       std::size_t visible = 0;
       for (std::size_t c = 0; c < C; ++c) {
         const double u = pixel(c)[0], v = pixel(c)[1];
-        const double confidence = trust ? trust[(f * C + c) * M + m] : 1;
+        const double confidence = confidence_data ? confidence_data[(f * C + c) * M + m] : 1;
         state[c] = UNSEEN;
         if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 && std::isfinite(confidence)))
           continue;
-        CameraView& s = point.views[point.count];
-        sums[c * TALLIES] += 1, sums[c * TALLIES + 7] += views[c].outside(u, v);
-        if (!views[c].ray(u, v, s.x, s.y)) {
-          state[c] = NO_RAY, sums[c * TALLIES + 4] += 1;
+        CameraView& view = point.views[point.count];
+        frame_tallies[c * TALLIES] += 1,
+            frame_tallies[c * TALLIES + 7] += views[c].is_outside(u, v);
+        if (!views[c].compute_ray(u, v, view.x, view.y)) {
+          state[c] = NO_RAY, frame_tallies[c * TALLIES + 4] += 1;
           continue;
         }
         ++visible;
@@ -478,54 +509,60 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
           continue;
         }
         state[c] = UNRESOLVED;
-        s.camera = &views[c], s.number = c, s.u = u, s.v = v, s.used = true;
-        s.weight = views[c].information * confidence;
+        view.camera = &views[c], view.camera_index = c, view.u = u, view.v = v, view.is_used = true;
+        view.weight = views[c].information * confidence;
         ++point.count;
       }
       Solution solution = point.count < 2 ? Solution{} : point.solve_robust();
-      const std::size_t used = solution.converged ? point.used() : 0;
-      const double trace = solution.converged ? solution.factor.trace() : 0;
-      // Nearly parallel rays have no depth.
-      if (used < 2 || !(trace * solution.trace <= condition)) solution = Solution{};
+      const std::size_t used_count = solution.has_converged ? point.count_used() : 0;
+      const double trace = solution.has_converged ? solution.factor.trace() : 0;
+      // Nearly parallel rays do not determine the depth.
+      if (used_count < 2 || !(trace * solution.trace <= condition)) solution = Solution{};
 
-      double* to = points.get() + (f * M + m) * 3;
-      double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
-      to[0] = solution.point.x, to[1] = solution.point.y, to[2] = solution.point.z;
-      more[0] = more[1] = more[2] = NAN_VALUE;
-      more[3] = solution.converged ? static_cast<double>(used) : 0,
-      more[4] = static_cast<double>(visible);
-      if (solution.converged) {
-        double pixel_squares = 0, squares = 0;
-        const auto judge = [&](CameraView& s, bool known, std::uint8_t as) {
-          double* const sum = sums + s.number * TALLIES;
-          state[s.number] = as, sum[2] += 1;
-          if (detailed && known) {
-            float* at = residuals.get() + 2 * ((f * C + s.number) * M + m);
-            at[0] = static_cast<float>(s.ru), at[1] = static_cast<float>(s.rv);
+      double* position = points.get() + (f * M + m) * 3;
+      double* point_numbers = numbers.get() + (f * M + m) * POINT_NUMBERS;
+      position[0] = solution.point.x, position[1] = solution.point.y,
+      position[2] = solution.point.z;
+      point_numbers[0] = point_numbers[1] = point_numbers[2] = NAN_VALUE;
+      point_numbers[3] = solution.has_converged ? static_cast<double>(used_count) : 0,
+      point_numbers[4] = static_cast<double>(visible);
+      if (solution.has_converged) {
+        double pixel_squares = 0, metric_squares = 0;
+        const auto tally_view = [&](CameraView& view, bool has_residual, std::uint8_t view_state) {
+          double* const tally = frame_tallies + view.camera_index * TALLIES;
+          state[view.camera_index] = view_state, tally[2] += 1;
+          if (detailed && has_residual) {
+            float* residual_row = residuals.get() + 2 * ((f * C + view.camera_index) * M + m);
+            residual_row[0] = static_cast<float>(view.ru),
+            residual_row[1] = static_cast<float>(view.rv);
           }
-          if (as != USED) {
-            sum[3] += as == REJECTED || !known || s.squared() > point.gate;
+          if (view_state != USED) {
+            tally[3] += view_state == REJECTED || !has_residual ||
+                        view.squared_residual() > point.squared_gate;
             return;
           }
-          const double scale = 2 * s.depth / (s.camera->fx + s.camera->fy);
-          const double square = s.ru * s.ru + s.rv * s.rv, metric = square * scale * scale;
-          sum[1] += 1, sum[5] += square, sum[6] += metric;
-          pixel_squares += square, squares += metric;
+          const double scale = 2 * view.depth / (view.camera->fx + view.camera->fy);
+          const double square = view.ru * view.ru + view.rv * view.rv,
+                       metric = square * scale * scale;
+          tally[1] += 1, tally[5] += square, tally[6] += metric;
+          pixel_squares += square, metric_squares += metric;
         };
         for (std::size_t i = 0; i < point.count; ++i) {
-          CameraView& s = point.views[i];
-          const bool known = s.used || s.project(solution.point);
-          judge(s, known, s.used ? USED : REJECTED);
+          CameraView& view = point.views[i];
+          const bool has_residual = view.is_used || view.project(solution.point);
+          tally_view(view, has_residual, view.is_used ? USED : REJECTED);
         }
         for (std::size_t c = 0; visible > point.count && c < C; ++c) {
           if (state[c] != INACTIVE) continue;
-          CameraView s{};
-          s.camera = &views[c], s.number = c, s.u = pixel(c)[0], s.v = pixel(c)[1];
-          s.weight = views[c].information;
-          judge(s, s.project(solution.point), INACTIVE);
+          CameraView view{};
+          view.camera = &views[c], view.camera_index = c, view.u = pixel(c)[0],
+          view.v = pixel(c)[1];
+          view.weight = views[c].information;
+          tally_view(view, view.project(solution.point), INACTIVE);
         }
-        more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
-        more[2] = std::sqrt(trace);
+        point_numbers[0] = std::sqrt(pixel_squares / point_numbers[3]),
+        point_numbers[1] = std::sqrt(metric_squares / point_numbers[3]);
+        point_numbers[2] = std::sqrt(trace);
       }
       for (std::size_t c = 0; detailed && c < C; ++c) states.get()[(f * C + c) * M + m] = state[c];
     }
@@ -538,16 +575,17 @@ Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> camera
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   Out<double, 2> medians(F, M);
   const std::vector<Camera> views = read_cameras(cameras, nullptr);
-  Point point;
+  PointSolver point;
   for (std::size_t f = 0; f < F; ++f)
     for (std::size_t m = 0; m < M; ++m) {
       point.count = 0;
       for (std::size_t c = 0; c < C; ++c) {
-        const double* at = pixels.data() + 2 * ((f * C + c) * M + m);
-        CameraView& s = point.views[point.count];
-        if (!(std::isfinite(at[0]) && std::isfinite(at[1]))) continue;
-        if (!views[c].ray(at[0], at[1], s.x, s.y)) continue;
-        s.camera = &views[c], s.u = at[0], s.v = at[1], s.weight = 1, s.used = true;
+        const double* pixel = pixels.data() + 2 * ((f * C + c) * M + m);
+        CameraView& view = point.views[point.count];
+        if (!(std::isfinite(pixel[0]) && std::isfinite(pixel[1]))) continue;
+        if (!views[c].compute_ray(pixel[0], pixel[1], view.x, view.y)) continue;
+        view.camera = &views[c], view.u = pixel[0], view.v = pixel[1], view.weight = 1,
+        view.is_used = true;
         ++point.count;
       }
       medians.get()[f * M + m] = point.count < 2 ? NAN_VALUE : std::sqrt(point.least_median());

@@ -16,12 +16,13 @@ using collide::load;
 using collide::store;
 using collide::Vec;
 
-constexpr std::size_t SIZES = 7, MATERIALS = 4, POSE = 7;
-// From which sides a collider is hit; only meshes can be hit from both.
-constexpr std::int64_t OUTSIDE = 0, INSIDE_ALONE = 1, BOTH_SIDES = 2;
+// Numbers per collider in `sizes`, in `materials` and in each of the poses.
+constexpr std::size_t SIZE_COUNT = 7, MATERIAL_COUNT = 4, POSE_COUNT = 7;
+// The sides from which a collider is hit; only meshes can be hit from both.
+constexpr std::int64_t OUTSIDE = 0, INSIDE_ONLY = 1, BOTH_SIDES = 2;
 
 // Checks trees: each node is the child of one earlier node, so that every descent ends, and the
-// depth fits the stack of a visit.
+// depth fits the stack of the traversal.
 void check_nodes(const In<std::int32_t, 2>& nodes, std::size_t triangles) {
   const std::int32_t* row = nodes.data();
   const auto count = static_cast<std::int64_t>(nodes.shape(0));
@@ -45,14 +46,15 @@ void check_nodes(const In<std::int32_t, 2>& nodes, std::size_t triangles) {
   }
 }
 
-void check_arrays(const ColliderArrays& in) {
+// Checks the shapes and the contents of collider arrays.
+void check_arrays(const ColliderArrays& arrays) {
   const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals, edge_normals,
-               bounds, nodes] = in;
+               bounds, nodes] = arrays;
   const std::size_t count = kinds.shape(0);
   check::shape("kinds", kinds, {check::ANY, 3});
-  check::shape("sizes", sizes, {count, SIZES});
-  check::shape("materials", materials, {count, MATERIALS});
-  check::shape("poses", poses, {count, 2, POSE});
+  check::shape("sizes", sizes, {count, SIZE_COUNT});
+  check::shape("materials", materials, {count, MATERIAL_COUNT});
+  check::shape("poses", poses, {count, 2, POSE_COUNT});
   check::shape("points", points, {check::ANY, 3});
   check::shape("triangles", triangles, {check::ANY, 3});
   check::shape("corner_normals", corner_normals, {points.shape(0), 3});
@@ -61,16 +63,16 @@ void check_arrays(const ColliderArrays& in) {
   check::shape("bounds", bounds, {nodes.shape(0), 6});
   check::finite("sizes", sizes);
   check::finite("materials", materials);
-  bool meshes = false;
+  bool has_mesh = false;
   for (std::size_t i = 0; i < count; ++i) {
     const std::int64_t* kind = kinds.data() + 3 * i;
     check::between("kinds", kind[0], 0, static_cast<std::int64_t>(collide::Shape::MESH));
     check::between("kinds", kind[1], OUTSIDE, BOTH_SIDES);
     if (kind[0] != static_cast<std::int64_t>(collide::Shape::MESH)) continue;
-    meshes = true;
+    has_mesh = true;
     check::indices("kinds", kind + 2, 1, 0, static_cast<std::int64_t>(nodes.shape(0)));
   }
-  if (!meshes) return;
+  if (!has_mesh) return;
   check::at_most("points", points.shape(0), check::MAX_ROWS);
   check::at_most("triangles", triangles.shape(0), check::MAX_ROWS);
   check::at_most("nodes", nodes.shape(0), check::MAX_ROWS);
@@ -81,41 +83,42 @@ void check_arrays(const ColliderArrays& in) {
 }  // namespace
 
 // Builds the colliders from arrays with one row each.
-std::vector<Collider> read_colliders(const ColliderArrays& in) {
+std::vector<Collider> read_colliders(const ColliderArrays& arrays) {
   const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals, edge_normals,
-               bounds, nodes] = in;
-  check_arrays(in);
+               bounds, nodes] = arrays;
+  check_arrays(arrays);
   const std::size_t count = kinds.shape(0);
   const collide::Mesh mesh{points.data(),       triangles.data(), corner_normals.data(),
                            edge_normals.data(), bounds.data(),    nodes.data()};
-  std::vector<Collider> built(count);
+  std::vector<Collider> result(count);
   for (std::size_t i = 0; i < count; ++i) {
     const std::int64_t* kind = kinds.data() + 3 * i;
-    Collider& c = built[i];
+    Collider& c = result[i];
     c.shape = static_cast<collide::Shape>(kind[0]);
-    c.container = kind[1] == INSIDE_ALONE;
-    c.two_sided = kind[1] == BOTH_SIDES && c.shape == collide::Shape::MESH;
+    c.is_container = kind[1] == INSIDE_ONLY;
+    c.is_two_sided = kind[1] == BOTH_SIDES && c.shape == collide::Shape::MESH;
     c.root = c.shape == collide::Shape::MESH ? static_cast<std::int32_t>(kind[2]) : 0;
     c.mesh = mesh;
-    std::copy_n(sizes.data() + SIZES * i, SIZES, c.size);
-    const double* material = materials.data() + MATERIALS * i;
+    std::copy_n(sizes.data() + SIZE_COUNT * i, SIZE_COUNT, c.size);
+    const double* material = materials.data() + MATERIAL_COUNT * i;
     c.restitution = material[0], c.friction = material[1];
     c.margin = material[2], c.depenetration = material[3];
-    const double* pose = poses.data() + 2 * POSE * i;
-    c.motion = collide::Motion(pose, pose + POSE);
+    const double* pose = poses.data() + 2 * POSE_COUNT * i;
+    c.motion = collide::Motion(pose, pose + POSE_COUNT);
   }
-  return built;
+  return result;
 }
 
-Collided collide_particles(ColliderArrays colliders, In<double, 3> before, In<double, 3> after,
-                           In<double, 1> radii, In<double, 1> begins, double step) {
+ParticleCollisions collide_particles(ColliderArrays colliders, In<double, 3> before,
+                                     In<double, 3> after, In<double, 1> radii, In<double, 1> begins,
+                                     double step) {
   const std::size_t count = before.shape(1);
   check::shape("before", before, {2, check::ANY, 3});
   check::shape("after", after, {2, count, 3});
   check::shape("radii", radii, {count});
   check::shape("begins", begins, {count});
   check::not_negative("step", step);
-  const std::vector<Collider> built = read_colliders(colliders);
+  const std::vector<Collider> world_colliders = read_colliders(colliders);
   Out<double, 3> state(2, count, 3);
   Out<double, 2> normals(count, 3);
   Out<std::int64_t, 2> touches(count, 2);
@@ -124,8 +127,8 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before, In<do
     const std::size_t x = 3 * i, v = 3 * (count + i);
     const collide::Particle start{load(from + x), load(from + v)};
     collide::Particle end{load(to + x), load(to + v)};
-    collide::ParticleContacts contacts(built.data(), built.size(), step, radii.data()[i],
-                                       begins.data()[i]);
+    collide::ParticleContacts contacts(world_colliders.data(), world_colliders.size(), step,
+                                       radii.data()[i], begins.data()[i]);
     const collide::Contact contact = contacts.resolve(start, end);
     store(end.position, state.get() + x);
     store(end.velocity, state.get() + v);
@@ -142,18 +145,19 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
   check::shape("points", points, {check::ANY, 3});
   check::between("share", fraction, 0, 1);
   check::not_negative("step", step);
-  const std::vector<Collider> built = read_colliders(colliders);
-  Out<double, 2> distances(built.size(), count);
-  Out<double, 3> normals(built.size(), count, 3), velocities(built.size(), count, 3);
+  const std::vector<Collider> world_colliders = read_colliders(colliders);
+  Out<double, 2> distances(world_colliders.size(), count);
+  Out<double, 3> normals(world_colliders.size(), count, 3),
+      velocities(world_colliders.size(), count, 3);
   const double rate = step > 0 ? 1 / step : 0.0;
-  for (std::size_t c = 0, row = 0; c < built.size(); ++c) {
-    const collide::Pose pose = built[c].motion.at(fraction);
+  for (std::size_t c = 0, row = 0; c < world_colliders.size(); ++c) {
+    const collide::Pose pose = world_colliders[c].motion.pose_at(fraction);
     for (std::size_t i = 0; i < count; ++i, ++row) {
       const Vec point = load(points.data() + 3 * i);
-      const auto hit = collide::sample(built[c], pose, point, 0, collide::FAR);
+      const auto hit = collide::sample(world_colliders[c], pose, point, 0, collide::FAR);
       distances.get()[row] = hit.distance;
       store(hit.normal, normals.get() + 3 * row);
-      store(built[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
+      store(world_colliders[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
     }
   }
   return {std::move(distances), std::move(normals), std::move(velocities)};

@@ -7,8 +7,8 @@ namespace animtool::collide {
 constexpr double TOUCH = 1e-9;
 // Depth above which a particle starts a step inside [m].
 constexpr double INSIDE = 1e-6;
-// Smallest distance that a particle without a radius keeps from a two-sided surface [m], so
-// that its position tells from which side it came.
+// Smallest distance that a particle without a radius keeps from a two-sided surface [m], so that
+// its position tells on which side it is.
 constexpr double SHELL = 1e-7;
 
 }  // namespace animtool::collide

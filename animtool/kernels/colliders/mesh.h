@@ -12,19 +12,22 @@
 
 namespace animtool::collide {
 
-// The triangles at each edge and corner of a mesh.
+// The triangles at each edge and at each corner of a mesh.
 struct MeshAdjacency {
-  std::vector<std::int32_t> edges;           // of each triangle (T, 3), numbered
-  std::vector<std::int32_t> edge_starts;     // where the triangles of each edge begin (E + 1,)
-  std::vector<std::int32_t> edge_triangles;  // (3 T,)
-  std::vector<std::int32_t> corner_starts;   // likewise of each corner (P + 1,)
-  std::vector<std::int32_t> corner_sides;    // 3 times a triangle, and which of its corners
-  std::vector<bool> boundary;                // whether a corner is on the rim (P,)
+  std::vector<std::int32_t> edges;  // edge of each side of a triangle (T, 3)
+  std::vector<std::int32_t>
+      edge_starts;  // index of the first triangle of each edge in `edge_triangles` (E + 1,)
+  std::vector<std::int32_t> edge_triangles;  // triangles of each edge (3 T,)
+  std::vector<std::int32_t>
+      corner_starts;  // index of the first side of each point in `corner_sides` (P + 1,)
+  std::vector<std::int32_t>
+      corner_sides;  // triangle sides that start at each point: 3 * triangle + corner (3 T,)
+  std::vector<bool> boundary;  // whether a point is on the boundary (P,)
 };
 
-// Arrays that `build_mesh_tree` returns. A node is an inner node with two children, or a leaf: -1
-// minus its first triangle, and the number of triangles. Edges and corners that have no definite
-// side, as on the boundary of an open mesh, have zero normals.
+// Arrays that `build_mesh_tree` returns. A row of `nodes` has two children, or is a leaf: -1 minus
+// its first triangle, and the number of triangles. Edges and corners without a definite side, as on
+// the boundary of an open mesh, have zero normals.
 struct Mesh {
   const double* points;
   const std::int32_t* triangles;
@@ -32,22 +35,24 @@ struct Mesh {
   const double* edge_normals;
   const double* bounds;
   const std::int32_t* nodes;
-  // For a mesh that deforms: displacements of its points, the fraction of these that is
-  // applied, and the topology from which normals are computed.
-  const double* shifts = nullptr;
+  // For a mesh that deforms: displacements of its points, the fraction of them that is applied, and
+  // the topology from which normals are computed.
+  const double* displacements = nullptr;
   double fraction = 0;
-  const MeshAdjacency* sides = nullptr;
+  const MeshAdjacency* adjacency = nullptr;
 
   Vec point(std::int32_t p) const {
-    const Vec at = load(points + 3 * p);
-    return shifts ? at + load(shifts + 3 * p) * fraction : at;
+    const Vec position = load(points + 3 * p);
+    return displacements ? position + load(displacements + 3 * p) * fraction : position;
   }
 };
 
+// Size of the stack of a tree traversal.
 constexpr int MAX_TREE_DEPTH = 64;
 
+// The nearest point on a mesh, and its squared distance.
 struct Nearest {
-  double squared = std::numeric_limits<double>::infinity();
+  double squared_distance = std::numeric_limits<double>::infinity();
   Vec point;
   std::int32_t triangle = -1;
   // Corners 0 to 2, edges 3 to 5 (from corner i to the next), the face 6.
@@ -82,6 +87,7 @@ inline Barycentric barycentric_of_nearest(Vec p, Vec a, Vec b, Vec c) {
   return {vb * scale, vc * scale, 6};
 }
 
+// The nearest point on a triangle, and the feature that it is on; see `Nearest`.
 inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
   const Barycentric hit = barycentric_of_nearest(p, a, b, c);
   feature = hit.feature;
@@ -103,7 +109,8 @@ inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
   }
 }
 
-inline double squared_to_box(Vec p, const double* box) {
+// Squared distance of a point from a box; 0 inside.
+inline double squared_box_distance(Vec p, const double* box) {
   const double x = std::max({box[0] - p.x, 0.0, p.x - box[3]});
   const double y = std::max({box[1] - p.y, 0.0, p.y - box[4]});
   const double z = std::max({box[2] - p.z, 0.0, p.z - box[5]});
@@ -116,155 +123,163 @@ inline Nearest nearest_of_triangle(const Mesh& mesh, std::int32_t triangle, Vec 
   hit.triangle = triangle;
   hit.point = nearest_on_triangle(p, mesh.point(corner[0]), mesh.point(corner[1]),
                                   mesh.point(corner[2]), hit.feature);
-  hit.squared = dot(p - hit.point, p - hit.point);
+  hit.squared_distance = dot(p - hit.point, p - hit.point);
   return hit;
 }
 
-// Of two equally near triangles the first, so that the order of traversal does not matter.
-inline bool nearer(const Nearest& one, const Nearest& best) {
-  if (one.squared != best.squared) return one.squared < best.squared;
-  return best.triangle < 0 || one.triangle < best.triangle;
+// Whether a triangle is nearer than the best one. Of two at the same distance the first wins, so
+// that the order of traversal does not matter.
+inline bool is_nearer(const Nearest& candidate, const Nearest& best) {
+  if (candidate.squared_distance != best.squared_distance)
+    return candidate.squared_distance < best.squared_distance;
+  return best.triangle < 0 || candidate.triangle < best.triangle;
 }
 
-// Calls a function for each triangle below a node whose box is within a squared distance, nearer
-// boxes first. The function returns the new squared distance; another one gives the distance of
-// a node's box.
-template <class Squared, class Visitor>
-void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared,
+// Calls `visitor` for each triangle below a node whose box is within a squared distance, nearer
+// boxes first. The visitor returns the new limit; `box_distance` returns the squared distance of a
+// node's box.
+template <class BoxDistance, class Visitor>
+void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, BoxDistance box_distance,
                  Visitor visitor) {
   struct QueuedNode {
     std::int32_t node;
-    double squared;
+    double box_distance;
   } stack[MAX_TREE_DEPTH];
   int depth = 0;
-  stack[depth++] = {root, squared(root)};
+  stack[depth++] = {root, box_distance(root)};
   while (depth > 0) {
-    const auto [node, gap] = stack[--depth];
-    if (gap > limit) continue;
+    const auto [node, squared_distance] = stack[--depth];
+    if (squared_distance > limit) continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left < 0) {
       for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = visitor(t);
       continue;
     }
-    const QueuedNode one{left, squared(left)}, other{right, squared(right)};
-    const bool left_first = one.squared <= other.squared;
-    stack[depth++] = left_first ? other : one;
-    stack[depth++] = left_first ? one : other;
+    const QueuedNode left_node{left, box_distance(left)}, right_node{right, box_distance(right)};
+    const bool left_first = left_node.box_distance <= right_node.box_distance;
+    stack[depth++] = left_first ? right_node : left_node;
+    stack[depth++] = left_first ? left_node : right_node;
   }
 }
 
+// Calls `visitor` for each triangle whose box is within a squared distance of a point.
 template <class Visitor>
 void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Visitor visitor) {
   visit_boxes(
       mesh, root, limit,
-      [&](std::int32_t node) { return squared_to_box(p, mesh.bounds + 6 * node); }, visitor);
+      [&](std::int32_t node) { return squared_box_distance(p, mesh.bounds + 6 * node); }, visitor);
 }
 
 // The nearest point on the triangles below a node, if within a squared limit.
 inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, double limit) {
   Nearest best;
-  best.squared = limit;
+  best.squared_distance = limit;
   visit_triangles(mesh, root, p, limit, [&](std::int32_t t) {
     const Nearest hit = nearest_of_triangle(mesh, t, p);
-    if (nearer(hit, best)) best = hit;
-    return best.squared;
+    if (is_nearer(hit, best)) best = hit;
+    return best.squared_distance;
   });
   return best;
 }
 
+// The unit normal of a triangle; the fallback for zero area.
 inline Vec face_normal(const Mesh& mesh, std::int32_t triangle, Vec fallback) {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
   const Vec a = mesh.point(corner[0]);
   return direction(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), fallback);
 }
 
-// The normal of an edge; zero on the boundary.
-inline Vec edge_normal(const Mesh& mesh, const MeshAdjacency& sides, std::int32_t triangle,
+// The pseudonormal of an edge; zero on the boundary.
+inline Vec edge_normal(const Mesh& mesh, const MeshAdjacency& adjacency, std::int32_t triangle,
                        int side) {
-  const std::int32_t edge = sides.edges[3 * triangle + side];
-  const std::int32_t begin = sides.edge_starts[edge], end = sides.edge_starts[edge + 1];
+  const std::int32_t edge = adjacency.edges[3 * triangle + side];
+  const std::int32_t begin = adjacency.edge_starts[edge], end = adjacency.edge_starts[edge + 1];
   if (end - begin == 1) return {};
   Vec sum;
   for (std::int32_t k = begin; k < end; ++k)
-    sum = sum + face_normal(mesh, sides.edge_triangles[k], {});
+    sum = sum + face_normal(mesh, adjacency.edge_triangles[k], {});
   return sum;
 }
 
-// The normal of a corner, weighted by the angles of its faces; zero on the boundary.
-inline Vec corner_normal(const Mesh& mesh, const MeshAdjacency& sides, std::int32_t point) {
+// The pseudonormal of a corner, weighted by the angles of its faces; zero on the boundary.
+inline Vec corner_normal(const Mesh& mesh, const MeshAdjacency& adjacency, std::int32_t point) {
   Vec sum;
-  if (sides.boundary[point]) return sum;
-  const Vec at = mesh.point(point);
-  for (std::int32_t k = sides.corner_starts[point]; k < sides.corner_starts[point + 1]; ++k) {
-    const std::int32_t triangle = sides.corner_sides[k] / 3, side = sides.corner_sides[k] % 3;
+  if (adjacency.boundary[point]) return sum;
+  const Vec corner_point = mesh.point(point);
+  for (std::int32_t k = adjacency.corner_starts[point]; k < adjacency.corner_starts[point + 1];
+       ++k) {
+    const std::int32_t triangle = adjacency.corner_sides[k] / 3,
+                       side = adjacency.corner_sides[k] % 3;
     const std::int32_t* corner = mesh.triangles + 3 * triangle;
-    const Vec a = direction(mesh.point(corner[(side + 1) % 3]) - at, {});
-    const Vec b = direction(mesh.point(corner[(side + 2) % 3]) - at, {});
+    const Vec a = direction(mesh.point(corner[(side + 1) % 3]) - corner_point, {});
+    const Vec b = direction(mesh.point(corner[(side + 2) % 3]) - corner_point, {});
     const double angle = std::atan2(length(cross(a, b)), dot(a, b));
     sum = sum + face_normal(mesh, triangle, {}) * angle;
   }
   return sum;
 }
 
-// The normal that gives the sign at the nearest point.
-inline Vec side_normal(const Mesh& mesh, const Nearest& near) {
+// The pseudonormal at the nearest point, which gives the sign of the distance.
+inline Vec pseudonormal(const Mesh& mesh, const Nearest& near) {
   const std::int32_t t = near.triangle;
   if (near.feature < 3) {
     const std::int32_t point = mesh.triangles[3 * t + near.feature];
-    return mesh.sides ? corner_normal(mesh, *mesh.sides, point)
-                      : load(mesh.corner_normals + 3 * point);
+    return mesh.adjacency ? corner_normal(mesh, *mesh.adjacency, point)
+                          : load(mesh.corner_normals + 3 * point);
   }
-  return mesh.sides ? edge_normal(mesh, *mesh.sides, t, near.feature - 3)
-                    : load(mesh.edge_normals + 9 * t + 3 * (near.feature - 3));
+  return mesh.adjacency ? edge_normal(mesh, *mesh.adjacency, t, near.feature - 3)
+                        : load(mesh.edge_normals + 9 * t + 3 * (near.feature - 3));
 }
 
 // Distance and normal at a point, from its nearest point.
 inline Sample sample_nearest(const Mesh& mesh, const Nearest& near, Vec p) {
-  const Vec face = face_normal(mesh, near.triangle, {0, 1, 0});
-  const Vec side = near.feature < 6 ? side_normal(mesh, near) : face;
-  const Vec off = p - near.point;
-  const double distance = std::sqrt(near.squared);
-  const double sign = dot(off, side) < 0 ? -1 : 1;
-  const Vec flat = direction(side, face);
-  return {sign * distance, distance > TOUCH ? off * (sign / distance) : flat};
+  const Vec triangle_normal = face_normal(mesh, near.triangle, {0, 1, 0});
+  const Vec sign_normal = near.feature < 6 ? pseudonormal(mesh, near) : triangle_normal;
+  const Vec offset = p - near.point;
+  const double distance = std::sqrt(near.squared_distance);
+  const double sign = dot(offset, sign_normal) < 0 ? -1 : 1;
+  const Vec surface_normal = direction(sign_normal, triangle_normal);
+  return {sign * distance, distance > TOUCH ? offset * (sign / distance) : surface_normal};
 }
 
-// Distance and normal at a point; the reach and a zero normal if it is farther away.
-inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double reach) {
+// Distance and normal at a point; `max_distance` and an arbitrary normal if it is farther away.
+inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double max_distance) {
   // Points behind a face are at the same distance as points in front of it.
-  const Nearest near = nearest_on_mesh(mesh, root, p, reach * reach);
-  if (near.triangle < 0) return {reach, {0, 1, 0}};
+  const Nearest near = nearest_on_mesh(mesh, root, p, max_distance * max_distance);
+  if (near.triangle < 0) return {max_distance, {0, 1, 0}};
   return sample_nearest(mesh, near, p);
 }
 
-// Unsigned distance, and the direction away from the surface.
-inline Sample unsided(const Sample& hit) {
+// Unsigned distance, and the normal that points to the side of the point.
+inline Sample unsigned_sample(const Sample& hit) {
   return hit.distance < 0 ? Sample{-hit.distance, -hit.normal} : hit;
 }
 
-// On which side of an edge of a triangle a segment passes. If it passes through an edge of two
+// Whether a segment passes an edge of a triangle on its left. If it passes through an edge of two
 // triangles, exactly one of them counts it, in spite of rounding.
-inline bool passes_left(Vec a, Vec b, Vec shift, bool ascends) {
-  const double side = dot(cross(a, b), shift);
-  return side > 0 || (side == 0 && ascends);
+inline bool passes_left(Vec a, Vec b, Vec segment, bool is_ascending) {
+  const double side = dot(cross(a, b), segment);
+  return side > 0 || (side == 0 && is_ascending);
 }
 
+// Whether a segment crosses a triangle.
 inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, Vec to) {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  Vec at[3];
-  for (int k = 0; k < 3; ++k) at[k] = mesh.point(corner[k]) - from;
-  const Vec shift = to - from, normal = cross(at[1] - at[0], at[2] - at[0]);
-  const double begin = dot(at[0], normal), end = begin - dot(shift, normal);
-  if ((begin > 0) == (end > 0)) return false;
-  bool left[3];
+  Vec corners[3];
+  for (int k = 0; k < 3; ++k) corners[k] = mesh.point(corner[k]) - from;
+  const Vec segment = to - from, normal = cross(corners[1] - corners[0], corners[2] - corners[0]);
+  const double start_height = dot(corners[0], normal),
+               end_height = start_height - dot(segment, normal);
+  if ((start_height > 0) == (end_height > 0)) return false;
+  bool is_left[3];
   for (int k = 0; k < 3; ++k) {
     const int next = (k + 1) % 3;
-    left[k] = passes_left(at[k], at[next], shift, corner[k] < corner[next]);
+    is_left[k] = passes_left(corners[k], corners[next], segment, corner[k] < corner[next]);
   }
-  return left[0] == left[1] && left[1] == left[2];
+  return is_left[0] == is_left[1] && is_left[1] == is_left[2];
 }
 
-// Calls a function for each triangle below a node whose box overlaps another box, in order.
+// Calls `visitor` for each triangle below a node whose box overlaps another box, in order.
 template <class Visitor>
 void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, Visitor visitor) {
   std::int32_t stack[MAX_TREE_DEPTH];
@@ -288,10 +303,10 @@ void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, V
 inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
   const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
   const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
-  bool inside = false;
+  bool is_inside = false;
   visit_overlapping(mesh, root, low, high,
-                    [&](std::int32_t t) { inside ^= crosses_triangle(mesh, t, from, to); });
-  return inside;
+                    [&](std::int32_t t) { is_inside ^= crosses_triangle(mesh, t, from, to); });
+  return is_inside;
 }
 
 }  // namespace animtool::collide

@@ -1,4 +1,4 @@
-// Signed distances and normals of simple shapes, in their own frames.
+// Signed distances and normals of primitive shapes, in their local frames.
 #pragma once
 
 #include <algorithm>
@@ -9,7 +9,7 @@
 
 namespace animtool::collide {
 
-// Signed distance of a point, negative inside, and the direction out.
+// Signed distance of a point, negative inside, and the outward direction.
 struct Sample {
   double distance;
   Vec normal;
@@ -20,40 +20,41 @@ inline Sample sample_plane(Vec normal, double offset, Vec p) {
 }
 
 inline Sample sample_sphere(Vec centre, double radius, Vec p) {
-  const Vec off = p - centre;
-  return {length(off) - radius, direction(off, {0, 1, 0})};
+  const Vec offset = p - centre;
+  return {length(offset) - radius, direction(offset, {0, 1, 0})};
 }
 
-// The points within a radius of the segment from a to b.
+// A capsule: all points within a radius of the segment from a to b.
 inline Sample sample_capsule(Vec a, Vec b, double radius, Vec p) {
-  const Vec axis = b - a, off = p - a;
+  const Vec axis = b - a, offset = p - a;
   const double squared = dot(axis, axis);
-  const double along = squared > 0 ? std::clamp(dot(off, axis) / squared, 0.0, 1.0) : 0.0;
-  const Vec away = off - axis * along;
-  const double distance = length(away);
-  if (distance > 0) return {distance - radius, away * (1 / distance)};
-  const Vec out = squared > 0 ? across(axis * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
-  return {-radius, out};
+  const double fraction = squared > 0 ? std::clamp(dot(offset, axis) / squared, 0.0, 1.0) : 0.0;
+  const Vec radial = offset - axis * fraction;
+  const double distance = length(radial);
+  if (distance > 0) return {distance - radius, radial * (1 / distance)};
+  const Vec normal = squared > 0 ? orthogonal(axis * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
+  return {-radius, normal};
 }
 
-// A box about the origin, by its half extents.
-inline Sample sample_box(Vec half, Vec p) {
-  const double sides[3] = {half.x, half.y, half.z}, at[3] = {p.x, p.y, p.z};
-  double beyond[3], out[3] = {0, 0, 0}, squared = 0;
-  int nearest = 0;
+// A box around the origin with these half extents.
+inline Sample sample_box(Vec half_extents, Vec p) {
+  const double extents[3] = {half_extents.x, half_extents.y, half_extents.z},
+               coordinates[3] = {p.x, p.y, p.z};
+  double excess[3], normal[3] = {0, 0, 0}, squared = 0;
+  int nearest_axis = 0;
   for (int i = 0; i < 3; ++i) {
-    beyond[i] = std::fabs(at[i]) - sides[i];
-    if (beyond[i] > beyond[nearest]) nearest = i;
-    if (beyond[i] > 0) squared += beyond[i] * beyond[i];
+    excess[i] = std::fabs(coordinates[i]) - extents[i];
+    if (excess[i] > excess[nearest_axis]) nearest_axis = i;
+    if (excess[i] > 0) squared += excess[i] * excess[i];
   }
   if (squared > 0) {
     const double distance = std::sqrt(squared);
     for (int i = 0; i < 3; ++i)
-      if (beyond[i] > 0) out[i] = std::copysign(beyond[i] / distance, at[i]);
-    return {distance, load(out)};
+      if (excess[i] > 0) normal[i] = std::copysign(excess[i] / distance, coordinates[i]);
+    return {distance, load(normal)};
   }
-  out[nearest] = std::copysign(1.0, at[nearest]);
-  return {beyond[nearest], load(out)};
+  normal[nearest_axis] = std::copysign(1.0, coordinates[nearest_axis]);
+  return {excess[nearest_axis], load(normal)};
 }
 
 }  // namespace animtool::collide

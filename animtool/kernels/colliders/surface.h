@@ -11,22 +11,23 @@
 
 namespace animtool {
 
+// A mesh whose points move and whose triangles stay.
 class MeshSurface {
  public:
   MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles);
 
   std::size_t points() const { return points_; }
-  // The mesh with its points moving by these displacements, with boxes from `fit`.
-  collide::Mesh mesh(const double* points, const double* shifts, const double* bounds) const;
-  // Boxes that contain it along the whole way from one set of positions to another.
-  void fit(const double* begin, const double* end, std::vector<double>& bounds) const;
-  // Signed distances of some points, with its own points at other positions.
+  // The mesh with points that move by these displacements, with boxes from `fit_boxes`.
+  collide::Mesh mesh(const double* points, const double* displacements, const double* bounds) const;
+  // Computes boxes that contain the triangles along their motion between two sets of positions.
+  void fit_boxes(const double* begin, const double* end, std::vector<double>& bounds) const;
+  // Signed distances of points from the mesh, with the mesh points at `positions`.
   Out<double, 1> distances(In<double, 2> positions, In<double, 2> points) const;
 
  private:
   std::size_t points_;
   std::vector<std::int32_t> triangles_, nodes_;
-  collide::MeshAdjacency sides_;
+  collide::MeshAdjacency adjacency_;
 };
 
 }  // namespace animtool

@@ -9,7 +9,7 @@
 
 namespace animtool {
 
-// Agents, their surroundings, and their options.
+// Agents, their surroundings and the options of a step.
 struct CrowdStep {
   In<double, 2> points, velocities, preferred;
   In<double, 1> radii, max_speeds, yielding;
@@ -25,9 +25,9 @@ struct CrowdStep {
   std::int64_t max_passes;
   double tolerance;
 };
-// Points, velocities, overlap, shoulder yaws.
-using CrowdStepped = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
-CrowdStepped crowd_step(const CrowdStep& options);
+// Points, velocities, overlap and shoulder yaws.
+using CrowdStepResult = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
+CrowdStepResult crowd_step(const CrowdStep& options);
 
 Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts);

@@ -16,117 +16,124 @@ struct Interaction {
 
 struct FlockRule {
   double radius, cosine;
-  std::size_t nearest;  // 0 for all
+  std::size_t nearest;  // 0 means all
   Interaction attraction, alignment, repulsion;
   double softening;
 
-  // Whether pairs in sight interact symmetrically.
-  bool mutual() const {
+  // Whether all pairs in sight interact symmetrically.
+  bool is_mutual() const {
     return !(cosine > -1) && !nearest && attraction.radius >= radius && alignment.radius >= radius;
   }
 };
 
-// The offset to another over its squared length, for repulsion.
-Vec repulsion(const FlockRule& rule, const Vec& off, double squared) {
-  const bool pushes = squared <= rule.repulsion.radius * rule.repulsion.radius && squared > 0;
-  return off * (pushes ? 1 / (squared + rule.softening * rule.softening) : 0.0);
+// The offset to another member over its squared length, for repulsion.
+Vec find_repulsion(const FlockRule& rule, const Vec& offset, double squared_distance) {
+  const bool is_repelled =
+      squared_distance <= rule.repulsion.radius * rule.repulsion.radius && squared_distance > 0;
+  return offset * (is_repelled ? 1 / (squared_distance + rule.softening * rule.softening) : 0.0);
 }
 
-// Symmetric interactions: each pair is visited once.
+// Adds the forces of symmetric interactions. Each pair is visited once.
 double add_mutual(const FlockRule& rule, const Neighbours& grid, const Vec* velocities,
                   double max_tests, double* out, std::int32_t* counts) {
   struct Sums {
-    Vec pull, away;
+    Vec pull, repulsion;
   };
   const Block<Sums> sums = block<Sums>(grid.size());
   std::fill_n(sums.get(), grid.size(), Sums());
   const Block<std::int32_t> sight_counts = block<std::int32_t>(grid.size());
   std::fill_n(sight_counts.get(), grid.size(), 0);
   const double *x = grid.x(), *y = grid.y(), *z = grid.z();
-  const double tested = grid.visit_all<true>(
+  const double test_count = grid.visit_all<true>(
       max_tests,
-      [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
-        const Vec here = load(at), velocity = velocities[i];
-        Sums sum_i;
+      [&](std::size_t i, const double* point, const std::int32_t* hit, const std::int32_t* end) {
+        const Vec position = load(point), velocity = velocities[i];
+        Sums point_sums;
         sight_counts[i] += static_cast<std::int32_t>(end - hit);
         for (; hit < end; ++hit) {
           const std::size_t j = static_cast<std::size_t>(*hit);
-          const Vec off = Vec{x[j], y[j], z[j]} - here;
-          Vec pull = off * rule.attraction.weight;
+          const Vec offset = Vec{x[j], y[j], z[j]} - position;
+          Vec pull = offset * rule.attraction.weight;
           pull += (velocities[j] - velocity) * rule.alignment.weight;
-          const Vec away = repulsion(rule, off, dot(off, off));
-          sum_i.pull += pull;
-          sum_i.away += away;
+          const Vec repulsion = find_repulsion(rule, offset, dot(offset, offset));
+          point_sums.pull += pull;
+          point_sums.repulsion += repulsion;
           sums[j].pull -= pull;
-          sums[j].away -= away;
+          sums[j].repulsion -= repulsion;
           ++sight_counts[j];
         }
-        sums[i].pull += sum_i.pull;
-        sums[i].away += sum_i.away;
+        sums[i].pull += point_sums.pull;
+        sums[i].repulsion += point_sums.repulsion;
       });
   for (std::size_t i = 0; i < grid.size(); ++i) {
-    const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
+    const std::size_t member = static_cast<std::size_t>(grid.index()[i]);
     Vec sum = sums[i].pull * (sight_counts[i] ? 1.0 / sight_counts[i] : 0.0);
-    sum -= sums[i].away * rule.repulsion.weight;
-    out[3 * which] = sum.x, out[3 * which + 1] = sum.y, out[3 * which + 2] = sum.z;
-    counts[which] = sight_counts[i];
+    sum -= sums[i].repulsion * rule.repulsion.weight;
+    out[3 * member] = sum.x, out[3 * member + 1] = sum.y, out[3 * member + 2] = sum.z;
+    counts[member] = sight_counts[i];
   }
-  return tested;
+  return test_count;
 }
 
-// The forces on one member from those it sees among its neighbours.
+// The forces on one member from those that it sees among its neighbours.
 class NeighbourForces {
  public:
   NeighbourForces(const FlockRule& rule, const Neighbours& grid, const Vec* velocities)
       : rule_(rule), grid_(grid), velocities_(velocities) {}
 
-  std::size_t add(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
-                  const std::int32_t* end, double* out) {
-    find_visible(self, here, velocity, hit, end);
-    const double follow = rule_.attraction.radius * rule_.attraction.radius;
-    const double align = rule_.alignment.radius * rule_.alignment.radius;
-    Vec centre, heading, away;
-    double followed = 0, aligned = 0;
-    for (const Neighbour& one : neighbours_) {
-      if (one.squared <= follow) centre += one.off, followed += 1;
-      if (one.squared <= align) heading += velocities_[one.at] - velocity, aligned += 1;
-      away += repulsion(rule_, one.off, one.squared);
+  std::size_t add(std::size_t member, const Vec& position, const Vec& velocity,
+                  const std::int32_t* hit, const std::int32_t* end, double* out) {
+    find_visible(member, position, velocity, hit, end);
+    const double squared_attraction_radius = rule_.attraction.radius * rule_.attraction.radius;
+    const double squared_alignment_radius = rule_.alignment.radius * rule_.alignment.radius;
+    Vec offset_sum, velocity_sum, repulsion_sum;
+    double attraction_count = 0, alignment_count = 0;
+    for (const Neighbour& neighbour : neighbours_) {
+      if (neighbour.squared_distance <= squared_attraction_radius)
+        offset_sum += neighbour.offset, attraction_count += 1;
+      if (neighbour.squared_distance <= squared_alignment_radius)
+        velocity_sum += velocities_[neighbour.index] - velocity, alignment_count += 1;
+      repulsion_sum += find_repulsion(rule_, neighbour.offset, neighbour.squared_distance);
     }
-    Vec sum = centre * (followed > 0 ? rule_.attraction.weight / followed : 0.0);
-    sum += heading * (aligned > 0 ? rule_.alignment.weight / aligned : 0.0);
-    sum -= away * rule_.repulsion.weight;
+    Vec sum =
+        offset_sum * (attraction_count > 0 ? rule_.attraction.weight / attraction_count : 0.0);
+    sum += velocity_sum * (alignment_count > 0 ? rule_.alignment.weight / alignment_count : 0.0);
+    sum -= repulsion_sum * rule_.repulsion.weight;
     out[0] = sum.x, out[1] = sum.y, out[2] = sum.z;
     return neighbours_.size();
   }
 
  private:
   struct Neighbour {
-    Vec off;
-    double squared;
-    std::size_t at;
+    Vec offset;
+    double squared_distance;
+    std::size_t index;
   };
 
-  void find_visible(std::size_t self, const Vec& here, const Vec& velocity, const std::int32_t* hit,
-                    const std::int32_t* end) {
+  void find_visible(std::size_t member, const Vec& position, const Vec& velocity,
+                    const std::int32_t* hit, const std::int32_t* end) {
     const double min_projection = rule_.cosine * std::sqrt(dot(velocity, velocity));
     const std::int32_t* index = grid_.index();
     neighbours_.clear();
     for (; hit < end; ++hit) {
       const std::size_t j = static_cast<std::size_t>(*hit);
-      if (static_cast<std::size_t>(index[j]) == self) continue;
-      const Vec off = Vec{grid_.x()[j], grid_.y()[j], grid_.z()[j]} - here;
-      const double squared = dot(off, off);
-      if (rule_.cosine > -1 && dot(off, velocity) < min_projection * std::sqrt(squared)) continue;
-      neighbours_.push_back({off, squared, j});
+      if (static_cast<std::size_t>(index[j]) == member) continue;
+      const Vec offset = Vec{grid_.x()[j], grid_.y()[j], grid_.z()[j]} - position;
+      const double squared_distance = dot(offset, offset);
+      if (rule_.cosine > -1 && dot(offset, velocity) < min_projection * std::sqrt(squared_distance))
+        continue;
+      neighbours_.push_back({offset, squared_distance, j});
     }
     if (!rule_.nearest || neighbours_.size() <= rule_.nearest) return;
-    // Of two at equal distance the first is taken, whatever the order of the grid.
+    // Of two at equal distance the one with the lower index is first, so that the order of the grid
+    // does not matter.
     const auto nearer = [&](const Neighbour& a, const Neighbour& b) {
-      return a.squared != b.squared ? a.squared < b.squared : index[a.at] < index[b.at];
+      return a.squared_distance != b.squared_distance ? a.squared_distance < b.squared_distance
+                                                      : index[a.index] < index[b.index];
     };
-    const auto last = neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.nearest);
-    std::nth_element(neighbours_.begin(), last - 1, neighbours_.end(), nearer);
-    neighbours_.erase(last, neighbours_.end());
+    const auto end_of_nearest = neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.nearest);
+    std::nth_element(neighbours_.begin(), end_of_nearest - 1, neighbours_.end(), nearer);
+    neighbours_.erase(end_of_nearest, neighbours_.end());
     std::sort(neighbours_.begin(), neighbours_.end(), nearer);
   }
 
@@ -136,7 +143,7 @@ class NeighbourForces {
   std::vector<Neighbour> neighbours_;
 };
 
-Interaction interaction(const char* name, const In<double, 1>& pair) {
+Interaction read_interaction(const char* name, const In<double, 1>& pair) {
   check::shape(name, pair, {2});
   check::finite(name, pair);
   check::not_negative(name, pair.data()[1]);
@@ -161,53 +168,54 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
   for (std::size_t k = 0; k < 3; ++k)
     if (periods[k] != 0 && !(periods[k] >= 2 * radius))
       check::refuse("period", check::text(periods[k]) + " is not 0 or two radii");
-  for (const auto* which : {&members, &others})
-    if (*which)
-      check::indices(which == &members ? "members" : "others", **which, 0,
+  for (const auto* subset : {&members, &others})
+    if (*subset)
+      check::indices(subset == &members ? "members" : "others", **subset, 0,
                      static_cast<std::int64_t>(count));
   const FlockRule rule{radius,
                        cosine,
                        static_cast<std::size_t>(nearest),
-                       interaction("attraction", attraction),
-                       interaction("alignment", alignment),
-                       interaction("repulsion", repulsion),
+                       read_interaction("attraction", attraction),
+                       read_interaction("alignment", alignment),
+                       read_interaction("repulsion", repulsion),
                        softening};
   const std::size_t size = members ? members->shape(0) : count;
   Out<double, 2> result(size, 3);
   Out<std::int32_t, 1> counts(size);
-  double tested = 0;
+  double test_count = 0;
   std::fill_n(result.get(), 3 * size, 0.0);
   std::fill_n(counts.get(), size, 0);
   const Neighbours grid(points.data(), others ? others->data() : nullptr,
                         others ? others->shape(0) : count, radius, period.data(), periods);
-  const Block<Vec> sorted = block<Vec>(grid.size());
+  const Block<Vec> sorted_velocities = block<Vec>(grid.size());
   for (std::size_t i = 0; i < grid.size(); ++i)
-    sorted[i] = load(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
-  const bool open = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
-  const bool all = open && !members && !others;
-  NeighbourForces forces(rule, grid, sorted.get());
-  const auto add = [&](std::size_t number, std::size_t which, const Vec& at, const Vec& velocity,
+    sorted_velocities[i] = load(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
+  const bool has_no_period = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
+  const bool visits_all = has_no_period && !members && !others;
+  NeighbourForces forces(rule, grid, sorted_velocities.get());
+  const auto add = [&](std::size_t row, std::size_t member, const Vec& point, const Vec& velocity,
                        const std::int32_t* hit, const std::int32_t* end) {
-    const std::size_t count = forces.add(which, at, velocity, hit, end, result.get() + 3 * number);
-    counts.get()[number] = static_cast<std::int32_t>(count);
+    const std::size_t count = forces.add(member, point, velocity, hit, end, result.get() + 3 * row);
+    counts.get()[row] = static_cast<std::int32_t>(count);
   };
-  if (all && rule.mutual())
-    tested = add_mutual(rule, grid, sorted.get(), max_tests, result.get(), counts.get());
-  else if (all)
-    tested = grid.visit_all<false>(
+  if (visits_all && rule.is_mutual())
+    test_count =
+        add_mutual(rule, grid, sorted_velocities.get(), max_tests, result.get(), counts.get());
+  else if (visits_all)
+    test_count = grid.visit_all<false>(
         max_tests,
-        [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
-          const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-          add(which, which, load(at), sorted[i], hit, end);
+        [&](std::size_t i, const double* point, const std::int32_t* hit, const std::int32_t* end) {
+          const std::size_t member = static_cast<std::size_t>(grid.index()[i]);
+          add(member, member, load(point), sorted_velocities[i], hit, end);
         });
   else
-    tested =
+    test_count =
         grid.visit(points.data(), members ? members->data() : nullptr, size, max_tests,
-                   [&](std::size_t number, std::size_t which, const double* at,
+                   [&](std::size_t row, std::size_t member, const double* point,
                        const std::int32_t* hit, const std::int32_t* end) {
-                     add(number, which, load(at), load(velocities.data() + 3 * which), hit, end);
+                     add(row, member, load(point), load(velocities.data() + 3 * member), hit, end);
                    });
-  return {std::move(result), std::move(counts), tested};
+  return {std::move(result), std::move(counts), test_count};
 }
 
 }  // namespace animtool

@@ -20,16 +20,18 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
                                   In<std::int64_t, 1> kinds, In<double, 1> at, In<double, 1> beyond,
                                   In<double, 1> cycles);
 
-// Of F frames, from each to the next.
+// The rotation vectors from each of F frames to the next (F - 1, C, 3).
 Out<double, 3> rotation_steps(In<double, 3> rotations);
 
+// Spherical interpolation of pairs of rotations.
 Out<double, 2> slerp(In<double, 2> starts, In<double, 2> ends, In<double, 1> shares);
 
 // frames, ins, outs
-using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
-FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t, 1> anchors,
-                        In<double, 1> low, In<double, 1> high, In<std::int64_t, 1> straight);
+using CubicFit = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
+CubicFit fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t, 1> anchors,
+                    In<double, 1> low, In<double, 1> high, In<std::int64_t, 1> straight);
 
+// Spans of frames whose poses interpolation reproduces, and corrections of their root.
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
     In<double, 3> joint_rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
     In<double, 2> positions, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,

@@ -16,50 +16,50 @@ enum SegmentKind : std::int64_t { kHold = 0, kLinear = 1, kCubic = 2, kBezier = 
 struct Cubic {
   double p1, p2, p3;
 
-  double at(double u) const { return u * (p1 + u * (p2 + u * p3)); }
-  double slope(double u) const { return p1 + u * (2 * p2 + u * (3 * p3)); }
-  double bend(double u) const { return 2 * p2 + u * (6 * p3); }
+  double value(double u) const { return u * (p1 + u * (p2 + u * p3)); }
+  double derivative(double u) const { return p1 + u * (2 * p2 + u * (3 * p3)); }
+  double second_derivative(double u) const { return 2 * p2 + u * (6 * p3); }
 };
 
-// The half of a segment next to a key. Both time and value are counted from that
-// key, so that nothing cancels near it: u is 0 there and 1 at the other key.
-struct Half {
-  double key, span;  // time of the key; signed time to the other one
+// The half of a segment next to a key. Time and value are relative to that key, so that nothing
+// cancels near it: u is 0 at the key, and 1 at the other key.
+struct HalfSegment {
+  double key_time, span;  // time of the key; signed time to the other one
   double value;
-  bool solve;  // whether u has to be solved for, or is the time itself
-  Cubic time;  // of the span
-  Cubic rise;  // from the value
+  bool needs_solve;  // whether u has to be solved for, or is the time itself
+  Cubic time;        // fraction of the span, as a function of u
+  Cubic rise;        // value relative to that at the key
 };
 
-// The Bezier polynomial from 0 by control values near and far to end.
-Cubic bezier(double near, double far, double end) {
-  return {3 * near, 3 * (far - 2 * near), end + 3 * (near - far)};
+// The Bezier polynomial from 0 to `end`, with two inner control values.
+Cubic bezier(double first, double second, double end) {
+  return {3 * first, 3 * (second - 2 * first), end + 3 * (first - second)};
 }
 
-// A handle longer than the segment is shrunk to it, its slope kept; the length as
-// a share of the segment.
+// A handle as a fraction of the segment's length, and its value. A handle longer than the segment
+// is shrunk to it; its slope stays.
 struct Handle {
   Handle(const double* offset, double span)
-      : length_ratio(std::fabs(offset[0]) / span), dv(offset[1]) {
+      : length_ratio(std::fabs(offset[0]) / span), value_offset(offset[1]) {
     if (length_ratio > 1) {
-      dv /= length_ratio;
+      value_offset /= length_ratio;
       length_ratio = 1;
     }
   }
-  double length_ratio, dv;
+  double length_ratio, value_offset;
 };
 
 // A segment as two halves, one from each key; `middle` is the time at u = 1/2.
 struct Segment {
-  Half halves[2];
+  HalfSegment halves[2];
   double start, middle, end;
 };
 
 Segment make_segment(const double* times, const double* values, std::int64_t kind,
                      const double* out, const double* in) {
   const double span = times[1] - times[0], rise = values[1] - values[0];
-  Half first{times[0], span, values[0], false, {}, {}};
-  Half second{times[1], -span, values[1], false, {}, {}};
+  HalfSegment first{times[0], span, values[0], false, {}, {}};
+  HalfSegment second{times[1], -span, values[1], false, {}, {}};
   double middle = times[0] + 0.5 * span;
   if (kind == kHold) {
     second.value = values[0];
@@ -71,107 +71,113 @@ Segment make_segment(const double* times, const double* values, std::int64_t kin
     second.rise = bezier(in[1], out[1] - rise, -rise);
   } else {
     const Handle a(out, span), b(in, span);
-    first.solve = second.solve = true;
+    first.needs_solve = second.needs_solve = true;
     first.time = bezier(a.length_ratio, 1 - b.length_ratio, 1);
     second.time = bezier(b.length_ratio, 1 - a.length_ratio, 1);
-    first.rise = bezier(a.dv, rise + b.dv, rise);
-    second.rise = bezier(b.dv, a.dv - rise, -rise);
-    middle = times[0] + span * first.time.at(0.5);
+    first.rise = bezier(a.value_offset, rise + b.value_offset, rise);
+    second.rise = bezier(b.value_offset, a.value_offset - rise, -rise);
+    middle = times[0] + span * first.time.value(0.5);
   }
   return {{first, second}, times[0], middle, times[1]};
 }
 
-// The u where the time polynomial is x, for any handles: Newton's method in a
-// bracket, which it halves where it converges too slowly
-// (W. H. Press et al., Numerical recipes, 3rd edition, 2007, section 9.4).
+// The u at which the time polynomial is x, for any handles: Newton's method in a bracket, which is
+// halved where it converges too slowly (W. H. Press et al., Numerical recipes, 3rd edition, 2007,
+// section 9.4).
 double solve_guarded(const Cubic& time, double x) {
   if (!(x > 0)) return 0;
   if (x >= 1) return 1;
   double low = 0, high = 1, u = 0.5;
-  // The leading term alone, so that u starts at its order of magnitude.
+  // Only the leading term, so that u starts with its order of magnitude.
   if (time.p1 > 0) u = std::min(u, x / time.p1);
   if (time.p2 > 0) u = std::min(u, std::sqrt(x / time.p2));
   if (time.p3 > 0) u = std::min(u, std::cbrt(x / time.p3));
-  double last = 1;
+  double previous_step = 1;
   for (int i = 0; i < 200; ++i) {
-    const double f = time.at(u) - x, slope = time.slope(u);
-    if (f == 0) return u;
-    (f < 0 ? low : high) = u;
-    double step = -f / slope;
-    const double to = u + step;
-    if (!(to > low && to < high && std::fabs(step) <= 0.5 * last)) {
+    const double residual = time.value(u) - x, derivative = time.derivative(u);
+    if (residual == 0) return u;
+    (residual < 0 ? low : high) = u;
+    double step = -residual / derivative;
+    const double next = u + step;
+    if (!(next > low && next < high && std::fabs(step) <= 0.5 * previous_step)) {
       step = 0.5 * (high - low);
       if (low + step == u) return u;
       step += low - u;
     }
-    last = std::fabs(step);
+    previous_step = std::fabs(step);
     u += step;
-    if (last <= 1e-16 * u) return u;
+    if (previous_step <= 1e-16 * u) return u;
   }
   return u;
 }
 
-constexpr std::size_t kChunk = 64;
+// Number of times that are solved together.
+constexpr std::size_t kChunkSize = 64;
 
-// The u of each x where Halley's method gets there in a few steps; NaN elsewhere.
-// Without branches, so that the processor works on several at a time. The start is
-// the parabola with the cubic's slope at 0 that meets it at 1/2.
+// The u of each x where Halley's method converges in a few steps; NaN elsewhere. Has no branches,
+// so that the processor works on several at a time. Starts from the parabola with the cubic's slope
+// at 0 that equals it at 1/2.
 void solve_quickly(const Cubic& time, const double* x, double* u, std::size_t n) {
-  const double p1 = time.p1, curve = 4 * time.p2 + 2 * time.p3;
+  const double p1 = time.p1, curvature = 4 * time.p2 + 2 * time.p3;
   for (std::size_t i = 0; i < n; ++i)
-    u[i] = 2 * x[i] / (p1 + std::sqrt(std::max(p1 * p1 + curve * x[i], 0.0)));
+    u[i] = 2 * x[i] / (p1 + std::sqrt(std::max(p1 * p1 + curvature * x[i], 0.0)));
   const auto halley = [&time](double u, double x) {
-    const double f = time.at(u) - x, slope = time.slope(u);
-    return 2 * f * slope / (2 * slope * slope - f * time.bend(u));
+    const double residual = time.value(u) - x, derivative = time.derivative(u);
+    return 2 * residual * derivative /
+           (2 * derivative * derivative - residual * time.second_derivative(u));
   };
   for (std::size_t i = 0; i < n; ++i) u[i] -= halley(u[i], x[i]);
   for (std::size_t i = 0; i < n; ++i) {
-    const double before = u[i] - halley(u[i], x[i]);
-    const double step = halley(before, x[i]), slope = time.slope(before);
-    const double bend = time.bend(before);
-    // What is left after a step is its cube times ((bend / 2 slope)^2 - p3 / slope).
-    const double left = step * step * (bend * bend + 4 * slope * std::fabs(time.p3));
-    const bool near = left <= 1e-11 * slope * slope && std::fabs(step) <= 1e-5 * before;
-    u[i] = near ? before - step : NAN;
+    const double previous = u[i] - halley(u[i], x[i]);
+    const double step = halley(previous, x[i]), derivative = time.derivative(previous);
+    const double second_derivative = time.second_derivative(previous);
+    // The error after a step is its cube times ((second_derivative / 2 derivative)^2 - p3 /
+    // derivative).
+    const double error_bound =
+        step * step * (second_derivative * second_derivative + 4 * derivative * std::fabs(time.p3));
+    const bool is_close =
+        error_bound <= 1e-11 * derivative * derivative && std::fabs(step) <= 1e-5 * previous;
+    u[i] = is_close ? previous - step : NAN;
   }
 }
 
-// Values at times whose fractions from the key of the half are known.
-void evaluate_half(const Half& half, const double* fractions, double* out, std::size_t n) {
-  if (!half.solve) {
-    for (std::size_t i = 0; i < n; ++i) out[i] = half.value + half.rise.at(fractions[i]);
+// Values at times given as fractions from the key of the half segment.
+void evaluate_half(const HalfSegment& half, const double* fractions, double* out, std::size_t n) {
+  if (!half.needs_solve) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = half.value + half.rise.value(fractions[i]);
     return;
   }
-  double u[kChunk];
-  for (; n; fractions += kChunk, out += kChunk) {
-    const std::size_t count = std::min(n, kChunk);
+  double u[kChunkSize];
+  for (; n; fractions += kChunkSize, out += kChunkSize) {
+    const std::size_t count = std::min(n, kChunkSize);
     solve_quickly(half.time, fractions, u, count);
     for (std::size_t i = 0; i < count; ++i)
       if (!(u[i] >= 0)) u[i] = solve_guarded(half.time, fractions[i]);
-    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.at(u[i]);
+    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.value(u[i]);
     n -= count;
   }
 }
 
 // The number of leading times in [low, high).
-std::size_t run_length(const double* at, std::size_t n, double low, double high) {
+std::size_t run_length(const double* times, std::size_t n, double low, double high) {
   std::size_t i = 0;
-  while (i < n && at[i] >= low && at[i] < high) ++i;
+  while (i < n && times[i] >= low && times[i] < high) ++i;
   return i;
 }
 
-void set_fractions(const double* at, double key, double span, double* out, std::size_t n) {
-  for (std::size_t i = 0; i < n; ++i) out[i] = (at[i] - key) / span;
+// Converts times to fractions of a span from a key.
+void set_fractions(const double* times, double key_time, double span, double* out, std::size_t n) {
+  for (std::size_t i = 0; i < n; ++i) out[i] = (times[i] - key_time) / span;
 }
 
-// Keys of all curves, and those of one.
+// Keys of all curves, or of one.
 struct Keys {
   const double *times, *values;
   const std::int64_t* kinds;
   const double *ins, *outs;
   std::size_t count;
 
-  Keys part(std::size_t begin, std::size_t end) const {
+  Keys slice(std::size_t begin, std::size_t end) const {
     return {times + begin,   values + begin,   kinds + begin,
             ins + 2 * begin, outs + 2 * begin, end - begin};
   }
@@ -182,106 +188,117 @@ constexpr std::size_t OUTSIDE = static_cast<std::size_t>(-1);
 // Consecutive times in one half of a segment, or outside of the keys.
 struct Run {
   std::size_t begin, end;
-  std::size_t segment;  // its first key, or OUTSIDE
-  std::size_t nearer;   // the nearer key
+  std::size_t segment;      // index of its first key, or OUTSIDE
+  std::size_t nearest_key;  // index of the nearer key
 };
 
-// Which segments times are in. Curves with keys at the same times share it.
-class Walk {
+// Finds the segments of times. Curves with keys at the same times share it.
+class SegmentFinder {
  public:
-  static constexpr std::size_t MOST = 1024;
+  static constexpr std::size_t MAX_TIMES = 1024;
 
-  explicit Walk(const Keys& keys) : times_(keys.times), last_(keys.count - 1) {}
+  explicit SegmentFinder(const Keys& keys) : times_(keys.times), last_(keys.count - 1) {}
 
-  // Goes over at most MOST times, ascending mostly.
-  void over(const double* at, std::size_t n) {
-    size_ = 0, gathered_ = 0;
+  // Finds the segments of at most MAX_TIMES times, which mostly ascend.
+  void find(const double* times, std::size_t n) {
+    run_count_ = 0, key_count_ = 0;
     for (std::size_t f = 0; f < n;) {
-      const double t = at[f];
+      const double t = times[f];
       if (!(t >= times_[0] && t < times_[last_])) {
-        const bool before = t < times_[0];
+        const bool is_before_start = t < times_[0];
         const std::size_t begin = f++;
-        while (f < n && (before ? at[f] < times_[0] : !(at[f] < times_[last_]))) ++f;
-        runs_[size_++] = {begin, f, OUTSIDE, before ? 0 : last_};
+        while (f < n && (is_before_start ? times[f] < times_[0] : !(times[f] < times_[last_]))) ++f;
+        runs_[run_count_++] = {begin, f, OUTSIDE, is_before_start ? 0 : last_};
         continue;
       }
-      // Mostly it is this segment or the next.
-      if (!(t >= times_[at_] && t < times_[at_ + 1])) {
-        if (at_ + 1 < last_ && t >= times_[at_ + 1] && t < times_[at_ + 2])
-          ++at_;
+      // Mostly it is the same segment or the next one.
+      if (!(t >= times_[segment_] && t < times_[segment_ + 1])) {
+        if (segment_ + 1 < last_ && t >= times_[segment_ + 1] && t < times_[segment_ + 2])
+          ++segment_;
         else
-          at_ = static_cast<std::size_t>(std::upper_bound(times_, times_ + last_, t) - times_) - 1;
+          segment_ =
+              static_cast<std::size_t>(std::upper_bound(times_, times_ + last_, t) - times_) - 1;
       }
-      const double from = times_[at_], to = times_[at_ + 1], span = to - from;
-      const double middle = from + 0.5 * span;
-      const bool late = t >= middle;
-      const std::size_t run = run_length(at + f, n - f, late ? middle : from, late ? to : middle);
-      set_fractions(at + f, late ? to : from, late ? -span : span, fractions_ + f, run);
-      runs_[size_++] = {f, f + run, at_, at_ + late};
-      f += run;
+      const double start = times_[segment_], end = times_[segment_ + 1], span = end - start;
+      const double middle = start + 0.5 * span;
+      const bool is_second_half = t >= middle;
+      const std::size_t length = run_length(times + f, n - f, is_second_half ? middle : start,
+                                            is_second_half ? end : middle);
+      set_fractions(times + f, is_second_half ? end : start, is_second_half ? -span : span,
+                    fractions_ + f, length);
+      runs_[run_count_++] = {f, f + length, segment_, segment_ + is_second_half};
+      f += length;
     }
   }
 
   const Run* begin() const { return runs_; }
-  const Run* end() const { return runs_ + size_; }
-  // Of each time in a segment: the time from the nearer key, of the way to the other one.
+  const Run* end() const { return runs_ + run_count_; }
+  // For each time in a segment: the time from the nearer key, as a fraction of the span to the
+  // other key.
   const double* fractions() const { return fractions_; }
 
   // Whether runs are so short that linear segments are evaluated time by time instead.
-  bool is_dense() const { return size_ && 4 * size_ >= runs_[size_ - 1].end; }
+  bool is_dense() const { return run_count_ && 4 * run_count_ >= runs_[run_count_ - 1].end; }
 
-  // Linear curves at all times, from the nearer and the farther key of each.
+  // Interpolates a linear curve at all times, from the nearer and the farther key of each.
   void interpolate(const double* values, double* out) {
-    if (!gathered_) gather();
-    for (std::size_t i = 0; i < gathered_; ++i) {
-      const double value = values[near_[i]];
-      out[i] = value + fractions_[i] * (values[far_[i]] - value);
+    if (!key_count_) find_keys();
+    for (std::size_t i = 0; i < key_count_; ++i) {
+      const double value = values[nearest_keys_[i]];
+      out[i] = value + fractions_[i] * (values[farther_keys_[i]] - value);
     }
   }
 
  private:
-  void gather() {
+  // Stores the nearer and the farther key of each time.
+  void find_keys() {
     for (const Run& run : *this) {
-      const bool outside = run.segment == OUTSIDE;
-      const std::size_t far = outside ? run.nearer : 2 * run.segment + 1 - run.nearer;
-      // The product is -0 there, which keeps the sign of zero.
-      if (outside) std::fill(fractions_ + run.begin, fractions_ + run.end, -0.0);
-      std::fill(near_ + run.begin, near_ + run.end, static_cast<std::uint32_t>(run.nearer));
-      std::fill(far_ + run.begin, far_ + run.end, static_cast<std::uint32_t>(far));
+      const bool is_outside = run.segment == OUTSIDE;
+      const std::size_t farther_key =
+          is_outside ? run.nearest_key : 2 * run.segment + 1 - run.nearest_key;
+      // The product is then -0, which keeps the sign of zero.
+      if (is_outside) std::fill(fractions_ + run.begin, fractions_ + run.end, -0.0);
+      std::fill(nearest_keys_ + run.begin, nearest_keys_ + run.end,
+                static_cast<std::uint32_t>(run.nearest_key));
+      std::fill(farther_keys_ + run.begin, farther_keys_ + run.end,
+                static_cast<std::uint32_t>(farther_key));
     }
-    gathered_ = runs_[size_ - 1].end;
+    key_count_ = runs_[run_count_ - 1].end;
   }
 
   const double* times_;
-  std::size_t last_, at_ = 0, size_ = 0, gathered_ = 0;
-  Run runs_[MOST];
-  std::uint32_t near_[MOST], far_[MOST];  // no curve has as many keys
-  double fractions_[MOST];
+  std::size_t last_, segment_ = 0, run_count_ = 0;
+  std::size_t key_count_ = 0;  // number of times whose keys are stored
+  Run runs_[MAX_TIMES];
+  std::uint32_t nearest_keys_[MAX_TIMES], farther_keys_[MAX_TIMES];  // no curve has as many keys
+  double fractions_[MAX_TIMES];
 };
 
-// Times in a Bezier segment, whose middle depends on its handles.
-void evaluate_bezier(const Segment& segment, const double* at, double* out, std::size_t n) {
-  double fractions[Walk::MOST];
+// Evaluates times in a Bezier segment, whose middle depends on its handles.
+void evaluate_bezier(const Segment& segment, const double* times, double* out, std::size_t n) {
+  double fractions[SegmentFinder::MAX_TIMES];
   for (std::size_t f = 0; f < n;) {
-    const bool late = at[f] >= segment.middle;
-    const Half& half = segment.halves[late];
-    const std::size_t run = run_length(at + f, n - f, late ? segment.middle : segment.start,
-                                       late ? segment.end : segment.middle);
-    set_fractions(at + f, half.key, half.span, fractions, run);
-    evaluate_half(half, fractions, out + f, run);
-    f += run;
+    const bool is_second_half = times[f] >= segment.middle;
+    const HalfSegment& half = segment.halves[is_second_half];
+    const std::size_t length =
+        run_length(times + f, n - f, is_second_half ? segment.middle : segment.start,
+                   is_second_half ? segment.end : segment.middle);
+    set_fractions(times + f, half.key_time, half.span, fractions, length);
+    evaluate_half(half, fractions, out + f, length);
+    f += length;
   }
 }
 
-// One curve, held outside its keys.
-void evaluate_curve(const Keys& keys, bool linear, Walk& walk, const double* at, double* out) {
-  if (linear && walk.is_dense()) {
-    walk.interpolate(keys.values, out);
+// Evaluates one curve; values are constant outside of its keys.
+void evaluate_curve(const Keys& keys, bool is_linear, SegmentFinder& finder, const double* times,
+                    double* out) {
+  if (is_linear && finder.is_dense()) {
+    finder.interpolate(keys.values, out);
     return;
   }
-  for (const Run* run = walk.begin(); run < walk.end(); ++run) {
+  for (const Run* run = finder.begin(); run < finder.end(); ++run) {
     const std::size_t f = run->begin, k = run->segment, n = run->end - f;
-    const double value = keys.values[run->nearer];
+    const double value = keys.values[run->nearest_key];
     if (k == OUTSIDE) {
       std::fill_n(out + f, n, value);
       continue;
@@ -291,66 +308,67 @@ void evaluate_curve(const Keys& keys, bool linear, Walk& walk, const double* at,
       std::fill_n(out + f, n, keys.values[k]);
     } else if (kind == kLinear) {
       const double rise = keys.values[k + 1] - keys.values[k];
-      const double signed_rise = run->nearer == k ? rise : -rise;
-      for (std::size_t i = f; i < f + n; ++i) out[i] = value + walk.fractions()[i] * signed_rise;
+      const double signed_rise = run->nearest_key == k ? rise : -rise;
+      for (std::size_t i = f; i < f + n; ++i) out[i] = value + finder.fractions()[i] * signed_rise;
     } else {
       const Segment segment = make_segment(keys.times + k, keys.values + k, kind, keys.outs + 2 * k,
                                            keys.ins + 2 * (k + 1));
       if (kind == kCubic) {
-        evaluate_half(segment.halves[run->nearer != k], walk.fractions() + f, out + f, n);
+        evaluate_half(segment.halves[run->nearest_key != k], finder.fractions() + f, out + f, n);
         continue;
       }
-      while (run + 1 < walk.end() && run[1].segment == k) ++run;
-      evaluate_bezier(segment, at + f, out + f, run->end - f);
+      while (run + 1 < finder.end() && run[1].segment == k) ++run;
+      evaluate_bezier(segment, times + f, out + f, run->end - f);
     }
   }
 }
 
-[[noreturn]] void refuse(const char* name, std::size_t curve, const char* why) {
-  check::refuse(name, "curve " + check::text(curve) + ": " + why);
+[[noreturn]] void refuse_curve(const char* name, std::size_t curve, const char* message) {
+  check::refuse(name, "curve " + check::text(curve) + ": " + message);
 }
 
-// The last key of a curve begins no segment. Handles are looked at where a segment has them.
-// Returns whether all segments are linear.
-bool check_curve(const Keys& keys, std::size_t curve, bool times_known) {
+// Checks the keys of a curve. The last key starts no segment. Handles are checked only where a
+// segment uses them. Returns whether all segments are linear.
+bool check_curve(const Keys& keys, std::size_t curve, bool are_times_checked) {
   const std::size_t segments = keys.count - 1;
-  if (!times_known) {
-    // Those between are finite if the ends are, and no segment is longer than the curve.
-    if (!std::isfinite(keys.times[segments] - keys.times[0])) refuse("times", curve, "not finite");
-    std::uint64_t wrong = 0;
-    for (std::size_t k = 0; k < segments; ++k) wrong |= !(keys.times[k] < keys.times[k + 1]);
-    if (wrong) refuse("times", curve, "not ascending");
+  if (!are_times_checked) {
+    // Times in between are finite if the ends are, and no segment is longer than the curve.
+    if (!std::isfinite(keys.times[segments] - keys.times[0]))
+      refuse_curve("times", curve, "not finite");
+    std::uint64_t has_disorder = 0;
+    for (std::size_t k = 0; k < segments; ++k) has_disorder |= !(keys.times[k] < keys.times[k + 1]);
+    if (has_disorder) refuse_curve("times", curve, "not ascending");
   }
   check::finite("values", keys.values, keys.count);
-  std::uint64_t bits = 0, common = kLinear;
+  std::uint64_t kind_bits = 0, common_bits = kLinear;
   for (std::size_t k = 0; k < segments; ++k) {
     const auto kind = static_cast<std::uint64_t>(keys.kinds[k]);
-    bits |= kind, common &= kind;
+    kind_bits |= kind, common_bits &= kind;
   }
-  if (bits <= kLinear) return common == kLinear;
-  if (bits > kBezier) check::indices("kinds", keys.kinds, segments, kHold, kBezier + 1);
-  double out_sum = 0, in_sum = 0;  // no numbers where a handle is not finite
-  bool out_back = false, in_back = false;
+  if (kind_bits <= kLinear) return common_bits == kLinear;
+  if (kind_bits > kBezier) check::indices("kinds", keys.kinds, segments, kHold, kBezier + 1);
+  double out_sum = 0, in_sum = 0;  // NaN if a handle is not finite
+  bool has_reversed_out = false, has_reversed_in = false;
   for (std::size_t k = 0; k < segments; ++k) {
     if (keys.kinds[k] <= kLinear) continue;
     const double *out = keys.outs + 2 * k, *in = keys.ins + 2 * (k + 1);
     out_sum += out[0] * 0 + out[1] * 0, in_sum += in[0] * 0 + in[1] * 0;
-    const bool bezier = keys.kinds[k] == kBezier;
-    out_back |= bezier && out[0] < 0, in_back |= bezier && in[0] > 0;
+    const bool is_bezier = keys.kinds[k] == kBezier;
+    has_reversed_out |= is_bezier && out[0] < 0, has_reversed_in |= is_bezier && in[0] > 0;
   }
-  if (out_sum != 0) refuse("outs", curve, "not finite");
-  if (in_sum != 0) refuse("ins", curve, "not finite");
-  if (out_back) refuse("outs", curve, "a handle points away from its segment");
-  if (in_back) refuse("ins", curve, "a handle points away from its segment");
+  if (out_sum != 0) refuse_curve("outs", curve, "not finite");
+  if (in_sum != 0) refuse_curve("ins", curve, "not finite");
+  if (has_reversed_out) refuse_curve("outs", curve, "a handle points away from its segment");
+  if (has_reversed_in) refuse_curve("ins", curve, "a handle points away from its segment");
   return false;
 }
 
-bool equal(const double* a, const double* b, std::size_t count) {
+bool are_equal(const double* a, const double* b, std::size_t count) {
   return a == b || !std::memcmp(a, b, count * sizeof(double));
 }
 
-// Curves that are looked at together: their keys stay in the processor's cache.
-constexpr std::size_t TOGETHER = 8;
+// Largest number of curves that are evaluated together: their keys stay in the processor's cache.
+constexpr std::size_t MAX_GROUP = 8;
 
 }  // namespace
 
@@ -370,36 +388,37 @@ std::optional<Out<double, 2>> evaluate_curves(In<std::int64_t, 1> first, In<doub
   check::shape("outs", outs, {count, 2});
   check::shape("at", at, {rows == 1 ? 1 : curves, check::ANY});
   if (out) check::shape("out", *out, {curves, frames});
-  const Keys all{times.data(), values.data(), kinds.data(), ins.data(), outs.data(), count};
+  const Keys all_keys{times.data(), values.data(), kinds.data(), ins.data(), outs.data(), count};
   const auto keys_of = [&](std::size_t c) {
-    return all.part(static_cast<std::size_t>(first.data()[c]),
-                    static_cast<std::size_t>(first.data()[c + 1]));
+    return all_keys.slice(static_cast<std::size_t>(first.data()[c]),
+                          static_cast<std::size_t>(first.data()[c + 1]));
   };
-  const auto at_of = [&](std::size_t c) { return at.data() + (rows == 1 ? 0 : c * frames); };
+  const auto times_of = [&](std::size_t c) { return at.data() + (rows == 1 ? 0 : c * frames); };
   for (std::size_t c = 0; c < curves; ++c)
-    if (!keys_of(c).count) refuse("first", c, "it has no key");
-  std::optional<Out<double, 2>> made;
-  if (!out) made.emplace(curves, frames);
-  double* const result = out ? out->data() : made->get();
+    if (!keys_of(c).count) refuse_curve("first", c, "it has no key");
+  std::optional<Out<double, 2>> allocated;
+  if (!out) allocated.emplace(curves, frames);
+  double* const result = out ? out->data() : allocated->get();
   for (std::size_t c = 0, next; c < curves; c = next) {
     const Keys keys = keys_of(c);
-    bool linear[TOGETHER];
-    linear[0] = check_curve(keys, c, false);
-    for (next = c + 1; next < curves && next < c + TOGETHER; ++next) {
+    bool is_linear[MAX_GROUP];
+    is_linear[0] = check_curve(keys, c, false);
+    for (next = c + 1; next < curves && next < c + MAX_GROUP; ++next) {
       const Keys other = keys_of(next);
-      if (other.count != keys.count || !equal(other.times, keys.times, keys.count) ||
-          !equal(at_of(next), at_of(c), frames))
+      if (other.count != keys.count || !are_equal(other.times, keys.times, keys.count) ||
+          !are_equal(times_of(next), times_of(c), frames))
         break;
-      linear[next - c] = check_curve(other, next, true);
+      is_linear[next - c] = check_curve(other, next, true);
     }
-    Walk walk(keys);
-    for (std::size_t f = 0; f < frames; f += Walk::MOST) {
-      walk.over(at_of(c) + f, std::min(Walk::MOST, frames - f));
+    SegmentFinder finder(keys);
+    for (std::size_t f = 0; f < frames; f += SegmentFinder::MAX_TIMES) {
+      finder.find(times_of(c) + f, std::min(SegmentFinder::MAX_TIMES, frames - f));
       for (std::size_t i = c; i < next; ++i)
-        evaluate_curve(keys_of(i), linear[i - c], walk, at_of(c) + f, result + i * frames + f);
+        evaluate_curve(keys_of(i), is_linear[i - c], finder, times_of(c) + f,
+                       result + i * frames + f);
     }
   }
-  return made;
+  return allocated;
 }
 
 }  // namespace animtool

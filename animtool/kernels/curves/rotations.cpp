@@ -1,7 +1,7 @@
-// Rotations between keys: arcs, squad and C1 splines, many curves with keys at one time.
+// Rotations between keys: arcs, squad and C1 splines, for many curves with keys at the same times.
 //
-// Quaternions are on the double cover, where q and -q differ. What a segment is made of is
-// worked out once and stays while times are within it.
+// Quaternions are on the double cover, where q and -q differ. The constants of a segment are
+// computed once, and reused while times are in it.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -22,20 +22,21 @@ using ik::product;
 
 enum RotationKind : std::int64_t { kStep = 0, kSlerp = 1, kSquad = 2, kSpline = 3 };
 
-// Below this half of an angle [rad] an arc is straight to the last digit.
-constexpr double SMALL_HALF = 1e-5;
-// A velocity at a key turns by no more than this over either segment [rad].
+// Half angle [rad] below which an arc is straight in double precision.
+constexpr double SMALL_HALF_ANGLE = 1e-5;
+// Largest rotation by the velocity at a key over either segment [rad].
 constexpr double MAX_ROTATION = 6.283185307179586476925;
 
 double dot4(const double* a, const double* b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
 }
 
-// The rotation vector whose exponential is q, sign and all; its length is at most two turns.
+// The rotation vector whose exponential is q including its sign; its length is at most two
+// revolutions.
 void logarithm_of_cover(const double* q, double* v) {
   const double sine = length(q), w = q[3];
   double factor;
-  if (sine < SMALL_HALF && w > 0) {
+  if (sine < SMALL_HALF_ANGLE && w > 0) {
     const double fraction = sine / w;
     factor = 2 / w * (1 - fraction * fraction / 3);
   } else {
@@ -44,166 +45,167 @@ void logarithm_of_cover(const double* q, double* v) {
   for (int i = 0; i < 3; ++i) v[i] = factor * q[i];
 }
 
-// From a to b in body space.
+// The rotation vector from a to b in body space.
 void rotation_between(const double* a, const double* b, double* v) {
-  const double back[4] = {-a[0], -a[1], -a[2], a[3]};
+  const double inverse[4] = {-a[0], -a[1], -a[2], a[3]};
   double q[4];
-  product(back, b, q);
+  product(inverse, b, q);
   logarithm_of_cover(q, v);
 }
 
-// q exp(share v)
-void rotate_further(const double* q, double fraction, const double* v, double* out) {
+// Computes q exp(fraction v).
+void rotate_by_fraction(const double* q, double fraction, const double* v, double* out) {
   const double scaled[3] = {fraction * v[0], fraction * v[1], fraction * v[2]};
-  double by[4];
-  exponential(scaled, by);
-  product(q, by, out);
+  double rotation[4];
+  exponential(scaled, rotation);
+  product(q, rotation, out);
 }
 
-// The shortest arc: half of its angle by the chords, which keep their digits where the product
-// of the ends does not (W. Kahan, How futile are mindless assessments of roundoff, 2006).
+// The shortest arc. Half of its angle is computed from the chords, which are accurate where the
+// product of the ends is not (W. Kahan, How futile are mindless assessments of roundoff, 2006).
 struct Arc {
   double start[4], end[4], half, sine;
-  bool straight;
+  bool is_straight;
 
-  void set(const double* a, const double* b) {
+  void compute(const double* a, const double* b) {
     const double sign = dot4(a, b) < 0 ? -1 : 1;
-    double distance = 0, opposed = 0;
+    double squared_difference = 0, squared_sum = 0;
     for (int i = 0; i < 4; ++i) {
       start[i] = a[i], end[i] = sign * b[i];
-      distance += (a[i] - end[i]) * (a[i] - end[i]);
-      opposed += (a[i] + end[i]) * (a[i] + end[i]);
+      squared_difference += (a[i] - end[i]) * (a[i] - end[i]);
+      squared_sum += (a[i] + end[i]) * (a[i] + end[i]);
     }
-    half = 2 * std::atan2(std::sqrt(distance), std::sqrt(opposed));
-    straight = half < SMALL_HALF;
+    half = 2 * std::atan2(std::sqrt(squared_difference), std::sqrt(squared_sum));
+    is_straight = half < SMALL_HALF_ANGLE;
     sine = std::sin(half);
   }
 
-  void at(double u, double* q) const {
-    double first = 1 - u, second = u;
-    if (!straight) {
-      first = std::sin((1 - u) * half) / sine;
-      second = std::sin(u * half) / sine;
+  void evaluate(double u, double* q) const {
+    double start_weight = 1 - u, end_weight = u;
+    if (!is_straight) {
+      start_weight = std::sin((1 - u) * half) / sine;
+      end_weight = std::sin(u * half) / sine;
     }
-    for (int i = 0; i < 4; ++i) q[i] = first * start[i] + second * end[i];
-    const double size = std::sqrt(dot4(q, q));
-    if (size == 0)
+    for (int i = 0; i < 4; ++i) q[i] = start_weight * start[i] + end_weight * end[i];
+    const double norm = std::sqrt(dot4(q, q));
+    if (norm == 0)
       q[3] = 1;
     else
-      for (int i = 0; i < 4; ++i) q[i] /= size;
+      for (int i = 0; i < 4; ++i) q[i] /= norm;
   }
 };
 
-// A turn about an axis of its own.
+// A rotation about a fixed axis.
 struct RotationArc {
   double axis[3], half;
 
-  void set(const double* v) {
+  void compute(const double* v) {
     const double angle = length(v);
     half = angle / 2;
     for (int i = 0; i < 3; ++i) axis[i] = angle > 0 ? v[i] / angle : 0;
   }
 
-  // From a to b in body space.
-  void set_between(const double* a, const double* b) {
-    const double back[4] = {-a[0], -a[1], -a[2], a[3]};
+  // Computes the rotation from a to b in body space.
+  void compute_between(const double* a, const double* b) {
+    const double inverse[4] = {-a[0], -a[1], -a[2], a[3]};
     double q[4];
-    product(back, b, q);
+    product(inverse, b, q);
     const double sine = length(q);
     half = sine > 0 ? std::atan2(sine, q[3]) : 0;
     for (int i = 0; i < 3; ++i) axis[i] = sine > 0 ? q[i] / sine : 0;
   }
 
-  // q times a share of it.
-  void on(const double* q, double fraction, double* out) const {
+  // Computes q times a fraction of the rotation.
+  void apply(const double* q, double fraction, double* out) const {
     const double sine = std::sin(fraction * half);
-    const double by[4] = {sine * axis[0], sine * axis[1], sine * axis[2],
-                          std::cos(fraction * half)};
-    product(q, by, out);
+    const double rotation[4] = {sine * axis[0], sine * axis[1], sine * axis[2],
+                                std::cos(fraction * half)};
+    product(q, rotation, out);
   }
 };
 
-// Segments whose inner points follow from the velocities at their ends.
+// A squad segment, whose inner points follow from the velocities at its ends.
 struct Squad {
   double start[4], outer[4];
-  RotationArc along, across;
+  RotationArc outer_arc, inner_arc;
 
   // `step` is the rotation vector from a to b.
-  void set(const double* a, const double* b, const double* step, const double* leaving,
-           const double* arriving) {
+  void compute(const double* a, const double* b, const double* step, const double* leaving,
+               const double* arriving) {
     double to_outer[3], to_inner[3], inner[4];
     for (int i = 0; i < 3; ++i)
       to_outer[i] = leaving[i] - step[i], to_inner[i] = step[i] - arriving[i];
     std::copy(a, a + 4, start);
-    rotate_further(a, 0.5, to_outer, outer);
-    rotate_further(b, 0.5, to_inner, inner);
-    along.set(step);
-    across.set_between(outer, inner);
+    rotate_by_fraction(a, 0.5, to_outer, outer);
+    rotate_by_fraction(b, 0.5, to_inner, inner);
+    outer_arc.compute(step);
+    inner_arc.compute_between(outer, inner);
   }
 
-  void at(double u, double* q) const {
-    double near[4], far[4];
-    along.on(start, u, near);
-    across.on(outer, u, far);
-    RotationArc between;
-    between.set_between(near, far);
-    between.on(near, 2 * u * (1 - u), q);
+  void evaluate(double u, double* q) const {
+    double outer_point[4], inner_point[4];
+    outer_arc.apply(start, u, outer_point);
+    inner_arc.apply(outer, u, inner_point);
+    RotationArc blend;
+    blend.compute_between(outer_point, inner_point);
+    blend.apply(outer_point, 2 * u * (1 - u), q);
     normalize(q);
   }
 };
 
-// Cubic segments by the velocities at their ends, in the cumulative Bezier form (M.-J. Kim,
+// A cubic segment with given velocities at its ends, in the cumulative Bezier form (M.-J. Kim,
 // M.-S. Kim, S. Y. Shin, SIGGRAPH 1995).
 struct Spline {
   double start[4];
   RotationArc arcs[3];
 
-  void set(const double* a, const double* b, const double* leaving, const double* arriving) {
-    double first[3], last[3], back[3], near[4], far[4];
+  void compute(const double* a, const double* b, const double* leaving, const double* arriving) {
+    double first_step[3], last_step[3], inverse_last[3], first_point[4], last_point[4];
     for (int i = 0; i < 3; ++i)
-      first[i] = leaving[i] / 3, last[i] = arriving[i] / 3, back[i] = -last[i];
+      first_step[i] = leaving[i] / 3, last_step[i] = arriving[i] / 3,
+      inverse_last[i] = -last_step[i];
     std::copy(a, a + 4, start);
-    rotate_further(a, 1, first, near);
-    rotate_further(b, 1, back, far);
-    arcs[0].set(first);
-    arcs[1].set_between(near, far);
-    arcs[2].set(last);
+    rotate_by_fraction(a, 1, first_step, first_point);
+    rotate_by_fraction(b, 1, inverse_last, last_point);
+    arcs[0].compute(first_step);
+    arcs[1].compute_between(first_point, last_point);
+    arcs[2].compute(last_step);
   }
 
-  void at(double u, double* q) const {
-    const double left = 1 - u;
-    double one[4], two[4];
-    arcs[0].on(start, 1 - left * left * left, one);
-    arcs[1].on(one, u * u * (3 - 2 * u), two);
-    arcs[2].on(two, u * u * u, q);
+  void evaluate(double u, double* q) const {
+    const double remaining = 1 - u;
+    double first[4], second[4];
+    arcs[0].apply(start, 1 - remaining * remaining * remaining, first);
+    arcs[1].apply(first, u * u * (3 - 2 * u), second);
+    arcs[2].apply(second, u * u * u, q);
     normalize(q);
   }
 };
 
 struct RotationKeys {
   const double* times;
-  std::vector<double> keys;  // (K, C, 4), at length 1, signs along the short way
+  std::vector<double> keys;  // (K, C, 4), normalised, with signs of the shortest path
   const std::int64_t* kinds;
   std::size_t count, curves;
 
   const double* key(std::size_t k, std::size_t c) const { return &keys[4 * (k * curves + c)]; }
 };
 
-// Angular velocities in body space. Each key's is that of the quadratic through it and its
-// neighbours; a slerp beside it has its say, a step has none. Those of the last keys asked for
-// are kept: as times ascend, each is worked out once, in little memory.
+// Angular velocities at keys, in body space. The velocity at a key is that of the quadratic through
+// it and its neighbours. A slerp next to it takes precedence; a step has no velocity. The rows of
+// the last keys are cached: as times ascend, each is computed once, with little memory.
 class Velocities {
  public:
   explicit Velocities(const RotationKeys& keys) : keys_(keys) {
-    for (std::size_t i = 0; i < KEPT; ++i) {
+    for (std::size_t i = 0; i < CACHE_SIZE; ++i) {
       steps_[i].values.resize(3 * keys.curves);
       velocities_[i].values.resize(3 * keys.curves);
     }
   }
 
-  // The rotation vectors from a key to the next (C, 3).
+  // The rotation vectors from a key to the next one (C, 3).
   const double* steps(std::size_t k) {
-    Row& row = steps_[k % KEPT];
+    Row& row = steps_[k % CACHE_SIZE];
     if (row.key == k) return row.values.data();
     row.key = k;
     for (std::size_t c = 0; c < keys_.curves; ++c)
@@ -212,90 +214,99 @@ class Velocities {
   }
 
   // The velocities at a key (C, 3).
-  const double* at(std::size_t k) {
-    Row& row = velocities_[k % KEPT];
+  const double* velocities_at(std::size_t k) {
+    Row& row = velocities_[k % CACHE_SIZE];
     if (row.key == k) return row.values.data();
     row.key = k;
-    set(k, row.values);
+    compute(k, row.values);
     return row.values.data();
   }
 
  private:
-  static constexpr std::size_t KEPT = 4, NONE = static_cast<std::size_t>(-1);
+  static constexpr std::size_t CACHE_SIZE = 4, NONE = static_cast<std::size_t>(-1);
 
   struct Row {
     std::size_t key = NONE;
     std::vector<double> values;
   };
 
-  static int rank(std::int64_t kind) { return kind == kStep ? 0 : kind == kSlerp ? 2 : 1; }
+  // Precedence of the kind of a segment in the velocity at a key.
+  static int precedence(std::int64_t kind) { return kind == kStep ? 0 : kind == kSlerp ? 2 : 1; }
 
-  void set(std::size_t k, std::vector<double>& values) {
+  void compute(std::size_t k, std::vector<double>& values) {
     const std::size_t last = keys_.count - 1;
-    const double before = k > 0 ? keys_.times[k] - keys_.times[k - 1] : 0;
-    const double after = k < last ? keys_.times[k + 1] - keys_.times[k] : 0;
-    const int first = k > 0 ? rank(keys_.kinds[k - 1]) : 0;
-    const int second = k < last ? rank(keys_.kinds[k]) : 0;
+    const double time_before = k > 0 ? keys_.times[k] - keys_.times[k - 1] : 0;
+    const double time_after = k < last ? keys_.times[k + 1] - keys_.times[k] : 0;
+    const int precedence_before = k > 0 ? precedence(keys_.kinds[k - 1]) : 0;
+    const int precedence_after = k < last ? precedence(keys_.kinds[k]) : 0;
     std::fill(values.begin(), values.end(), 0.0);
-    if (!first && !second) return;
-    const double fraction = first > second ? 1 : first < second ? 0 : after / (before + after);
-    const double* arriving = first >= second ? steps(k - 1) : nullptr;
-    const double* leaving = second >= first ? steps(k) : nullptr;
+    if (!precedence_before && !precedence_after) return;
+    const double fraction = precedence_before > precedence_after ? 1
+                            : precedence_before < precedence_after
+                                ? 0
+                                : time_after / (time_before + time_after);
+    const double* arriving = precedence_before >= precedence_after ? steps(k - 1) : nullptr;
+    const double* leaving = precedence_after >= precedence_before ? steps(k) : nullptr;
     for (std::size_t c = 0; c < keys_.curves; ++c) {
       double* out = &values[3 * c];
       for (int i = 0; i < 3; ++i) {
-        if (arriving) out[i] += fraction * (arriving[3 * c + i] / before);
-        if (leaving) out[i] += (1 - fraction) * (leaving[3 * c + i] / after);
+        if (arriving) out[i] += fraction * (arriving[3 * c + i] / time_before);
+        if (leaving) out[i] += (1 - fraction) * (leaving[3 * c + i] / time_after);
       }
-      const double limit = length(out) * std::max(before, after);
-      if (limit > MAX_ROTATION)
-        for (int i = 0; i < 3; ++i) out[i] *= MAX_ROTATION / limit;
+      const double rotation = length(out) * std::max(time_before, time_after);
+      if (rotation > MAX_ROTATION)
+        for (int i = 0; i < 3; ++i) out[i] *= MAX_ROTATION / rotation;
     }
   }
 
   const RotationKeys& keys_;
-  Row steps_[KEPT], velocities_[KEPT];
+  Row steps_[CACHE_SIZE], velocities_[CACHE_SIZE];
 };
 
-// What a segment of every curve is made of, for the kind that it has.
+// The constants of a segment of all curves, for its kind.
 class Segments {
  public:
-  // Without velocities where no segment asks for any.
+  // `velocities` may be null if no segment needs them.
   Segments(const RotationKeys& keys, Velocities* velocities)
       : keys_(keys), velocities_(velocities) {}
 
-  // Of the keys k and k + 1.
-  void set(std::size_t k) {
+  // Computes the segment between the keys k and k + 1.
+  void compute(std::size_t k) {
     kind_ = keys_.kinds[k];
     const std::size_t curves = keys_.curves;
     if (kind_ == kSlerp) {
       arcs_.resize(curves);
-      for (std::size_t c = 0; c < curves; ++c) arcs_[c].set(keys_.key(k, c), keys_.key(k + 1, c));
+      for (std::size_t c = 0; c < curves; ++c)
+        arcs_[c].compute(keys_.key(k, c), keys_.key(k + 1, c));
     } else if (kind_ != kStep) {
       const double span = keys_.times[k + 1] - keys_.times[k];
-      const double *starts = velocities_->at(k), *ends = velocities_->at(k + 1);
+      const double *start_velocities = velocities_->velocities_at(k),
+                   *end_velocities = velocities_->velocities_at(k + 1);
       const double* steps = velocities_->steps(k);
       squads_.resize(curves), splines_.resize(curves);
       for (std::size_t c = 0; c < curves; ++c) {
         double leaving[3], arriving[3];
         for (int i = 0; i < 3; ++i)
-          leaving[i] = span * starts[3 * c + i], arriving[i] = span * ends[3 * c + i];
+          leaving[i] = span * start_velocities[3 * c + i],
+          arriving[i] = span * end_velocities[3 * c + i];
         if (kind_ == kSquad)
-          squads_[c].set(keys_.key(k, c), keys_.key(k + 1, c), steps + 3 * c, leaving, arriving);
+          squads_[c].compute(keys_.key(k, c), keys_.key(k + 1, c), steps + 3 * c, leaving,
+                             arriving);
         else
-          splines_[c].set(keys_.key(k, c), keys_.key(k + 1, c), leaving, arriving);
+          splines_[c].compute(keys_.key(k, c), keys_.key(k + 1, c), leaving, arriving);
       }
     }
   }
 
-  void at(std::size_t k, double u, double* out) const {
+  // Computes the rotations of all curves at a fraction of the segment.
+  void evaluate(std::size_t k, double u, double* out) const {
     for (std::size_t c = 0; c < keys_.curves; ++c, out += 4) {
       if (kind_ == kSlerp)
-        arcs_[c].at(u, out);
+        arcs_[c].evaluate(u, out);
       else if (kind_ == kSquad)
-        squads_[c].at(u, out);
+        squads_[c].evaluate(u, out);
       else if (kind_ == kSpline)
-        splines_[c].at(u, out);
+        splines_[c].evaluate(u, out);
       else
         std::copy_n(keys_.key(k, c), 4, out);
     }
@@ -310,15 +321,16 @@ class Segments {
   std::vector<Spline> splines_;
 };
 
+// Checks and normalises keys, and chooses their signs.
 RotationKeys read_keys(In<double, 1> times, In<double, 3> keys, In<std::int64_t, 1> kinds) {
   const std::size_t count = times.shape(0), curves = keys.shape(1);
-  RotationKeys read{times.data(), {}, kinds.data(), count, curves};
-  read.keys.assign(keys.data(), keys.data() + keys.size());
+  RotationKeys result{times.data(), {}, kinds.data(), count, curves};
+  result.keys.assign(keys.data(), keys.data() + keys.size());
   for (std::size_t k = 0; k < count; ++k)
     for (std::size_t c = 0; c < curves; ++c) {
-      double* q = &read.keys[4 * (k * curves + c)];
-      const auto refuse = [k](const char* why) {
-        check::refuse("keys", "key " + check::text(k) + " " + why);
+      double* q = &result.keys[4 * (k * curves + c)];
+      const auto refuse = [k](const char* message) {
+        check::refuse("keys", "key " + check::text(k) + " " + message);
       };
       double sum = 0;
       for (int i = 0; i < 4; ++i) sum += q[i] * 0;
@@ -328,41 +340,42 @@ RotationKeys read_keys(In<double, 1> times, In<double, 3> keys, In<std::int64_t,
       if (k > 0 && dot4(q, q - 4 * curves) < 0)
         for (int i = 0; i < 4; ++i) q[i] = -q[i];
     }
-  return read;
+  return result;
 }
 
-// Frames beyond the keys go on with the velocity at the end, or begin a cycle where the last
-// one ended.
-class Beyond {
+// Extrapolation of frames outside of the keys: continues with the velocity at the end, or starts a
+// cycle where the previous one ended.
+class Extrapolation {
  public:
-  Beyond(const RotationKeys& keys, Velocities& velocities) : curves_(keys.curves) {
+  Extrapolation(const RotationKeys& keys, Velocities& velocities) : curves_(keys.curves) {
     const std::size_t last = keys.count - 1;
-    ends_.resize(6 * curves_), rises_.resize(3 * curves_);
+    end_velocities_.resize(6 * curves_), cycle_rotations_.resize(3 * curves_);
     for (std::size_t c = 0; c < curves_; ++c) {
-      std::copy_n(velocities.at(0) + 3 * c, 3, &ends_[6 * c]);
-      std::copy_n(velocities.at(last) + 3 * c, 3, &ends_[6 * c + 3]);
+      std::copy_n(velocities.velocities_at(0) + 3 * c, 3, &end_velocities_[6 * c]);
+      std::copy_n(velocities.velocities_at(last) + 3 * c, 3, &end_velocities_[6 * c + 3]);
       const double* first = keys.key(0, c);
-      const double back[4] = {-first[0], -first[1], -first[2], first[3]};
-      double rise[4];
-      product(keys.key(last, c), back, rise);
-      if (rise[3] < 0)
-        for (int i = 0; i < 4; ++i) rise[i] = -rise[i];
-      logarithm_of_cover(rise, &rises_[3 * c]);
+      const double inverse[4] = {-first[0], -first[1], -first[2], first[3]};
+      double cycle[4];
+      product(keys.key(last, c), inverse, cycle);
+      if (cycle[3] < 0)
+        for (int i = 0; i < 4; ++i) cycle[i] = -cycle[i];
+      logarithm_of_cover(cycle, &cycle_rotations_[3 * c]);
     }
   }
 
-  void limit(double beyond, double cycles, double* q) const {
+  // Rotates a frame by its time beyond the keys, and by a number of cycles.
+  void apply(double beyond, double cycles, double* q) const {
     for (std::size_t c = 0; c < curves_; ++c, q += 4) {
-      double composed[4], by[4], turned[3];
+      double composed[4], rotation[4], vector[3];
       if (beyond != 0) {
-        rotate_further(q, beyond, &ends_[6 * c + (beyond < 0 ? 0 : 3)], composed);
+        rotate_by_fraction(q, beyond, &end_velocities_[6 * c + (beyond < 0 ? 0 : 3)], composed);
         normalize(composed);
         std::copy(composed, composed + 4, q);
       }
       if (cycles != 0) {
-        for (int i = 0; i < 3; ++i) turned[i] = cycles * rises_[3 * c + i];
-        exponential(turned, by);
-        product(by, q, composed);
+        for (int i = 0; i < 3; ++i) vector[i] = cycles * cycle_rotations_[3 * c + i];
+        exponential(vector, rotation);
+        product(rotation, q, composed);
         normalize(composed);
         std::copy(composed, composed + 4, q);
       }
@@ -371,7 +384,7 @@ class Beyond {
 
  private:
   const std::size_t curves_;
-  std::vector<double> ends_, rises_;
+  std::vector<double> end_velocities_, cycle_rotations_;
 };
 
 }  // namespace
@@ -391,45 +404,50 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
   check::finite("beyond", beyond);
   check::finite("cycles", cycles);
   check::indices("kinds", kinds, kStep, kSpline + 1);
-  const RotationKeys read = read_keys(times, keys, kinds);
-  const auto goes_on = [](const In<double, 1>& values) {
+  const RotationKeys rotation_keys = read_keys(times, keys, kinds);
+  const auto has_nonzero = [](const In<double, 1>& values) {
     return std::any_of(values.data(), values.data() + values.size(),
                        [](double v) { return v != 0; });
   };
-  const bool outside = goes_on(beyond) || goes_on(cycles);
-  const bool bends = std::any_of(kinds.data(), kinds.data() + count,
-                                 [](std::int64_t kind) { return kind >= kSquad; });
+  const bool has_extrapolation = has_nonzero(beyond) || has_nonzero(cycles);
+  const bool needs_velocities = std::any_of(kinds.data(), kinds.data() + count,
+                                            [](std::int64_t kind) { return kind >= kSquad; });
   std::optional<Velocities> velocities;
-  if (bends || outside) velocities.emplace(read);
-  std::optional<Beyond> ends;
-  if (outside) ends.emplace(read, *velocities);
-  Segments segments(read, velocities ? &*velocities : nullptr);
+  if (needs_velocities || has_extrapolation) velocities.emplace(rotation_keys);
+  std::optional<Extrapolation> extrapolation;
+  if (has_extrapolation) extrapolation.emplace(rotation_keys, *velocities);
+  Segments segments(rotation_keys, velocities ? &*velocities : nullptr);
   Out<double, 3> out(frames, curves, 4);
   std::vector<double> flips(curves, 1.0);
-  std::size_t set = count, k = 0;
+  std::size_t computed_segment = count, k = 0;
   for (std::size_t f = 0; f < frames; ++f) {
     double* q = out.get() + 4 * f * curves;
-    const double t = std::clamp(at.data()[f], read.times[0], read.times[count - 1]);
+    const double t =
+        std::clamp(at.data()[f], rotation_keys.times[0], rotation_keys.times[count - 1]);
     // Times mostly ascend: then it is this segment or the next.
-    if (!(t >= read.times[k] && (k + 1 == count || t < read.times[k + 1]))) {
-      if (k + 1 < count && t >= read.times[k + 1] && (k + 2 == count || t < read.times[k + 2]))
+    if (!(t >= rotation_keys.times[k] && (k + 1 == count || t < rotation_keys.times[k + 1]))) {
+      if (k + 1 < count && t >= rotation_keys.times[k + 1] &&
+          (k + 2 == count || t < rotation_keys.times[k + 2]))
         ++k;
       else
-        k = static_cast<std::size_t>(std::upper_bound(read.times, read.times + count, t) -
-                                     read.times) -
+        k = static_cast<std::size_t>(
+                std::upper_bound(rotation_keys.times, rotation_keys.times + count, t) -
+                rotation_keys.times) -
             1;
     }
-    if (t == read.times[k]) {
-      std::copy_n(read.key(k, 0), 4 * curves, q);
+    if (t == rotation_keys.times[k]) {
+      std::copy_n(rotation_keys.key(k, 0), 4 * curves, q);
     } else {
-      if (set != k) segments.set(set = k);
-      segments.at(k, (t - read.times[k]) / (read.times[k + 1] - read.times[k]), q);
+      if (computed_segment != k) segments.compute(computed_segment = k);
+      segments.evaluate(
+          k, (t - rotation_keys.times[k]) / (rotation_keys.times[k + 1] - rotation_keys.times[k]),
+          q);
     }
-    if (outside) ends->limit(beyond.data()[f], cycles.data()[f], q);
+    if (has_extrapolation) extrapolation->apply(beyond.data()[f], cycles.data()[f], q);
     if (f == 0) continue;
-    const double* last = q - 4 * curves;
+    const double* previous = q - 4 * curves;
     for (std::size_t c = 0; c < curves; ++c) {
-      if (flips[c] * dot4(q + 4 * c, last + 4 * c) < 0) flips[c] = -flips[c];
+      if (flips[c] * dot4(q + 4 * c, previous + 4 * c) < 0) flips[c] = -flips[c];
       if (flips[c] < 0)
         for (int i = 0; i < 4; ++i) q[4 * c + i] = -q[4 * c + i];
     }
@@ -443,12 +461,12 @@ Out<double, 3> rotation_steps(In<double, 3> rotations) {
   const std::size_t steps = frames ? frames - 1 : 0;
   Out<double, 3> out(steps, curves, 3);
   for (std::size_t i = 0; i < steps * curves; ++i) {
-    const double* one = rotations.data() + 4 * i;
-    const double back[4] = {-one[0], -one[1], -one[2], one[3]};
+    const double* rotation = rotations.data() + 4 * i;
+    const double inverse[4] = {-rotation[0], -rotation[1], -rotation[2], rotation[3]};
     double step[4];
-    product(back, one + 4 * curves, step);
+    product(inverse, rotation + 4 * curves, step);
     if (step[3] < 0)
-      for (double& part : step) part = -part;
+      for (double& component : step) component = -component;
     logarithm_of_cover(step, out.get() + 3 * i);
   }
   return out;
@@ -456,14 +474,15 @@ Out<double, 3> rotation_steps(In<double, 3> rotations) {
 
 Out<double, 2> slerp(In<double, 2> starts, In<double, 2> ends, In<double, 1> shares) {
   const std::size_t rows = shares.shape(0);
-  const std::size_t one = starts.shape(0) == 1 ? 0 : 4, other = ends.shape(0) == 1 ? 0 : 4;
-  check::shape("starts", starts, {one ? rows : 1, 4});
-  check::shape("ends", ends, {other ? rows : 1, 4});
+  const std::size_t start_stride = starts.shape(0) == 1 ? 0 : 4,
+                    end_stride = ends.shape(0) == 1 ? 0 : 4;
+  check::shape("starts", starts, {start_stride ? rows : 1, 4});
+  check::shape("ends", ends, {end_stride ? rows : 1, 4});
   Out<double, 2> out(rows, 4);
   Arc arc;
   for (std::size_t i = 0; i < rows; ++i) {
-    arc.set(starts.data() + one * i, ends.data() + other * i);
-    arc.at(shares.data()[i], out.get() + 4 * i);
+    arc.compute(starts.data() + start_stride * i, ends.data() + end_stride * i);
+    arc.evaluate(shares.data()[i], out.get() + 4 * i);
   }
   return out;
 }

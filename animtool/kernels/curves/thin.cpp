@@ -1,4 +1,4 @@
-// Poses that interpolation between two others finds.
+// Finds poses that interpolation between two other poses reproduces.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -12,69 +12,73 @@ namespace animtool {
 
 namespace {
 
-double squared(const Vec& a) { return dot(a, a); }
+double squared_length(const Vec& a) { return dot(a, a); }
 
-Vec turned(const Quaternion& q, const Vec& p) {
+Vec rotate(const Quaternion& q, const Vec& p) {
   const double x = 2 * (q.y * p.z - q.z * p.y), y = 2 * (q.z * p.x - q.x * p.z),
                z = 2 * (q.x * p.y - q.y * p.x);
   return {p.x + q.w * x + q.y * z - q.z * y, p.y + q.w * y + q.z * x - q.x * z,
           p.z + q.w * z + q.x * y - q.y * x};
 }
 
-// Half an angle [rad] below which the series of `part` is right to 1e-6.
-constexpr double SMALL = 0.3;
+// Half angle [rad] below which the series of `slerp_weight` is accurate to 1e-6.
+constexpr double SMALL_HALF_ANGLE = 0.3;
 
-// sin(a t) / sin(t) of a small t.
-double part(double a, double t) {
+// sin(a t) / sin(t) for a small t.
+double slerp_weight(double a, double t) {
   const double t2 = t * t, b = a * a * t2;
   return a * (1 - b / 6 + b * b / 120) * (1 + t2 / 6 + 7 * t2 * t2 / 360);
 }
 
-// A chain of joints: which is above each, and how it is there at rest.
+// A hierarchy of joints, and their rest transforms.
 struct Chain {
-  std::size_t count, moving;
-  const std::int64_t *parents, *numbers;  // of each its place in a pose, -1 at rest
+  std::size_t count, moving_count;
+  const std::int64_t *parents, *numbers;  // index of each joint in a pose, -1 for a joint at rest
   const Vec* offsets;
   const Quaternion *before, *rest;
 
-  void positions_of(const Quaternion* pose, Quaternion* world, Vec* out_points) const {
+  // Computes the positions and world rotations of all joints in a pose.
+  void compute_positions(const Quaternion* pose, Quaternion* world, Vec* positions) const {
     for (std::size_t j = 0; j < count; ++j) {
       const Quaternion rotation = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
       if (parents[j] < 0) {
-        world[j] = rotation, out_points[j] = offsets[j];
+        world[j] = rotation, positions[j] = offsets[j];
         continue;
       }
-      const std::size_t above = static_cast<std::size_t>(parents[j]);
-      out_points[j] = out_points[above] + turned(world[above], offsets[j]);
-      world[j] = world[above] * rotation;
+      const std::size_t parent = static_cast<std::size_t>(parents[j]);
+      positions[j] = positions[parent] + rotate(world[parent], offsets[j]);
+      world[j] = world[parent] * rotation;
     }
   }
 };
 
-// Evenly from one rotation to another.
-class Between {
+// Interpolation from one pose to another, at constant speed.
+class PoseInterpolation {
  public:
-  void set(const Quaternion* a, const Quaternion* b, std::size_t count) {
+  void compute(const Quaternion* a, const Quaternion* b, std::size_t count) {
     a_ = a, b_ = b, count_ = count;
     angles_.resize(count), sines_.resize(count);
     for (std::size_t m = 0; m < count; ++m) {
       const double cosine = a[m].x * b[m].x + a[m].y * b[m].y + a[m].z * b[m].z + a[m].w * b[m].w;
       angles_[m] = std::acos(std::clamp(cosine, -1.0, 1.0));
-      sines_[m] = angles_[m] < SMALL ? 0 : std::sin(angles_[m]);
+      sines_[m] = angles_[m] < SMALL_HALF_ANGLE ? 0 : std::sin(angles_[m]);
     }
   }
 
-  void at(double fraction, Quaternion* out) const {
+  void evaluate(double fraction, Quaternion* out) const {
     for (std::size_t m = 0; m < count_; ++m) {
-      double p, q;
-      if (angles_[m] < SMALL) {
-        p = part(1 - fraction, angles_[m]), q = part(fraction, angles_[m]);
+      double start_weight, end_weight;
+      if (angles_[m] < SMALL_HALF_ANGLE) {
+        start_weight = slerp_weight(1 - fraction, angles_[m]),
+        end_weight = slerp_weight(fraction, angles_[m]);
       } else {
-        p = std::sin((1 - fraction) * angles_[m]) / sines_[m];
-        q = std::sin(fraction * angles_[m]) / sines_[m];
+        start_weight = std::sin((1 - fraction) * angles_[m]) / sines_[m];
+        end_weight = std::sin(fraction * angles_[m]) / sines_[m];
       }
-      out[m] = {p * a_[m].x + q * b_[m].x, p * a_[m].y + q * b_[m].y, p * a_[m].z + q * b_[m].z,
-                p * a_[m].w + q * b_[m].w};
+      out[m] = {start_weight * a_[m].x + end_weight * b_[m].x,
+                start_weight * a_[m].y + end_weight * b_[m].y,
+                start_weight * a_[m].z + end_weight * b_[m].z,
+                start_weight * a_[m].w + end_weight * b_[m].w};
     }
   }
 
@@ -109,7 +113,7 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
   check::indices("begins", begins, 0, static_cast<std::int64_t>(frames) - wide);
   const std::size_t spans = begins.shape(0), inside = static_cast<std::size_t>(wide) - 1;
   Out<bool, 1> fits(spans);
-  Out<double, 3> back(spans, inside, 3);
+  Out<double, 3> root_shifts(spans, inside, 3);
   const Chain chain{count,
                     moving,
                     parents.data(),
@@ -119,43 +123,46 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
                     reinterpret_cast<const Quaternion*>(rest.data())};
   const Quaternion* poses = reinterpret_cast<const Quaternion*>(rotations.data());
   std::vector<Quaternion> world(count), pose(moving);
-  std::vector<Vec> exact(frames * count), out_points(count);
+  std::vector<Vec> exact_positions(frames * count), positions(count);
   for (std::size_t f = 0; f < frames; ++f)
-    chain.positions_of(poses + f * moving, world.data(), exact.data() + f * count);
+    chain.compute_positions(poses + f * moving, world.data(), exact_positions.data() + f * count);
   const std::size_t foot[2] = {static_cast<std::size_t>(feet.data()[0]),
                                static_cast<std::size_t>(feet.data()[1])};
-  Between between;
+  PoseInterpolation interpolation;
   for (std::size_t s = 0; s < spans; ++s) {
     const std::size_t first = static_cast<std::size_t>(begins.data()[s]);
-    between.set(poses + first * moving, poses + (first + inside + 1) * moving, moving);
-    bool good = true;
-    // The middle is off most: what does not fit is mostly found there.
-    for (std::size_t k = 0; good && k < inside; ++k) {
-      const std::size_t half = inside / 2;
-      const std::size_t at = k == 0 ? half : k <= half ? k - 1 : k;
-      const std::size_t frame = first + 1 + at;
-      const double fraction = static_cast<double>(at + 1) / static_cast<double>(inside + 1);
-      between.at(fraction, pose.data());
-      chain.positions_of(pose.data(), world.data(), out_points.data());
-      const Vec* expected = exact.data() + frame * count;
-      const bool* down = stands.data() + 2 * frame;
-      Vec off{0, 0, 0};
+    interpolation.compute(poses + first * moving, poses + (first + inside + 1) * moving, moving);
+    bool fits_span = true;
+    // The middle differs most: most spans that do not fit are found there.
+    for (std::size_t k = 0; fits_span && k < inside; ++k) {
+      const std::size_t middle = inside / 2;
+      const std::size_t index = k == 0 ? middle : k <= middle ? k - 1 : k;
+      const std::size_t frame = first + 1 + index;
+      const double fraction = static_cast<double>(index + 1) / static_cast<double>(inside + 1);
+      interpolation.evaluate(fraction, pose.data());
+      chain.compute_positions(pose.data(), world.data(), positions.data());
+      const Vec* expected = exact_positions.data() + frame * count;
+      const bool* is_standing = stands.data() + 2 * frame;
+      Vec root_shift{0, 0, 0};
       for (std::size_t side = 0; side < 2; ++side)
-        if (down[side]) off = off + (expected[foot[side]] - out_points[foot[side]]);
-      if (down[0] && down[1]) off = {off.x / 2, off.y / 2, off.z / 2};
-      double* kept = back.get() + 3 * (s * inside + at);
-      kept[0] = off.x, kept[1] = off.y, kept[2] = off.z;
-      good = squared(off) <= hips * hips;
-      for (std::size_t side = 0; good && side < 2; ++side)
-        good = !down[side] ||
-               squared(expected[foot[side]] - out_points[foot[side]] - off) <= standing * standing;
-      for (std::size_t j = 0; good && j < count; ++j)
-        good = squared(expected[j] - out_points[j] - off) <= near * near;
+        if (is_standing[side])
+          root_shift = root_shift + (expected[foot[side]] - positions[foot[side]]);
+      if (is_standing[0] && is_standing[1])
+        root_shift = {root_shift.x / 2, root_shift.y / 2, root_shift.z / 2};
+      double* shift_row = root_shifts.get() + 3 * (s * inside + index);
+      shift_row[0] = root_shift.x, shift_row[1] = root_shift.y, shift_row[2] = root_shift.z;
+      fits_span = squared_length(root_shift) <= hips * hips;
+      for (std::size_t side = 0; fits_span && side < 2; ++side)
+        fits_span = !is_standing[side] ||
+                    squared_length(expected[foot[side]] - positions[foot[side]] - root_shift) <=
+                        standing * standing;
+      for (std::size_t j = 0; fits_span && j < count; ++j)
+        fits_span = squared_length(expected[j] - positions[j] - root_shift) <= near * near;
     }
-    fits.get()[s] = good;
-    if (!good) std::fill_n(back.get() + 3 * s * inside, 3 * inside, 0.0);
+    fits.get()[s] = fits_span;
+    if (!fits_span) std::fill_n(root_shifts.get() + 3 * s * inside, 3 * inside, 0.0);
   }
-  return {std::move(fits), std::move(back)};
+  return {std::move(fits), std::move(root_shifts)};
 }
 
 }  // namespace animtool

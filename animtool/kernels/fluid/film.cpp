@@ -12,23 +12,25 @@ using collide::Vec;
 
 namespace {
 
-// Cell size, in spacings: particles at rest are uniform to it, within a thousandth.
-constexpr double CELL = 1.25;
-// Colour gradients that count as zero, over a spacing: they have no area, and would blow thin fluid
-// up.
-constexpr double SOFT = 1e-3;
+// Cell size, in spacings: particles at rest are uniform on it, within a thousandth.
+constexpr double CELL_SIZE = 1.25;
+// Colour gradients that count as zero, over a spacing: they have no area, and would otherwise blow
+// up thin fluid.
+constexpr double MIN_GRADIENT = 1e-3;
 // Coordinates beyond this are in no cell [cells].
-constexpr double FAR = 1e9;
-// Cells that a particle may move before blocks are rebuilt.
-constexpr std::int64_t ROOM = 1;
-// Regularisation of the moments of inertia.
-constexpr double THIN = 1e-9;
+constexpr double MAX_COORDINATE = 1e9;
+// Cells that a particle may cross before blocks are rebuilt.
+constexpr std::int64_t MARGIN_CELLS = 1;
+// Regularisation of the moments of inertia, over their sum.
+constexpr double INERTIA_REGULARISATION = 1e-9;
 
-std::int64_t below(std::int64_t node, std::int64_t side) {
+// Index of the block of a node.
+std::int64_t floor_divide(std::int64_t node, std::int64_t side) {
   return (node >= 0 ? node : node - side + 1) / side;
 }
 
-std::size_t mixed(std::int64_t x, std::int64_t y, std::int64_t z) {
+// Hash of a block's coordinates.
+std::size_t hash_key(std::int64_t x, std::int64_t y, std::int64_t z) {
   std::uint64_t h = static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15u;
   h = (h ^ static_cast<std::uint64_t>(y)) * 0xC2B2AE3D27D4EB4Fu;
   h = (h ^ static_cast<std::uint64_t>(z)) * 0x165667B19E3779F9u;
@@ -37,12 +39,14 @@ std::size_t mixed(std::int64_t x, std::int64_t y, std::int64_t z) {
 
 }  // namespace
 
-Film::Film(double spacing)
-    : cell_(CELL * spacing), inverse_volume_(1 / (CELL * CELL * CELL)), soft_(SOFT / spacing) {}
+FreeSurface::FreeSurface(double spacing)
+    : cell_(CELL_SIZE * spacing),
+      inverse_volume_(1 / (CELL_SIZE * CELL_SIZE * CELL_SIZE)),
+      min_gradient_(MIN_GRADIENT / spacing) {}
 
-std::int32_t Film::block_at(std::int64_t x, std::int64_t y, std::int64_t z) const {
+std::int32_t FreeSurface::block_at(std::int64_t x, std::int64_t y, std::int64_t z) const {
   const std::size_t mask = table_.size() - 1;
-  for (std::size_t k = mixed(x, y, z) & mask;; k = (k + 1) & mask) {
+  for (std::size_t k = hash_key(x, y, z) & mask;; k = (k + 1) & mask) {
     const std::int32_t block = table_[k];
     if (block <= 0) return 0;
     const auto& key = blocks_[static_cast<std::size_t>(block)];
@@ -50,77 +54,78 @@ std::int32_t Film::block_at(std::int64_t x, std::int64_t y, std::int64_t z) cons
   }
 }
 
-void Film::add_block(std::int64_t x, std::int64_t y, std::int64_t z) {
+void FreeSurface::add_block(std::int64_t x, std::int64_t y, std::int64_t z) {
   if (block_at(x, y, z)) return;
   blocks_.push_back({x, y, z});
-  if (4 * blocks_.size() > table_.size()) return grow();
+  if (4 * blocks_.size() > table_.size()) return grow_table();
   const std::size_t mask = table_.size() - 1;
-  std::size_t k = mixed(x, y, z) & mask;
+  std::size_t k = hash_key(x, y, z) & mask;
   while (table_[k]) k = (k + 1) & mask;
   table_[k] = static_cast<std::int32_t>(blocks_.size() - 1);
 }
 
-void Film::grow() {
+void FreeSurface::grow_table() {
   table_.assign(std::max<std::size_t>(8 * table_.size(), 1024), 0);
   const std::size_t mask = table_.size() - 1;
   for (std::size_t b = 1; b < blocks_.size(); ++b) {
-    std::size_t k = mixed(blocks_[b][0], blocks_[b][1], blocks_[b][2]) & mask;
+    std::size_t k = hash_key(blocks_[b][0], blocks_[b][1], blocks_[b][2]) & mask;
     while (table_[k]) k = (k + 1) & mask;
     table_[k] = static_cast<std::int32_t>(b);
   }
 }
 
-void Film::list(const double* rows, std::size_t count) {
+void FreeSurface::list_blocks(const double* rows, std::size_t count) {
   blocks_.assign(1, {0, 0, 0});
   std::fill(table_.begin(), table_.end(), 0);
-  if (table_.empty()) grow();
-  std::int64_t before[6] = {1, 0, 1, 0, 1, 0};
+  if (table_.empty()) grow_table();
+  std::int64_t previous[6] = {1, 0, 1, 0, 1, 0};
   for (std::size_t i = 0; i < count; ++i) {
     std::int64_t ends[6];
-    bool same = true, near = true;
+    bool is_same = true, is_finite = true;
     for (int k = 0; k < 3; ++k) {
-      const double at = rows[4 * i + static_cast<std::size_t>(k)] / cell_;
-      near = near && std::fabs(at) < FAR;
-      if (!near) break;
+      const double coordinate = rows[4 * i + static_cast<std::size_t>(k)] / cell_;
+      is_finite = is_finite && std::fabs(coordinate) < MAX_COORDINATE;
+      if (!is_finite) break;
       // Its nodes, and those of the adjacent cells.
-      const std::int64_t first = static_cast<std::int64_t>(std::floor(at)) - 1;
-      ends[2 * k] = below(first - 1 - ROOM, SIDE);
-      ends[2 * k + 1] = below(first + 4 + ROOM, SIDE);
-      same = same && ends[2 * k] == before[2 * k] && ends[2 * k + 1] == before[2 * k + 1];
+      const std::int64_t first = static_cast<std::int64_t>(std::floor(coordinate)) - 1;
+      ends[2 * k] = floor_divide(first - 1 - MARGIN_CELLS, SIDE);
+      ends[2 * k + 1] = floor_divide(first + 4 + MARGIN_CELLS, SIDE);
+      is_same = is_same && ends[2 * k] == previous[2 * k] && ends[2 * k + 1] == previous[2 * k + 1];
     }
-    if (!near || same) continue;
-    std::copy_n(ends, 6, before);
+    if (!is_finite || is_same) continue;
+    std::copy_n(ends, 6, previous);
     for (std::int64_t x = ends[0]; x <= ends[1]; ++x)
       for (std::int64_t y = ends[2]; y <= ends[3]; ++y)
         for (std::int64_t z = ends[4]; z <= ends[5]; ++z) add_block(x, y, z);
   }
   const std::size_t size = blocks_.size();
-  after_.assign(8 * size, 0);
+  neighbour_blocks_.assign(8 * size, 0);
   for (std::size_t b = 1; b < size; ++b)
     for (int k = 0; k < 8; ++k)
-      after_[8 * b + static_cast<std::size_t>(k)] =
+      neighbour_blocks_[8 * b + static_cast<std::size_t>(k)] =
           block_at(blocks_[b][0] + (k >> 2), blocks_[b][1] + (k >> 1 & 1), blocks_[b][2] + (k & 1));
-  part_drops();
-  colour_.resize(NODES * size), rising_.resize(NODES * size), slopes_.resize(NODES * size);
+  find_drops();
+  colour_.resize(NODES * size), colour_rates_.resize(NODES * size), gradient_.resize(NODES * size);
 }
 
-bool Film::find(const double* row, Spot& spot) const {
-  std::int64_t home[3];
+bool FreeSurface::locate(const double* row, GridCell& cell) const {
+  std::int64_t block_key[3];
   for (int k = 0; k < 3; ++k) {
-    const double at = row[k] / cell_;
-    if (!(std::fabs(at) < FAR)) return false;
-    const double floor = std::floor(at), u = at - floor, v = 1 - u;
+    const double coordinate = row[k] / cell_;
+    if (!(std::fabs(coordinate) < MAX_COORDINATE)) return false;
+    const double floor = std::floor(coordinate), u = coordinate - floor, v = 1 - u;
     const std::int64_t first = static_cast<std::int64_t>(floor) - 1;
-    home[k] = below(first, SIDE);
-    spot.node[k] = static_cast<int>(first - SIDE * home[k]);
-    double *w = spot.weights[k], *s = spot.slopes[k];
+    block_key[k] = floor_divide(first, SIDE);
+    cell.node[k] = static_cast<int>(first - SIDE * block_key[k]);
+    double *w = cell.weights[k], *slopes = cell.slopes[k];
     w[0] = v * v * v / 6, w[1] = (4 - 6 * u * u + 3 * u * u * u) / 6;
     w[2] = (4 - 6 * v * v + 3 * v * v * v) / 6, w[3] = u * u * u / 6;
-    s[0] = -v * v / 2, s[1] = (3 * u - 4) * u / 2, s[2] = (4 - 3 * v) * v / 2, s[3] = u * u / 2;
+    slopes[0] = -v * v / 2, slopes[1] = (3 * u - 4) * u / 2, slopes[2] = (4 - 3 * v) * v / 2,
+    slopes[3] = u * u / 2;
   }
-  const std::int32_t block = block_at(home[0], home[1], home[2]);
+  const std::int32_t block = block_at(block_key[0], block_key[1], block_key[2]);
   if (!block) return false;
-  std::copy_n(&after_[8 * static_cast<std::size_t>(block)], 8, spot.blocks);
+  std::copy_n(&neighbour_blocks_[8 * static_cast<std::size_t>(block)], 8, cell.blocks);
   return true;
 }
 
@@ -128,184 +133,193 @@ namespace {
 
 // The four nodes of a row, from two adjacent blocks.
 template <class Blocks>
-void row_of(const Blocks& blocks, const int* node, int x, int y, std::size_t* at) {
+void find_nodes(const Blocks& blocks, const int* node, int x, int y, std::size_t* nodes) {
   const int right = node[0] + x, up = node[1] + y;
-  const std::size_t two = static_cast<std::size_t>((right >> 2) * 4 + (up >> 2) * 2);
-  const std::size_t within = static_cast<std::size_t>(((right & 3) * 4 + (up & 3)) * 4);
-  const std::size_t one = 64 * static_cast<std::size_t>(blocks[two]) + within;
-  const std::size_t other = 64 * static_cast<std::size_t>(blocks[two + 1]) + within;
+  const std::size_t first_block = static_cast<std::size_t>((right >> 2) * 4 + (up >> 2) * 2);
+  const std::size_t node_in_block = static_cast<std::size_t>(((right & 3) * 4 + (up & 3)) * 4);
+  const std::size_t near_block = 64 * static_cast<std::size_t>(blocks[first_block]) + node_in_block;
+  const std::size_t far_block =
+      64 * static_cast<std::size_t>(blocks[first_block + 1]) + node_in_block;
   for (int z = 0; z < 4; ++z) {
-    const int deep = node[2] + z;
-    at[z] = (deep < 4 ? one : other) + static_cast<std::size_t>(deep & 3);
+    const int depth = node[2] + z;
+    nodes[z] = (depth < 4 ? near_block : far_block) + static_cast<std::size_t>(depth & 3);
   }
 }
 
 }  // namespace
 
-double Film::measure(const double* rows, std::size_t count) {
+double FreeSurface::compute_area(const double* rows, std::size_t count) {
   std::fill(colour_.begin(), colour_.end(), 0.0);
-  std::fill(slopes_.begin(), slopes_.end(), 0.0);
-  Spot spot;
-  std::size_t at[4];
+  std::fill(gradient_.begin(), gradient_.end(), 0.0);
+  GridCell cell;
+  std::size_t nodes[4];
   for (std::size_t i = 0; i < count; ++i) {
-    if (!find(rows + 4 * i, spot)) continue;
+    if (!locate(rows + 4 * i, cell)) continue;
     for (int x = 0; x < 4; ++x)
       for (int y = 0; y < 4; ++y) {
-        row_of(spot.blocks, spot.node, x, y, at);
-        const double weight = inverse_volume_ * spot.weights[0][x] * spot.weights[1][y];
-        for (int z = 0; z < 4; ++z) colour_[at[z]] += weight * spot.weights[2][z];
+        find_nodes(cell.blocks, cell.node, x, y, nodes);
+        const double weight = inverse_volume_ * cell.weights[0][x] * cell.weights[1][y];
+        for (int z = 0; z < 4; ++z) colour_[nodes[z]] += weight * cell.weights[2][z];
       }
   }
   // The colour of sparse fluid rises at twice the rate, that of dense fluid not at all.
   for (std::size_t n = 0; n < colour_.size(); ++n) {
-    const double left = std::max(1 - colour_[n], 0.0);
-    rising_[n] = 2 * left;
-    colour_[n] = 1 - left * left;
+    const double emptiness = std::max(1 - colour_[n], 0.0);
+    colour_rates_[n] = 2 * emptiness;
+    colour_[n] = 1 - emptiness * emptiness;
   }
   double sum = 0;
-  for (std::size_t b = 1; b < blocks_.size(); ++b) sum += steepen(b);
-  for (std::size_t n = 0; n < slopes_.size(); ++n) slopes_[n] *= rising_[n];
+  for (std::size_t b = 1; b < blocks_.size(); ++b) sum += add_block_area(b);
+  for (std::size_t n = 0; n < gradient_.size(); ++n) gradient_[n] *= colour_rates_[n];
   return sum * cell_ * cell_ * cell_;
 }
 
-// Adds the gradient of the steepness of a block's cells by the colours of their nodes.
-double Film::steepen(std::size_t block) {
-  constexpr int X = WIDER * WIDER, Y = WIDER;
-  double colours[X * WIDER], slopes[X * WIDER] = {};
-  std::size_t from[X * WIDER];
-  double most = 0, least = 2;
+// Returns the area in a block over a cell's volume; adds its gradient by the colours of the nodes.
+double FreeSurface::add_block_area(std::size_t block) {
+  constexpr int X = WIDE_SIDE * WIDE_SIDE, Y = WIDE_SIDE;
+  double colours[X * WIDE_SIDE], block_gradient[X * WIDE_SIDE] = {};
+  std::size_t node_indices[X * WIDE_SIDE];
+  double largest = 0, smallest = 2;
   int n = 0;
-  for (int x = 0; x < WIDER; ++x)
-    for (int y = 0; y < WIDER; ++y)
-      for (int z = 0; z < WIDER; ++z, ++n) {
-        const std::size_t of = static_cast<std::size_t>((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2));
+  for (int x = 0; x < WIDE_SIDE; ++x)
+    for (int y = 0; y < WIDE_SIDE; ++y)
+      for (int z = 0; z < WIDE_SIDE; ++z, ++n) {
+        const std::size_t neighbour =
+            static_cast<std::size_t>((x >> 2) * 4 + (y >> 2) * 2 + (z >> 2));
         const std::size_t node = static_cast<std::size_t>(((x & 3) * 4 + (y & 3)) * 4 + (z & 3));
-        from[n] = NODES * static_cast<std::size_t>(after_[8 * block + of]) + node;
-        colours[n] = colour_[from[n]];
-        most = std::max(most, colours[n]), least = std::min(least, colours[n]);
+        node_indices[n] =
+            NODES * static_cast<std::size_t>(neighbour_blocks_[8 * block + neighbour]) + node;
+        colours[n] = colour_[node_indices[n]];
+        largest = std::max(largest, colours[n]), smallest = std::min(smallest, colours[n]);
       }
-  if (most == least) return 0;
+  if (largest == smallest) return 0;
   const double quarter = 0.25 / cell_;
   double sum = 0;
   for (int x = 0; x < SIDE; ++x)
     for (int y = 0; y < SIDE; ++y)
       for (int z = 0; z < SIDE; ++z) {
-        const int here = x * X + y * Y + z;
-        const double* c = colours + here;
+        const int offset = x * X + y * Y + z;
+        const double* c = colours + offset;
         // Along the four diagonals of the cell.
         const double p = c[X + Y + 1] - c[0], q = c[X + Y] - c[1], r = c[X + 1] - c[Y],
                      s = c[X] - c[Y + 1];
         const double gx = quarter * (p + q + r + s), gy = quarter * (p + q - r - s),
                      gz = quarter * (p - q + r - s);
-        const double squared = gx * gx + gy * gy + gz * gz;
-        if (!(squared > 0)) continue;
-        const double steep = std::sqrt(squared + soft_ * soft_), over = quarter / steep;
-        sum += steep - soft_;
-        const double ux = gx * over, uy = gy * over, uz = gz * over;
+        const double squared_gradient = gx * gx + gy * gy + gz * gz;
+        if (!(squared_gradient > 0)) continue;
+        const double magnitude = std::sqrt(squared_gradient + min_gradient_ * min_gradient_),
+                     scale = quarter / magnitude;
+        sum += magnitude - min_gradient_;
+        const double ux = gx * scale, uy = gy * scale, uz = gz * scale;
         const double dp = ux + uy + uz, dq = ux + uy - uz, dr = ux - uy + uz, ds = ux - uy - uz;
-        double* d = slopes + here;
+        double* d = block_gradient + offset;
         d[X + Y + 1] += dp, d[0] -= dp, d[X + Y] += dq, d[1] -= dq;
         d[X + 1] += dr, d[Y] -= dr, d[X] += ds, d[Y + 1] -= ds;
       }
-  for (int k = 0; k < X * WIDER; ++k) slopes_[from[k]] += slopes[k];
+  for (int k = 0; k < X * WIDE_SIDE; ++k) gradient_[node_indices[k]] += block_gradient[k];
   return sum;
 }
 
-Vec Film::slope_at(const Spot& spot) const {
+Vec FreeSurface::compute_gradient(const GridCell& cell) const {
   Vec sum;
-  std::size_t at[4];
+  std::size_t nodes[4];
   for (int x = 0; x < 4; ++x)
     for (int y = 0; y < 4; ++y) {
-      row_of(spot.blocks, spot.node, x, y, at);
-      double along = 0, rising = 0;
+      find_nodes(cell.blocks, cell.node, x, y, nodes);
+      double value = 0, derivative = 0;
       for (int z = 0; z < 4; ++z) {
-        along += slopes_[at[z]] * spot.weights[2][z];
-        rising += slopes_[at[z]] * spot.slopes[2][z];
+        value += gradient_[nodes[z]] * cell.weights[2][z];
+        derivative += gradient_[nodes[z]] * cell.slopes[2][z];
       }
-      sum.x += spot.slopes[0][x] * spot.weights[1][y] * along;
-      sum.y += spot.weights[0][x] * spot.slopes[1][y] * along;
-      sum.z += spot.weights[0][x] * spot.weights[1][y] * rising;
+      sum.x += cell.slopes[0][x] * cell.weights[1][y] * value;
+      sum.y += cell.weights[0][x] * cell.slopes[1][y] * value;
+      sum.z += cell.weights[0][x] * cell.weights[1][y] * derivative;
     }
   return sum;
 }
 
-void Film::pull(const double* rows, std::size_t count, double scale, double* moved) {
-  Spot spot;
-  // The volume of a cell, by its size and by the contribution of a particle.
-  const double each = scale * cell_ * cell_ * inverse_volume_;
-  pulls_.assign(count, {}), drop_of_.assign(count, 0);
+void FreeSurface::add_tension(const double* rows, std::size_t count, double scale,
+                              double* displacements) {
+  GridCell cell;
+  // The volume of a cell, over its size and the contribution of a particle.
+  const double particle_scale = scale * cell_ * cell_ * inverse_volume_;
+  tensions_.assign(count, {}), drop_of_particle_.assign(count, 0);
   for (std::size_t i = 0; i < count; ++i) {
-    if (!find(rows + 4 * i, spot)) continue;
-    pulls_[i] = slope_at(spot) * each;
-    drop_of_[i] = drop_of_block_[static_cast<std::size_t>(spot.blocks[0])];
+    if (!locate(rows + 4 * i, cell)) continue;
+    tensions_[i] = compute_gradient(cell) * particle_scale;
+    drop_of_particle_[i] = drop_of_block_[static_cast<std::size_t>(cell.blocks[0])];
   }
-  balance(rows);
+  remove_net_forces(rows);
   for (std::size_t i = 0; i < count; ++i) {
-    double* out = moved + 4 * i;
-    out[0] += pulls_[i].x, out[1] += pulls_[i].y, out[2] += pulls_[i].z;
+    double* out = displacements + 4 * i;
+    out[0] += tensions_[i].x, out[1] += tensions_[i].y, out[2] += tensions_[i].z;
   }
 }
 
-// Connected components of blocks: one drop each.
-void Film::part_drops() {
+// Finds the connected components of blocks; each is a drop.
+void FreeSurface::find_drops() {
   const std::size_t size = blocks_.size();
-  Groups drops_of(size);
+  Groups groups(size);
   for (std::size_t b = 1; b < size; ++b)
     for (const std::size_t k : {1, 2, 4})
-      if (const std::int32_t next = after_[8 * b + k])
-        drops_of.join(b, static_cast<std::size_t>(next));
+      if (const std::int32_t neighbour = neighbour_blocks_[8 * b + k])
+        groups.merge(b, static_cast<std::size_t>(neighbour));
   drop_of_block_.assign(size, 0);
   std::int32_t drops = 0;
   for (std::size_t b = 1; b < size; ++b) {
-    const std::size_t from = drops_of.first_of(b);
-    drop_of_block_[b] = from == b ? ++drops : drop_of_block_[from];
+    const std::size_t root = groups.find_root(b);
+    drop_of_block_[b] = root == b ? ++drops : drop_of_block_[root];
   }
   drops_.resize(static_cast<std::size_t>(drops) + 1);
 }
 
-// Removes net force and torque of the grid from each drop.
-void Film::balance(const double* rows) {
+// Removes the net force and torque of the grid from each drop.
+void FreeSurface::remove_net_forces(const double* rows) {
   std::fill(drops_.begin(), drops_.end(), Drop());
   const auto drop_of = [&](std::size_t i) -> Drop& {
-    return drops_[static_cast<std::size_t>(drop_of_[i])];
+    return drops_[static_cast<std::size_t>(drop_of_particle_[i])];
   };
-  for (std::size_t i = 0; i < pulls_.size(); ++i) {
+  for (std::size_t i = 0; i < tensions_.size(); ++i) {
     Drop& drop = drop_of(i);
-    if (!drop_of_[i]) continue;
+    if (!drop_of_particle_[i]) continue;
     drop.count += 1;
-    drop.centre = drop.centre + collide::load(rows + 4 * i), drop.push = drop.push + pulls_[i];
+    drop.centre = drop.centre + collide::load(rows + 4 * i),
+    drop.mean_force = drop.mean_force + tensions_[i];
   }
   for (Drop& drop : drops_)
     if (drop.count > 0)
-      drop.centre = drop.centre * (1 / drop.count), drop.push = drop.push * (1 / drop.count);
-  for (std::size_t i = 0; i < pulls_.size(); ++i) {
+      drop.centre = drop.centre * (1 / drop.count),
+      drop.mean_force = drop.mean_force * (1 / drop.count);
+  for (std::size_t i = 0; i < tensions_.size(); ++i) {
     Drop& drop = drop_of(i);
-    if (!drop_of_[i]) continue;
-    const Vec off = collide::load(rows + 4 * i) - drop.centre;
-    drop.moment = drop.moment + cross(off, pulls_[i]);
-    double* m = drop.turning;
-    m[0] += off.y * off.y + off.z * off.z, m[1] += off.x * off.x + off.z * off.z;
-    m[2] += off.x * off.x + off.y * off.y;
-    m[3] -= off.x * off.y, m[4] -= off.x * off.z, m[5] -= off.y * off.z;
+    if (!drop_of_particle_[i]) continue;
+    const Vec offset = collide::load(rows + 4 * i) - drop.centre;
+    drop.angular = drop.angular + cross(offset, tensions_[i]);
+    double* m = drop.inertia;
+    m[0] += offset.y * offset.y + offset.z * offset.z,
+        m[1] += offset.x * offset.x + offset.z * offset.z;
+    m[2] += offset.x * offset.x + offset.y * offset.y;
+    m[3] -= offset.x * offset.y, m[4] -= offset.x * offset.z, m[5] -= offset.y * offset.z;
   }
   for (Drop& drop : drops_) {
-    double* m = drop.turning;
+    double* m = drop.inertia;
     // Particles on a line have no inertia about it.
-    const double least = THIN * (m[0] + m[1] + m[2]);
-    const double a = m[0] + least, b = m[1] + least, c = m[2] + least;
+    const double regularisation = INERTIA_REGULARISATION * (m[0] + m[1] + m[2]);
+    const double a = m[0] + regularisation, b = m[1] + regularisation, c = m[2] + regularisation;
     const double d = m[3], e = m[4], f = m[5];
     const double aa = b * c - f * f, bb = a * c - e * e, cc = a * b - d * d;
     const double ab = e * f - d * c, ac = d * f - e * b, bc = d * e - a * f;
     const double determinant = a * aa + d * ab + e * ac;
-    const Vec by = drop.moment * (determinant > 0 ? 1 / determinant : 0.0);
-    drop.moment = {aa * by.x + ab * by.y + ac * by.z, ab * by.x + bb * by.y + bc * by.z,
-                   ac * by.x + bc * by.y + cc * by.z};
+    const Vec scaled_moment = drop.angular * (determinant > 0 ? 1 / determinant : 0.0);
+    drop.angular = {aa * scaled_moment.x + ab * scaled_moment.y + ac * scaled_moment.z,
+                    ab * scaled_moment.x + bb * scaled_moment.y + bc * scaled_moment.z,
+                    ac * scaled_moment.x + bc * scaled_moment.y + cc * scaled_moment.z};
   }
-  for (std::size_t i = 0; i < pulls_.size(); ++i) {
+  for (std::size_t i = 0; i < tensions_.size(); ++i) {
     const Drop& drop = drop_of(i);
-    if (!drop_of_[i]) continue;
-    const Vec off = collide::load(rows + 4 * i) - drop.centre;
-    pulls_[i] = pulls_[i] - drop.push - cross(drop.moment, off);
+    if (!drop_of_particle_[i]) continue;
+    const Vec offset = collide::load(rows + 4 * i) - drop.centre;
+    tensions_[i] = tensions_[i] - drop.mean_force - cross(drop.angular, offset);
   }
 }
 

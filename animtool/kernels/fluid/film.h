@@ -3,8 +3,8 @@
 // The area is the integral of the gradient magnitude of a colour function, which is 0 outside and 1
 // inside (J. U. Brackbill, D. B. Kothe, C. Zemach, "A continuum method for modeling surface
 // tension", 1992), on a grid with cubic B-splines. Forces are its gradient, so that tension has a
-// potential and tears nothing off: the colour rises fast where there is little fluid, and is
-// uniform inside.
+// potential and does not tear fluid apart: the colour rises fast where there is little fluid, and
+// is uniform inside.
 #pragma once
 
 #include <array>
@@ -16,27 +16,30 @@
 
 namespace animtool::fluid {
 
-class Film {
+class FreeSurface {
  public:
-  explicit Film(double spacing);
+  explicit FreeSurface(double spacing);
 
-  // Finds the blocks of the grid with particles, four numbers each; valid until a particle moves by
-  // more than `SKIN` of the radius of sight.
-  void list(const double* rows, std::size_t count);
+  // Lists the blocks of the grid that contain particles (rows of four numbers). The list is valid
+  // until a particle moves by more than `SKIN` times the interaction radius.
+  void list_blocks(const double* rows, std::size_t count);
 
-  // Area around particles [m²].
-  double measure(const double* rows, std::size_t count);
+  // Computes the area of the surface of the particles [m²], and its gradient.
+  double compute_area(const double* rows, std::size_t count);
 
-  // Adds the gradient of the area times a scale to displacements, four numbers each; the area was
-  // measured at the same positions. Momentum and spin of each drop are conserved.
-  void pull(const double* rows, std::size_t count, double scale, double* moved);
+  // Adds the gradient of the area times a scale to displacements (rows of four numbers). The area
+  // must have been computed at the same positions. The momentum and angular momentum of each drop
+  // are conserved.
+  void add_tension(const double* rows, std::size_t count, double scale, double* displacements);
 
  private:
-  // Nodes along the sides of a block, in all of it, and with those of the next blocks.
-  static constexpr int SIDE = 4, NODES = SIDE * SIDE * SIDE, WIDER = SIDE + 1;
+  // Number of nodes along the side of a block, in a block, and along the side including the next
+  // block.
+  static constexpr int SIDE = 4, NODES = SIDE * SIDE * SIDE, WIDE_SIDE = SIDE + 1;
 
-  // Position of a particle in the grid: eight blocks, the node in the first, and weights.
-  struct Spot {
+  // Position of a particle in the grid: eight blocks, the first node in the first of them, and
+  // spline weights with their derivatives.
+  struct GridCell {
     std::int32_t blocks[8];
     int node[3];
     double weights[3][4], slopes[3][4];
@@ -45,28 +48,32 @@ class Film {
   // A drop: fluid without other fluid nearby.
   struct Drop {
     double count = 0;
-    collide::Vec centre, push, moment;
-    double turning[6] = {};  // moments of inertia: xx, yy, zz, xy, xz, yz
+    collide::Vec centre, mean_force, angular;
+    double inertia[6] = {};  // moments of inertia: xx, yy, zz, xy, xz, yz
   };
 
-  bool find(const double* row, Spot& spot) const;
-  collide::Vec slope_at(const Spot& spot) const;
-  void part_drops();
-  void balance(const double* rows);
+  // Locates a particle in the grid; returns false outside of the blocks.
+  bool locate(const double* row, GridCell& cell) const;
+  // Gradient of the area at a particle.
+  collide::Vec compute_gradient(const GridCell& cell) const;
+  void find_drops();
+  void remove_net_forces(const double* rows);
   std::int32_t block_at(std::int64_t x, std::int64_t y, std::int64_t z) const;
   void add_block(std::int64_t x, std::int64_t y, std::int64_t z);
-  void grow();
-  double steepen(std::size_t block);
+  void grow_table();
+  double add_block_area(std::size_t block);
 
-  const double cell_, inverse_volume_, soft_;
-  // Block 0 is outside and stays empty. Keys, and a hash table of blocks by key.
+  const double cell_, inverse_volume_, min_gradient_;
+  // Keys of the blocks, and a hash table of blocks by key. Block 0 is outside of the fluid and
+  // stays empty.
   std::vector<std::array<std::int64_t, 3>> blocks_;
   std::vector<std::int32_t> table_;
-  std::vector<std::int32_t> after_;  // the eight neighbours of each block
-  std::vector<std::int32_t> drop_of_block_, drop_of_;
+  std::vector<std::int32_t>
+      neighbour_blocks_;  // the eight neighbours of each block in positive directions, with itself
+  std::vector<std::int32_t> drop_of_block_, drop_of_particle_;
   std::vector<Drop> drops_;
-  std::vector<collide::Vec> pulls_;
-  std::vector<double> colour_, rising_, slopes_;
+  std::vector<collide::Vec> tensions_;
+  std::vector<double> colour_, colour_rates_, gradient_;
 };
 
 }  // namespace animtool::fluid

@@ -7,111 +7,122 @@
 
 namespace animtool {
 
-// Rows of four numbers, with one extra row for a far padding particle. Each pair is listed once;
-// partner lists are padded to a multiple of four.
+// Neighbour pairs and arrays of particles: rows of four numbers, with one extra row for a distant
+// padding particle. Each pair is listed once; partner lists are padded to a multiple of four.
 struct FluidPairs {
   std::size_t count;
   const std::size_t* starts;
   const std::int32_t* partners;
-  const double *points, *velocities;  // positions with multipliers
-  double* factors;                    // of each pair: kernel derivative over the distance
-  double *sums, *corrections;         // slopes and weights; displacements and virials
-  double* squares;                    // of slopes
-  double inverse, steep;              // 1 over the radius; the scale of slopes
-  double damping;                     // of velocities
-  double noise;                       // speed of particles that counts as rest
+  const double *points, *velocities;        // positions with pressure multipliers
+  double* factors;                          // of each pair: kernel derivative over the distance
+  double *sums, *corrections;               // gradients with weights; displacements with virials
+  double* squared_gradients;                // of slopes
+  double inverse_radius, derivative_scale;  // 1 over the radius; scale of kernel derivatives
+  double damping;                           // factor of velocity damping
+  double noise;                             // relative speed that counts as noise
 };
 
 struct FluidFunctions {
-  void (*measure_density)(const FluidPairs&);  // computes factors, adds to sums and squares
-  void (*apply_viscosity)(const FluidPairs&);  // adds to displacements: viscosity
-  void (*damp_noise)(const FluidPairs&);       // adds to displacements: noise damping
-  void (*apply_pressure)(const FluidPairs&);   // adds to displacements: pressure multipliers
+  void (*measure_density)(
+      const FluidPairs&);  // computes factors; adds to sums and squared gradients
+  void (*apply_viscosity)(const FluidPairs&);  // adds velocity changes by viscosity to corrections
+  void (*damp_noise)(const FluidPairs&);  // adds velocity changes by noise damping to corrections
+  void (*apply_pressure)(const FluidPairs&);  // adds displacements by pressure to corrections
 };
-const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
+const FluidFunctions* fluid_in_quads();  // null if the processor has no such registers
 
-template <class On>
+template <class Simd>
 struct FluidLoops {
-  using D = Four<On>;
+  using D = Four<Simd>;
 
-  // Visits each particle's partners, four at a time: position of the first, the rows from them to
-  // it, and its update; partners take the opposite update, except the fourth number.
-  template <class Do>
-  static void for_each_pair(const FluidPairs& pairs, double* out, Do act) {
+  // Calls `update` for the partners of each particle, four at a time, with the offsets from them to
+  // the particle. It computes the changes of the particle; partners get the opposite changes,
+  // except for the fourth number.
+  template <class Update>
+  static void for_each_pair(const FluidPairs& pairs, double* out, Update update) {
     for (std::size_t i = 0; i < pairs.count; ++i) {
-      const double* at = pairs.points + 4 * i;
-      const D here[4] = {at[0], at[1], at[2], at[3]};
+      const double* row = pairs.points + 4 * i;
+      const D position[4] = {row[0], row[1], row[2], row[3]};
       D sum[4] = {0.0, 0.0, 0.0, 0.0};
-      for (std::size_t k = pairs.starts[i]; k < pairs.starts[i + 1]; k += WIDE) {
-        D off[4], parts[4];
-        gather(pairs.points, pairs.partners + k, off);
-        for (std::size_t c = 0; c < 3; ++c) off[c] = here[c] - off[c];
-        off[3] = here[3] + off[3];
-        act(i, k, off, parts);
-        for (std::size_t c = 0; c < 4; ++c) sum[c] = sum[c] + parts[c];
-        scatter(parts, pairs.partners + k, out);
+      for (std::size_t k = pairs.starts[i]; k < pairs.starts[i + 1]; k += SIMD_WIDTH) {
+        D offsets[4], changes[4];
+        gather(pairs.points, pairs.partners + k, offsets);
+        for (std::size_t c = 0; c < 3; ++c) offsets[c] = position[c] - offsets[c];
+        offsets[3] = position[3] + offsets[3];
+        update(i, k, offsets, changes);
+        for (std::size_t c = 0; c < 4; ++c) sum[c] = sum[c] + changes[c];
+        scatter(changes, pairs.partners + k, out);
       }
       sum[3] = 0.0 - sum[3];
-      (D::of(out + 4 * i) + totals(sum)).store(out + 4 * i);
+      (D::load(out + 4 * i) + totals(sum)).store(out + 4 * i);
     }
   }
 
-  static D squares_of(const D* off) { return off[0] * off[0] + off[1] * off[1] + off[2] * off[2]; }
+  static D squared_lengths(const D* offsets) {
+    return offsets[0] * offsets[0] + offsets[1] * offsets[1] + offsets[2] * offsets[2];
+  }
 
   static void measure_density(const FluidPairs& pairs) {
-    const D inverse = pairs.inverse, steep = pairs.steep;
-    for_each_pair(pairs, pairs.sums, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
-      const D squared = squares_of(off), q = sqrt(squared) * inverse;
-      const D remaining = max(1.0 - q, 0.0), square = remaining * remaining;
-      const D factor = steep * square * (6.0 - 5.0 * q);
-      factor.store(pairs.factors + k);
-      for (std::size_t c = 0; c < 3; ++c) parts[c] = factor * off[c];
-      parts[3] = 0.0 - square * remaining * (1.0 + 3.0 * q * remaining);
-      double squares[WIDE];
-      (factor * factor * squared).store(squares);
-      for (std::size_t c = 0; c < WIDE; ++c) pairs.squares[pairs.partners[k + c]] += squares[c];
-      pairs.squares[i] += (squares[0] + squares[1]) + (squares[2] + squares[3]);
-    });
+    const D inverse_radius = pairs.inverse_radius, derivative_scale = pairs.derivative_scale;
+    for_each_pair(pairs, pairs.sums,
+                  [&](std::size_t i, std::size_t k, const D* offsets, D* changes) {
+                    const D squared_length = squared_lengths(offsets),
+                            q = sqrt(squared_length) * inverse_radius;
+                    const D remaining = max(1.0 - q, 0.0), remaining_square = remaining * remaining;
+                    const D factor = derivative_scale * remaining_square * (6.0 - 5.0 * q);
+                    factor.store(pairs.factors + k);
+                    for (std::size_t c = 0; c < 3; ++c) changes[c] = factor * offsets[c];
+                    changes[3] = 0.0 - remaining_square * remaining * (1.0 + 3.0 * q * remaining);
+                    double pair_squares[SIMD_WIDTH];
+                    (factor * factor * squared_length).store(pair_squares);
+                    for (std::size_t c = 0; c < SIMD_WIDTH; ++c)
+                      pairs.squared_gradients[pairs.partners[k + c]] += pair_squares[c];
+                    pairs.squared_gradients[i] +=
+                        (pair_squares[0] + pair_squares[1]) + (pair_squares[2] + pair_squares[3]);
+                  });
   }
 
-  // Brookshaw's Laplacian, of velocities.
+  // Applies Brookshaw's Laplacian of velocities.
   static void apply_viscosity(const FluidPairs& pairs) {
-    const D viscous = pairs.damping;
-    for_each_pair(pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D*, D* parts) {
-      D there[4];
-      gather(pairs.velocities, pairs.partners + k, there);
-      const D across = viscous * D::of(pairs.factors + k);
-      for (std::size_t c = 0; c < 3; ++c)
-        parts[c] = across * (there[c] - pairs.velocities[4 * i + c]);
-      parts[3] = 0.0;
-    });
+    const D damping = pairs.damping;
+    for_each_pair(pairs, pairs.corrections,
+                  [&](std::size_t i, std::size_t k, const D*, D* changes) {
+                    D partner_velocities[4];
+                    gather(pairs.velocities, pairs.partners + k, partner_velocities);
+                    const D factor = damping * D::load(pairs.factors + k);
+                    for (std::size_t c = 0; c < 3; ++c)
+                      changes[c] = factor * (partner_velocities[c] - pairs.velocities[4 * i + c]);
+                    changes[3] = 0.0;
+                  });
   }
 
-  // Damps relative speeds along pairs that are as slow as particle noise. Momentum and spin are
-  // conserved.
+  // Damps relative speeds of pairs that are as slow as particle noise. Momentum and angular
+  // momentum are conserved.
   static void damp_noise(const FluidPairs& pairs) {
-    const D scale = pairs.damping, noise = pairs.noise * pairs.noise, none = 1e-300;
+    const D scale = pairs.damping, noise = pairs.noise * pairs.noise, tiny = 1e-300;
     for_each_pair(
-        pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
-          D there[4];
-          gather(pairs.velocities, pairs.partners + k, there);
-          D along = 0.0;
+        pairs, pairs.corrections, [&](std::size_t i, std::size_t k, const D* offsets, D* changes) {
+          D partner_velocities[4];
+          gather(pairs.velocities, pairs.partners + k, partner_velocities);
+          D approach = 0.0;
           for (std::size_t c = 0; c < 3; ++c)
-            along = along + off[c] * (there[c] - pairs.velocities[4 * i + c]);
-          const D slow = squares_of(off) * noise;
-          along = scale * D::of(pairs.factors + k) * along * slow / (slow + along * along + none);
-          for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
-          parts[3] = 0.0;
+            approach =
+                approach + offsets[c] * (partner_velocities[c] - pairs.velocities[4 * i + c]);
+          const D noise_square = squared_lengths(offsets) * noise;
+          approach = scale * D::load(pairs.factors + k) * approach * noise_square /
+                     (noise_square + approach * approach + tiny);
+          for (std::size_t c = 0; c < 3; ++c) changes[c] = approach * offsets[c];
+          changes[3] = 0.0;
         });
   }
 
-  // Half of a pair's pressure times its offset is the virial of each.
+  // The virial of each particle is half of a pair's pressure times its offset.
   static void apply_pressure(const FluidPairs& pairs) {
     for_each_pair(pairs, pairs.corrections,
-                  [&](std::size_t, std::size_t k, const D* off, D* parts) {
-                    const D push = off[3] * D::of(pairs.factors + k);
-                    for (std::size_t c = 0; c < 3; ++c) parts[c] = push * off[c];
-                    parts[3] = 0.0 - push * squares_of(off) * (0.5 / 3);
+                  [&](std::size_t, std::size_t k, const D* offsets, D* changes) {
+                    const D pressure = offsets[3] * D::load(pairs.factors + k);
+                    for (std::size_t c = 0; c < 3; ++c) changes[c] = pressure * offsets[c];
+                    changes[3] = 0.0 - pressure * squared_lengths(offsets) * (0.5 / 3);
                   });
   }
 

@@ -10,11 +10,11 @@
 namespace animtool {
 
 // state, pressures, impulses on bodies, mean compression
-using FluidStepped = std::tuple<Out<double, 3>, Out<double, 1>, Out<double, 3>, double>;
-FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners, In<double, 2> bodies,
-                         In<double, 3> state, In<double, 2> accelerations, double spacing,
-                         double density, double viscosity, double tension, double sound,
-                         double step, std::int64_t substeps);
+using FluidStepResult = std::tuple<Out<double, 3>, Out<double, 1>, Out<double, 3>, double>;
+FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
+                            In<double, 2> bodies, In<double, 3> state, In<double, 2> accelerations,
+                            double spacing, double density, double viscosity, double tension,
+                            double sound, double step, std::int64_t substeps);
 
 Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing);
 double fluid_area(In<double, 2> points, double spacing);

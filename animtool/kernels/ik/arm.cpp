@@ -1,15 +1,15 @@
-// Closed form of six-pin arms with a spherical wrist or three parallel axes.
+// Closed form of arms with six pins, with a spherical wrist or three parallel axes.
 //
-// Angles are found one after the other by geometric subproblems: the rotation that takes one
-// vector to another (1), two such rotations (2), and a rotation after which a vector has a given
-// component along another (4) or a given distance from it (3) (B. Paden, Kinematics and control
-// of robot manipulators, 1986; A. Elias, J. Wen, IK-Geo, 2022). Everything is in the frame of
-// the pose with zero angles, where axis i is the line through `at` along `axes`. Newton's method
-// removes errors of rounding, and of axes in files that intersect only approximately.
+// Angles are solved one after the other by geometric subproblems: the rotation that takes one
+// vector to another (1), two such rotations (2), a rotation after which a vector has a given
+// component along another (4), or a given distance from it (3) (B. Paden, Kinematics and control of
+// robot manipulators, 1986; A. Elias, J. Wen, IK-Geo, 2022). Everything is in the frame of the pose
+// with zero angles, where axis i is the line through `point` along `axis`. Newton's method removes
+// rounding errors, and errors of axes in files that intersect only approximately.
 //
 // Limits of the method: if axes intersect or are parallel only approximately, a branch next to a
-// singular pose may be missed. If axes are collinear, or the wrist lies on the first axis, there
-// are infinitely many solutions: the free angle is that of the start.
+// singular pose may be missed. If axes are collinear, or the wrist is on the first axis, there are
+// infinitely many solutions; the free angle is that of the start.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -23,15 +23,15 @@ namespace animtool::ik {
 
 namespace {
 
-// How far axes may be from intersecting, as a fraction of the length, or from parallel [rad].
-constexpr double ARM_NEARLY = 1e-3;
+// Tolerance of the intersection of axes, as a fraction of the length, and of parallel axes [rad].
+constexpr double ARM_TOLERANCE = 1e-3;
 // Vectors shorter than this have no direction.
-constexpr double ARM_OPEN = 1e-10;
-// Tolerance of Newton's method, and its largest number of steps.
-constexpr double ARM_EXACT = 1e-15;
-constexpr int ARM_STEPS = 8;
-// Pivots below this fraction of the first count as zero.
-constexpr double ARM_PIVOT = 1e-11;
+constexpr double ARM_MIN_LENGTH = 1e-10;
+// Error at which Newton's method stops, and its largest number of steps.
+constexpr double ARM_NEWTON_TOLERANCE = 1e-15;
+constexpr int ARM_NEWTON_STEPS = 8;
+// Pivots below this fraction of the first pivot count as zero.
+constexpr double ARM_MIN_PIVOT = 1e-11;
 
 using Triple = std::array<double, 3>;
 
@@ -43,185 +43,201 @@ Triple times(double scale, const Triple& a) { return {scale * a[0], scale * a[1]
 
 double inner(const Triple& a, const Triple& b) { return dot(a.data(), b.data()); }
 
-Triple crossed(const Triple& a, const Triple& b) {
+Triple cross_product(const Triple& a, const Triple& b) {
   Triple c;
   cross(a.data(), b.data(), c.data());
   return c;
 }
 
-double size(const Triple& a) { return length(a.data()); }
+double norm(const Triple& a) { return length(a.data()); }
 
-// A rotation about a unit axis.
-Triple turned(const Triple& axis, double angle, const Triple& v) {
-  const double c = std::cos(angle), s = std::sin(angle), along = (1 - c) * inner(axis, v);
-  const Triple side = crossed(axis, v);
+// Rotates a vector about a unit axis.
+Triple rotate_about(const Triple& axis, double angle, const Triple& v) {
+  const double cosine = std::cos(angle), sine = std::sin(angle),
+               axial = (1 - cosine) * inner(axis, v);
+  const Triple perpendicular = cross_product(axis, v);
   Triple out;
-  for (int i = 0; i < 3; ++i) out[i] = c * v[i] + s * side[i] + along * axis[i];
+  for (int i = 0; i < 3; ++i) out[i] = cosine * v[i] + sine * perpendicular[i] + axial * axis[i];
   return out;
 }
 
-// Solutions of an equation: none, one or two angles, or `open` if all.
+// Solutions of an equation: none, one or two angles. If all angles are solutions, the free angle of
+// the start is returned.
 struct Angles {
   int count = 0;
   double values[2] = {};
 };
 
-// Subproblem 1: the rotation from p to q; `open` if they lie on the axis.
-double angle_between(const Triple& axis, const Triple& p, const Triple& q, double open) {
-  const Triple side = crossed(axis, p), other = crossed(axis, q);
-  if (std::min(size(side), size(other)) < ARM_OPEN) return open;
-  return std::atan2(inner(axis, crossed(side, other)), inner(side, other));
+// Subproblem 1: the angle of the rotation from p to q; `free_angle` if they are on the axis.
+double angle_between(const Triple& axis, const Triple& p, const Triple& q, double free_angle) {
+  const Triple p_side = cross_product(axis, p), q_side = cross_product(axis, q);
+  if (std::min(norm(p_side), norm(q_side)) < ARM_MIN_LENGTH) return free_angle;
+  return std::atan2(inner(axis, cross_product(p_side, q_side)), inner(p_side, q_side));
 }
 
-// Subproblem 4: rotations of p about an axis after which its component along h is d. A d that is
-// out of range by up to `slack` is clamped.
-Angles angles_along(const Triple& axis, const Triple& p, const Triple& h, double d, double slack,
-                    double open) {
-  const double along = inner(h, axis) * inner(axis, p);
-  const double even = inner(h, p) - along, sine_part = inner(h, crossed(axis, p)), rest = d - along;
-  const double most = std::hypot(even, sine_part);
-  if (most < ARM_OPEN) return std::fabs(rest) < ARM_OPEN + slack ? Angles{1, {open}} : Angles{};
-  const double cosine = rest / most;
-  if (std::fabs(cosine) > 1 + slack / most) return {};
-  const double middle = std::atan2(sine_part, even), clamped = std::clamp(cosine, -1.0, 1.0);
-  const double away = std::atan2(std::sqrt((1 - clamped) * (1 + clamped)), clamped);
-  return {2, {middle + away, middle - away}};
+// Subproblem 4: angles of rotations of p about an axis after which its component along h is d. If d
+// is out of range by up to `slack`, it is clamped.
+Angles angles_to_component(const Triple& axis, const Triple& p, const Triple& h, double d,
+                           double slack, double free_angle) {
+  const double constant_part = inner(h, axis) * inner(axis, p);
+  const double cosine_part = inner(h, p) - constant_part,
+               sine_part = inner(h, cross_product(axis, p)), remainder = d - constant_part;
+  const double amplitude = std::hypot(cosine_part, sine_part);
+  if (amplitude < ARM_MIN_LENGTH)
+    return std::fabs(remainder) < ARM_MIN_LENGTH + slack ? Angles{1, {free_angle}} : Angles{};
+  const double cosine = remainder / amplitude;
+  if (std::fabs(cosine) > 1 + slack / amplitude) return {};
+  const double middle = std::atan2(sine_part, cosine_part), clamped = std::clamp(cosine, -1.0, 1.0);
+  const double half_width = std::atan2(std::sqrt((1 - clamped) * (1 + clamped)), clamped);
+  return {2, {middle + half_width, middle - half_width}};
 }
 
-// Subproblem 3: rotations of p about an axis after which it has a given distance from q.
-Angles angles_at_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
-                          double slack, double open) {
-  return angles_along(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2, slack,
-                      open);
+// Subproblem 3: angles of rotations of p about an axis after which it has a given distance from q.
+Angles angles_to_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
+                          double slack, double free_angle) {
+  return angles_to_component(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2,
+                             slack, free_angle);
 }
 
-// Subproblem 2: rotations of p and q about two axes that take them to the same vector.
-template <class Use>
+// Subproblem 2: angles of rotations of p and q about two axes that take them to the same vector.
+template <class Function>
 void angles_to_common(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
-                      double slack, double open_first, double open_second, Use&& use) {
-  const double mixed = inner(first, second), sine = 1 - mixed * mixed;
-  const double along = inner(first, p), other = inner(second, q);
-  const double a = (along - mixed * other) / sine, b = (other - mixed * along) / sine;
-  const Triple normal = crossed(first, second);
-  const Triple flat = plus(times(a, first), times(b, second));
-  const double left = inner(p, p) - inner(flat, flat);
-  if (left < -slack) return;
-  const double height = std::sqrt(std::max(left, 0.0) / sine);
+                      double slack, double first_free, double second_free, Function&& function) {
+  const double axis_dot = inner(first, second), squared_sine = 1 - axis_dot * axis_dot;
+  const double p_component = inner(first, p), q_component = inner(second, q);
+  const double a = (p_component - axis_dot * q_component) / squared_sine,
+               b = (q_component - axis_dot * p_component) / squared_sine;
+  const Triple normal = cross_product(first, second);
+  const Triple in_axis_plane = plus(times(a, first), times(b, second));
+  const double remainder = inner(p, p) - inner(in_axis_plane, in_axis_plane);
+  if (remainder < -slack) return;
+  const double height = std::sqrt(std::max(remainder, 0.0) / squared_sine);
   for (const double sign : {1.0, -1.0}) {
-    const Triple crossing = plus(flat, times(sign * height, normal));
-    use(angle_between(first, p, crossing, open_first),
-        angle_between(second, q, crossing, open_second));
+    const Triple common = plus(in_axis_plane, times(sign * height, normal));
+    function(angle_between(first, p, common, first_free),
+             angle_between(second, q, common, second_free));
   }
 }
 
-// The line of an axis, and the relation of two lines.
+// The line of an axis.
 struct Line {
-  Triple axis, at;
+  Triple axis, point;
 };
 
-double out_of_parallel(const Line& a, const Line& b) { return size(crossed(a.axis, b.axis)); }
+// Sine of the angle between two lines.
+double sine_between(const Line& a, const Line& b) { return norm(cross_product(a.axis, b.axis)); }
 
-// The point of line a nearest to line b, and their distance.
-double crossing(const Line& a, const Line& b, Triple& point) {
-  const Triple between = minus(b.at, a.at);
-  const double mixed = inner(a.axis, b.axis), sine = 1 - mixed * mixed;
-  if (sine < ARM_NEARLY) return HUGE_VAL;
-  const double along = (inner(between, a.axis) - mixed * inner(between, b.axis)) / sine;
-  point = plus(a.at, times(along, a.axis));
-  const Triple away = minus(point, b.at);
-  return size(minus(away, times(inner(away, b.axis), b.axis)));
+// Computes the point of line a nearest to line b; returns their distance.
+double nearest_point(const Line& a, const Line& b, Triple& point) {
+  const Triple offset = minus(b.point, a.point);
+  const double axis_dot = inner(a.axis, b.axis), squared_sine = 1 - axis_dot * axis_dot;
+  if (squared_sine < ARM_TOLERANCE) return HUGE_VAL;
+  const double distance = (inner(offset, a.axis) - axis_dot * inner(offset, b.axis)) / squared_sine;
+  point = plus(a.point, times(distance, a.axis));
+  const Triple difference = minus(point, b.point);
+  return norm(minus(difference, times(inner(difference, b.axis), b.axis)));
 }
 
-bool on_line(const Triple& point, const Line& line) {
-  const Triple away = minus(point, line.at);
-  return size(minus(away, times(inner(away, line.axis), line.axis))) < ARM_NEARLY;
+// Whether a point is on a line, within the tolerance.
+bool is_on_line(const Triple& point, const Line& line) {
+  const Triple offset = minus(point, line.point);
+  return norm(minus(offset, times(inner(offset, line.axis), line.axis))) < ARM_TOLERANCE;
 }
 
-// Methods that place the wrist with the first three axes.
-enum class Approach { NONE, LATER_PARALLEL, LATER_MEET, EARLIER_MEET, EARLIER_PARALLEL };
+// Methods that position the wrist by the first three axes: two neighbouring axes, 1 and 2 or 2 and
+// 3, are parallel or intersect.
+enum class WristMethod { NONE, PARALLEL_23, INTERSECT_23, INTERSECT_12, PARALLEL_12 };
 
 // Geometry of an arm at zero angles.
-struct Anatomy {
+struct ArmGeometry {
   ArmKind kind = ArmKind::NONE;
-  Approach reach = Approach::NONE;
+  WristMethod method = WristMethod::NONE;
   Line lines[ARM_PINS];
-  Triple wrist;  // intersection of the last three axes, or of the last two
-  Triple joint;  // intersection of two of the first three axes
+  Triple wrist;         // intersection of the last three axes, or of the last two
+  Triple intersection;  // intersection of two of the first three axes
   Triple tip;
-  double unrotated[9];  // the rotation of the last node
+  double zero_rotation[9];  // rotation of the last node
 };
 
+// Whether a task has the nodes and the goal of an arm.
 bool is_arm(const Task& task) {
   if (task.chain.nodes.size() != ARM_PINS || task.goals.size() != 1) return false;
   for (std::size_t n = 0; n < ARM_PINS; ++n) {
     const Node& node = task.chain.nodes[n];
-    const bool plain = node.gain == 1 && node.shift == 0 && !node.follows && node.program < 0;
-    if (node.kind != Kind::PIN || node.parent != static_cast<int>(n) - 1 || !plain) return false;
+    const bool is_independent =
+        node.gain == 1 && node.shift == 0 && !node.is_driven && node.program < 0;
+    if (node.kind != Kind::PIN || node.parent != static_cast<int>(n) - 1 || !is_independent)
+      return false;
   }
   const Goal& goal = task.goals[0];
-  constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
-  for (int part = 0; part < PARTS; ++part)
-    if ((goal.weights[part] > 0) != (part == position || part == orientation)) return false;
+  constexpr int position = component_of<Position>(), orientation = component_of<Orientation>();
+  for (int component = 0; component < COMPONENTS; ++component)
+    if ((goal.weights[component] > 0) != (component == position || component == orientation))
+      return false;
   return goal.node == static_cast<int>(ARM_PINS) - 1 && !(task.rest_weight > 0);
 }
 
-Approach approach_of(Anatomy& arm) {
+// The method that positions the wrist.
+WristMethod wrist_method(ArmGeometry& arm) {
   const Line* lines = arm.lines;
-  if (out_of_parallel(lines[0], lines[1]) > ARM_NEARLY) {
-    if (out_of_parallel(lines[1], lines[2]) < ARM_NEARLY) return Approach::LATER_PARALLEL;
-    if (crossing(lines[0], lines[1], arm.joint) < ARM_NEARLY) return Approach::EARLIER_MEET;
-  } else if (out_of_parallel(lines[1], lines[2]) > ARM_NEARLY) {
-    return Approach::EARLIER_PARALLEL;
+  if (sine_between(lines[0], lines[1]) > ARM_TOLERANCE) {
+    if (sine_between(lines[1], lines[2]) < ARM_TOLERANCE) return WristMethod::PARALLEL_23;
+    if (nearest_point(lines[0], lines[1], arm.intersection) < ARM_TOLERANCE)
+      return WristMethod::INTERSECT_12;
+  } else if (sine_between(lines[1], lines[2]) > ARM_TOLERANCE) {
+    return WristMethod::PARALLEL_12;
   }
-  return crossing(lines[1], lines[2], arm.joint) < ARM_NEARLY ? Approach::LATER_MEET
-                                                              : Approach::NONE;
+  return nearest_point(lines[1], lines[2], arm.intersection) < ARM_TOLERANCE
+             ? WristMethod::INTERSECT_23
+             : WristMethod::NONE;
 }
 
-Anatomy look(const Task& task) {
-  Anatomy arm;
+// Reads the geometry of a task's arm; its kind is NONE without a closed form.
+ArmGeometry analyze_arm(const Task& task) {
+  ArmGeometry arm;
   if (!is_arm(task)) return arm;
   Frames frames(task.chain);
   const double zero[ARM_PINS] = {};
   forward(task.chain, zero, frames);
   for (std::size_t n = 0; n < ARM_PINS; ++n) {
     std::copy_n(&frames.axes[9 * n], 3, arm.lines[n].axis.data());
-    std::copy_n(&frames.origins[3 * n], 3, arm.lines[n].at.data());
+    std::copy_n(&frames.origins[3 * n], 3, arm.lines[n].point.data());
   }
-  std::copy_n(&frames.rotations[9 * (ARM_PINS - 1)], 9, arm.unrotated);
-  rotate(arm.unrotated, task.goals[0].offset, arm.tip.data());
-  arm.tip = plus(arm.tip, arm.lines[ARM_PINS - 1].at);
-  if (!(crossing(arm.lines[4], arm.lines[5], arm.wrist) < ARM_NEARLY)) return arm;
+  std::copy_n(&frames.rotations[9 * (ARM_PINS - 1)], 9, arm.zero_rotation);
+  rotate(arm.zero_rotation, task.goals[0].offset, arm.tip.data());
+  arm.tip = plus(arm.tip, arm.lines[ARM_PINS - 1].point);
+  if (!(nearest_point(arm.lines[4], arm.lines[5], arm.wrist) < ARM_TOLERANCE)) return arm;
   const Line* lines = arm.lines;
-  if (out_of_parallel(lines[1], lines[2]) < ARM_NEARLY &&
-      out_of_parallel(lines[2], lines[3]) < ARM_NEARLY &&
-      out_of_parallel(lines[0], lines[1]) > ARM_NEARLY &&
-      out_of_parallel(lines[3], lines[4]) > ARM_NEARLY) {
+  if (sine_between(lines[1], lines[2]) < ARM_TOLERANCE &&
+      sine_between(lines[2], lines[3]) < ARM_TOLERANCE &&
+      sine_between(lines[0], lines[1]) > ARM_TOLERANCE &&
+      sine_between(lines[3], lines[4]) > ARM_TOLERANCE) {
     arm.kind = ArmKind::PARALLEL;
     return arm;
   }
-  const bool wrist =
-      on_line(arm.wrist, lines[3]) && out_of_parallel(lines[3], lines[4]) > ARM_NEARLY;
-  arm.reach = wrist ? approach_of(arm) : Approach::NONE;
-  if (arm.reach != Approach::NONE) arm.kind = ArmKind::WRIST;
+  const bool is_wrist =
+      is_on_line(arm.wrist, lines[3]) && sine_between(lines[3], lines[4]) > ARM_TOLERANCE;
+  arm.method = is_wrist ? wrist_method(arm) : WristMethod::NONE;
+  if (arm.method != WristMethod::NONE) arm.kind = ArmKind::WRIST;
   return arm;
 }
 
 class SixPins : public Arm {
  public:
-  SixPins(const Task& task, const Anatomy& arm, double length_tolerance, double angle_tolerance)
+  SixPins(const Task& task, const ArmGeometry& arm, double length_tolerance, double angle_tolerance)
       : task_(task),
         arm_(arm),
         tolerances_{length_tolerance, angle_tolerance},
         state_(task),
         linear_(task) {}
 
-  bool follows() const override { return true; }
+  bool depends_on_start() const override { return true; }
 
   bool solve(const double* start, const double* target, const double*, double, double* q,
              double* errors) override {
-    const std::size_t count = find(start, target);
+    const std::size_t count = find_branches(start, target);
     for (std::size_t i = 0; i < count; ++i) {
-      if (!finish(branches_[order_[i]].angles, target)) continue;
+      if (!refine(branches_[order_[i]].angles, target)) continue;
       std::copy(state_.q.begin(), state_.q.end(), q);
       std::copy(state_.errors.begin(), state_.errors.end(), errors);
       return true;
@@ -230,15 +246,15 @@ class SixPins : public Arm {
   }
 
   std::size_t branches(const double* start, const double* target, double* poses) override {
-    const std::size_t count = find(start, target);
-    std::size_t kept = 0;
+    const std::size_t count = find_branches(start, target);
+    std::size_t pose_count = 0;
     for (std::size_t i = 0; i < count; ++i) {
-      if (!finish(branches_[order_[i]].angles, target)) continue;
-      double* pose = poses + ARM_PINS * kept;
+      if (!refine(branches_[order_[i]].angles, target)) continue;
+      double* pose = poses + ARM_PINS * pose_count;
       std::copy(state_.q.begin(), state_.q.end(), pose);
-      kept += !known(poses, kept, pose);
+      pose_count += !is_duplicate(poses, pose_count, pose);
     }
-    return kept;
+    return pose_count;
   }
 
  private:
@@ -247,7 +263,7 @@ class SixPins : public Arm {
   };
 
   // Whether a pose equals an earlier one: branches merge at a singular pose.
-  static bool known(const double* poses, std::size_t count, const double* pose) {
+  static bool is_duplicate(const double* poses, std::size_t count, const double* pose) {
     for (std::size_t i = 0; i < count; ++i) {
       double largest = 0;
       for (std::size_t k = 0; k < ARM_PINS; ++k)
@@ -257,24 +273,25 @@ class SixPins : public Arm {
     return false;
   }
 
-  // Solutions of the equations within the limits, sorted by their distance from the start.
-  std::size_t find(const double* start, const double* target) {
+  // Solves the equations; returns the number of solutions within the limits, sorted by distance
+  // from the start.
+  std::size_t find_branches(const double* start, const double* target) {
     branch_count_ = 0;
-    constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
+    constexpr int position = component_of<Position>(), orientation = component_of<Orientation>();
     const double* weights = target + WEIGHTS;
     if (!(weights[position] > 0) || !(weights[orientation] > 0)) return 0;
     start_ = start;
-    double goal[9], back[9];
+    double goal[9], inverse_zero[9];
     to_matrix(target + COLUMNS[orientation], goal);
-    for (int i = 0; i < 9; ++i) back[i] = arm_.unrotated[3 * (i % 3) + i / 3];
-    multiply(goal, back, goal_);
-    const Triple away = minus(arm_.wrist, arm_.tip);
-    rotate(goal_, away.data(), wrist_.data());
-    for (int i = 0; i < 3; ++i) wrist_[i] += target[COLUMNS[position] + i];
+    for (int i = 0; i < 9; ++i) inverse_zero[i] = arm_.zero_rotation[3 * (i % 3) + i / 3];
+    multiply(goal, inverse_zero, goal_rotation_);
+    const Triple tip_to_wrist = minus(arm_.wrist, arm_.tip);
+    rotate(goal_rotation_, tip_to_wrist.data(), wrist_target_.data());
+    for (int i = 0; i < 3; ++i) wrist_target_[i] += target[COLUMNS[position] + i];
     if (arm_.kind == ArmKind::PARALLEL)
-      parallel();
+      solve_parallel();
     else
-      reach();
+      solve_wrist_position();
     std::iota(order_.begin(), order_.end(), 0);
     std::stable_sort(order_.begin(), order_.begin() + static_cast<std::ptrdiff_t>(branch_count_),
                      [&](std::size_t a, std::size_t b) {
@@ -284,178 +301,201 @@ class SixPins : public Arm {
   }
 
   const Triple& axis(int n) const { return arm_.lines[n].axis; }
-  const Triple& at(int n) const { return arm_.lines[n].at; }
+  const Triple& point_on(int n) const { return arm_.lines[n].point; }
 
   // A point after a rotation about an axis.
-  Triple moved(int n, double angle, const Triple& point) const {
-    return plus(at(n), turned(axis(n), angle, minus(point, at(n))));
+  Triple rotate_point(int n, double angle, const Triple& point) const {
+    return plus(point_on(n), rotate_about(axis(n), angle, minus(point, point_on(n))));
   }
 
-  Triple goal_turned(const Triple& v) const {
+  // Rotates a vector by the rotation of the goal, and by its inverse.
+  Triple rotate_by_goal(const Triple& v) const {
     Triple out;
-    rotate(goal_, v.data(), out.data());
+    rotate(goal_rotation_, v.data(), out.data());
     return out;
   }
 
-  Triple goal_undone(const Triple& v) const {
+  Triple unrotate_by_goal(const Triple& v) const {
     Triple out;
     for (int i = 0; i < 3; ++i)
-      out[i] = goal_[i] * v[0] + goal_[3 + i] * v[1] + goal_[6 + i] * v[2];
+      out[i] =
+          goal_rotation_[i] * v[0] + goal_rotation_[3 + i] * v[1] + goal_rotation_[6 + i] * v[2];
     return out;
   }
 
-  // Distance of the wrist from its target, with the first rotation undone.
-  Triple before_first(double angle) const { return moved(0, -angle, wrist_); }
+  // The target of the wrist before the first rotation.
+  Triple undo_first(double angle) const { return rotate_point(0, -angle, wrist_target_); }
 
-  void reach() {
-    switch (arm_.reach) {
-      case Approach::LATER_PARALLEL:
-        return later_parallel();
-      case Approach::LATER_MEET:
-        return later_meet();
-      case Approach::EARLIER_MEET:
-        return earlier_meet();
-      case Approach::EARLIER_PARALLEL:
-        return earlier_parallel();
-      case Approach::NONE:
+  // Solves the first three angles by the method of the arm.
+  void solve_wrist_position() {
+    switch (arm_.method) {
+      case WristMethod::PARALLEL_23:
+        return solve_parallel_23();
+      case WristMethod::INTERSECT_23:
+        return solve_intersect_23();
+      case WristMethod::INTERSECT_12:
+        return solve_intersect_12();
+      case WristMethod::PARALLEL_12:
+        return solve_parallel_12();
+      case WristMethod::NONE:
         return;
     }
   }
 
-  // The component along the second and third axes determines the first angle.
-  void later_parallel() {
-    const double along = inner(axis(1), minus(arm_.wrist, at(0)));
-    const Triple back = times(-1, axis(0));
-    each(angles_along(back, minus(wrist_, at(0)), axis(1), along, SLACK, start_[0]),
-         [&](double first) { in_plane(first, before_first(first), arm_.wrist); });
+  // Axes 2 and 3 are parallel: the component along them determines the first angle.
+  void solve_parallel_23() {
+    const double component = inner(axis(1), minus(arm_.wrist, point_on(0)));
+    const Triple reversed_axis = times(-1, axis(0));
+    for_each(angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), axis(1),
+                                 component, SLACK, start_[0]),
+             [&](double first) { solve_in_plane(first, undo_first(first), arm_.wrist); });
   }
 
-  // Second and third angle, from the sides of a triangle.
-  void in_plane(double first, const Triple& goal, const Triple& point) {
-    const double far = size(minus(goal, at(1)));
-    each(angles_at_distance(axis(2), minus(point, at(2)), minus(at(1), at(2)), far, SLACK,
-                            start_[2]),
-         [&](double third) {
-           const Triple placed = moved(2, third, point);
-           const double second =
-               angle_between(axis(1), minus(placed, at(1)), minus(goal, at(1)), start_[1]);
-           wrist(first, second, third);
-         });
+  // The second and third angle, from the sides of a triangle.
+  void solve_in_plane(double first, const Triple& goal, const Triple& point) {
+    const double distance = norm(minus(goal, point_on(1)));
+    for_each(angles_to_distance(axis(2), minus(point, point_on(2)), minus(point_on(1), point_on(2)),
+                                distance, SLACK, start_[2]),
+             [&](double third) {
+               const Triple rotated = rotate_point(2, third, point);
+               const double second = angle_between(axis(1), minus(rotated, point_on(1)),
+                                                   minus(goal, point_on(1)), start_[1]);
+               solve_wrist(first, second, third);
+             });
   }
 
-  void later_meet() {
-    const Triple& joint = arm_.joint;
-    const Triple back = times(-1, axis(0));
-    const double far = size(minus(arm_.wrist, joint));
-    each(angles_at_distance(back, minus(wrist_, at(0)), minus(joint, at(0)), far, SLACK, start_[0]),
-         [&](double first) {
-           angles_to_common(times(-1, axis(1)), minus(before_first(first), joint), axis(2),
-                            minus(arm_.wrist, joint), SLACK, start_[1], start_[2],
-                            [&](double second, double third) { wrist(first, second, third); });
-         });
+  // Axes 2 and 3 intersect.
+  void solve_intersect_23() {
+    const Triple& intersection = arm_.intersection;
+    const Triple reversed_axis = times(-1, axis(0));
+    const double distance = norm(minus(arm_.wrist, intersection));
+    for_each(angles_to_distance(reversed_axis, minus(wrist_target_, point_on(0)),
+                                minus(intersection, point_on(0)), distance, SLACK, start_[0]),
+             [&](double first) {
+               angles_to_common(
+                   times(-1, axis(1)), minus(undo_first(first), intersection), axis(2),
+                   minus(arm_.wrist, intersection), SLACK, start_[1], start_[2],
+                   [&](double second, double third) { solve_wrist(first, second, third); });
+             });
   }
 
-  void earlier_meet() {
-    const Triple& joint = arm_.joint;
-    const double far = size(minus(wrist_, joint));
-    each(angles_at_distance(axis(2), minus(arm_.wrist, at(2)), minus(joint, at(2)), far, SLACK,
-                            start_[2]),
-         [&](double third) {
-           const Triple placed = moved(2, third, arm_.wrist);
-           angles_to_common(times(-1, axis(0)), minus(wrist_, joint), axis(1), minus(placed, joint),
-                            SLACK, start_[0], start_[1],
-                            [&](double first, double second) { wrist(first, second, third); });
-         });
+  // Axes 1 and 2 intersect.
+  void solve_intersect_12() {
+    const Triple& intersection = arm_.intersection;
+    const double distance = norm(minus(wrist_target_, intersection));
+    for_each(angles_to_distance(axis(2), minus(arm_.wrist, point_on(2)),
+                                minus(intersection, point_on(2)), distance, SLACK, start_[2]),
+             [&](double third) {
+               const Triple rotated = rotate_point(2, third, arm_.wrist);
+               angles_to_common(
+                   times(-1, axis(0)), minus(wrist_target_, intersection), axis(1),
+                   minus(rotated, intersection), SLACK, start_[0], start_[1],
+                   [&](double first, double second) { solve_wrist(first, second, third); });
+             });
   }
 
-  void earlier_parallel() {
-    const double along = inner(axis(0), minus(wrist_, at(2)));
-    each(angles_along(axis(2), minus(arm_.wrist, at(2)), axis(0), along, SLACK, start_[2]),
-         [&](double third) {
-           const Triple placed = moved(2, third, arm_.wrist);
-           const double far = size(minus(wrist_, at(0)));
-           each(angles_at_distance(axis(1), minus(placed, at(1)), minus(at(0), at(1)), far, SLACK,
-                                   start_[1]),
-                [&](double second) {
-                  const Triple there = moved(1, second, placed);
-                  const double first =
-                      angle_between(axis(0), minus(there, at(0)), minus(wrist_, at(0)), start_[0]);
-                  wrist(first, second, third);
-                });
-         });
+  // Axes 1 and 2 are parallel.
+  void solve_parallel_12() {
+    const double component = inner(axis(0), minus(wrist_target_, point_on(2)));
+    for_each(angles_to_component(axis(2), minus(arm_.wrist, point_on(2)), axis(0), component, SLACK,
+                                 start_[2]),
+             [&](double third) {
+               const Triple rotated = rotate_point(2, third, arm_.wrist);
+               const double distance = norm(minus(wrist_target_, point_on(0)));
+               for_each(
+                   angles_to_distance(axis(1), minus(rotated, point_on(1)),
+                                      minus(point_on(0), point_on(1)), distance, SLACK, start_[1]),
+                   [&](double second) {
+                     const Triple rotated_twice = rotate_point(1, second, rotated);
+                     const double first =
+                         angle_between(axis(0), minus(rotated_twice, point_on(0)),
+                                       minus(wrist_target_, point_on(0)), start_[0]);
+                     solve_wrist(first, second, third);
+                   });
+             });
   }
 
   // The last three angles, from the remaining rotation.
-  void wrist(double first, double second, double third) {
-    const auto left = [&](const Triple& v) {
-      return turned(axis(2), -third, turned(axis(1), -second, turned(axis(0), -first, v)));
+  void solve_wrist(double first, double second, double third) {
+    const auto undo_first_three = [&](const Triple& v) {
+      return rotate_about(axis(2), -third,
+                          rotate_about(axis(1), -second, rotate_about(axis(0), -first, v)));
     };
-    const Triple end = left(goal_turned(axis(5)));
-    each(
-        angles_along(axis(4), axis(5), axis(3), inner(axis(3), end), SLACK, start_[4]),
+    const Triple last_axis = undo_first_three(rotate_by_goal(axis(5)));
+    for_each(
+        angles_to_component(axis(4), axis(5), axis(3), inner(axis(3), last_axis), SLACK, start_[4]),
         [&](double fifth) {
-          const Triple bent = turned(axis(4), fifth, axis(5));
-          const double fourth = angle_between(axis(3), bent, end, start_[3]);
+          const Triple rotated_axis = rotate_about(axis(4), fifth, axis(5));
+          const double fourth = angle_between(axis(3), rotated_axis, last_axis, start_[3]);
           // The vector farthest from the last axis compensates the error of the fourth angle.
-          const Triple side = across(axis(5));
-          const Triple goal = left(goal_turned(side));
-          const Triple open = turned(axis(4), -fifth, turned(axis(3), -fourth, goal));
-          add({first, second, third, fourth, fifth, angle_between(axis(5), side, open, start_[5])});
+          const Triple perpendicular = orthogonal(axis(5));
+          const Triple goal = undo_first_three(rotate_by_goal(perpendicular));
+          const Triple remaining =
+              rotate_about(axis(4), -fifth, rotate_about(axis(3), -fourth, goal));
+          add_branch({first, second, third, fourth, fifth,
+                      angle_between(axis(5), perpendicular, remaining, start_[5])});
         });
   }
 
-  static Triple across(const Triple& v) {
-    int least = std::fabs(v[1]) < std::fabs(v[0]) ? 1 : 0;
-    if (std::fabs(v[2]) < std::fabs(v[least])) least = 2;
+  // A vector orthogonal to another.
+  static Triple orthogonal(const Triple& v) {
+    int smallest = std::fabs(v[1]) < std::fabs(v[0]) ? 1 : 0;
+    if (std::fabs(v[2]) < std::fabs(v[smallest])) smallest = 2;
     Triple unit{};
-    unit[least] = 1;
-    return crossed(v, unit);
+    unit[smallest] = 1;
+    return cross_product(v, unit);
   }
 
-  // The first angle from the component along the parallel axes, the fifth from that of the last
-  // axis.
-  void parallel() {
+  // Axes 2 to 4 are parallel: the first angle follows from the component of the wrist along them,
+  // the fifth from that of the last axis.
+  void solve_parallel() {
     const Triple& normal = axis(1);
-    const Triple back = times(-1, axis(0));
-    const double along = inner(normal, minus(arm_.wrist, at(0)));
-    const Triple end = goal_turned(axis(5));
-    each(angles_along(back, minus(wrist_, at(0)), normal, along, SLACK, start_[0]),
-         [&](double first) {
-           const Triple goal = before_first(first);
-           const double shown = inner(normal, turned(axis(0), -first, end));
-           each(angles_along(axis(4), axis(5), normal, shown, SLACK, start_[4]),
-                [&](double fifth) { parallel(first, fifth, goal); });
-         });
+    const Triple reversed_axis = times(-1, axis(0));
+    const double component = inner(normal, minus(arm_.wrist, point_on(0)));
+    const Triple last_axis = rotate_by_goal(axis(5));
+    for_each(
+        angles_to_component(reversed_axis, minus(wrist_target_, point_on(0)), normal, component,
+                            SLACK, start_[0]),
+        [&](double first) {
+          const Triple goal = undo_first(first);
+          const double axis_component = inner(normal, rotate_about(axis(0), -first, last_axis));
+          for_each(angles_to_component(axis(4), axis(5), normal, axis_component, SLACK, start_[4]),
+                   [&](double fifth) { solve_parallel(first, fifth, goal); });
+        });
   }
 
-  void parallel(double first, double fifth, const Triple& goal) {
+  void solve_parallel(double first, double fifth, const Triple& goal) {
     const Triple& normal = axis(1);
-    const Triple undone = goal_undone(turned(axis(0), first, normal));
-    const double sixth = angle_between(axis(5), undone, turned(axis(4), -fifth, normal), start_[5]);
+    const Triple normal_before = unrotate_by_goal(rotate_about(axis(0), first, normal));
+    const double sixth =
+        angle_between(axis(5), normal_before, rotate_about(axis(4), -fifth, normal), start_[5]);
     // The sum of the three parallel rotations.
-    const Triple side = across(normal);
-    const Triple last = turned(axis(5), -sixth, turned(axis(4), -fifth, side));
-    const Triple shown = turned(axis(0), -first, goal_turned(last));
-    const double sum = angle_between(normal, side, shown, 0);
-    const Triple elbow = minus(goal, turned(normal, sum, minus(arm_.wrist, at(3))));
-    const double far = size(minus(elbow, at(1)));
-    each(angles_at_distance(axis(2), minus(at(3), at(2)), minus(at(1), at(2)), far, SLACK,
-                            start_[2]),
-         [&](double third) {
-           const Triple placed = moved(2, third, at(3));
-           const double second =
-               angle_between(normal, minus(placed, at(1)), minus(elbow, at(1)), start_[1]);
-           add({first, second, third, sum - second - third, fifth, sixth});
-         });
+    const Triple perpendicular = orthogonal(normal);
+    const Triple unrotated =
+        rotate_about(axis(5), -sixth, rotate_about(axis(4), -fifth, perpendicular));
+    const Triple rotated_side = rotate_about(axis(0), -first, rotate_by_goal(unrotated));
+    const double sum = angle_between(normal, perpendicular, rotated_side, 0);
+    const Triple wrist_start =
+        minus(goal, rotate_about(normal, sum, minus(arm_.wrist, point_on(3))));
+    const double distance = norm(minus(wrist_start, point_on(1)));
+    for_each(angles_to_distance(axis(2), minus(point_on(3), point_on(2)),
+                                minus(point_on(1), point_on(2)), distance, SLACK, start_[2]),
+             [&](double third) {
+               const Triple rotated = rotate_point(2, third, point_on(3));
+               const double second = angle_between(normal, minus(rotated, point_on(1)),
+                                                   minus(wrist_start, point_on(1)), start_[1]);
+               add_branch({first, second, third, sum - second - third, fifth, sixth});
+             });
   }
 
-  template <class Use>
-  static void each(const Angles& angles, Use&& use) {
-    for (int i = 0; i < angles.count; ++i) use(angles.values[i]);
+  template <class Function>
+  static void for_each(const Angles& angles, Function&& function) {
+    for (int i = 0; i < angles.count; ++i) function(angles.values[i]);
   }
 
-  // Stores a pose, each angle shifted by full turns to the one nearest to the start within limits.
-  void add(const std::array<double, ARM_PINS>& angles) {
+  // Stores a pose; each angle is shifted by full revolutions to the value nearest to the start
+  // within its limits.
+  void add_branch(const std::array<double, ARM_PINS>& angles) {
     if (branch_count_ == branches_.size()) return;
     Branch& pose = branches_[branch_count_];
     pose.distance = 0;
@@ -473,47 +513,48 @@ class SixPins : public Arm {
     ++branch_count_;
   }
 
-  double worst() const {
+  double max_error() const {
     const double* errors = state_.errors.data();
-    return *std::max_element(errors, errors + PARTS);
+    return *std::max_element(errors, errors + COMPONENTS);
   }
 
-  void look_at(const double* q, const double* target) {
+  // Sets state_ to a pose.
+  void set_pose(const double* q, const double* target) {
     std::copy(q, q + ARM_PINS, state_.q.begin());
     forward(task_.chain, state_.q.data(), state_.frames);
     measure(task_, target, state_);
   }
 
-  // Sets state_ to the pose that Newton's method ends at; returns whether it reaches the target
+  // Sets state_ to the pose at which Newton's method ends; returns whether it reaches the target
   // within the limits.
-  bool finish(const double* angles, const double* target) {
+  bool refine(const double* angles, const double* target) {
     double best[ARM_PINS], next[ARM_PINS], step[ARM_PINS];
     std::copy(angles, angles + ARM_PINS, best);
-    look_at(best, target);
-    double error = worst();
-    for (int i = 0; i < ARM_STEPS && error > ARM_EXACT; ++i) {
-      newton(target, step);
+    set_pose(best, target);
+    double error = max_error();
+    for (int i = 0; i < ARM_NEWTON_STEPS && error > ARM_NEWTON_TOLERANCE; ++i) {
+      solve_newton_step(target, step);
       for (std::size_t n = 0; n < ARM_PINS; ++n) {
         const double* limit = task_.chain.nodes[n].limit;
         next[n] = std::clamp(best[n] + step[n], limit[0], limit[1]);
       }
-      look_at(next, target);
-      const double now = worst();
-      if (!(now < error)) break;
-      const bool slow = now > error / 2;
-      error = now;
+      set_pose(next, target);
+      const double next_error = max_error();
+      if (!(next_error < error)) break;
+      const bool is_slow = next_error > error / 2;
+      error = next_error;
       std::copy(next, next + ARM_PINS, best);
-      if (slow) break;
+      if (is_slow) break;
     }
-    look_at(best, target);
+    set_pose(best, target);
     const double* errors = state_.errors.data();
-    for (int part = 0; part < PARTS; ++part)
-      if (!(errors[part] <= tolerances_[METRIC[part] ? 0 : 1])) return false;
+    for (int component = 0; component < COMPONENTS; ++component)
+      if (!(errors[component] <= tolerances_[METRIC[component] ? 0 : 1])) return false;
     return true;
   }
 
   // Solves J d = r with full pivoting; unknowns without a pivot stay 0.
-  void newton(const double* target, double* step) {
+  void solve_newton_step(const double* target, double* step) {
     differentiate(task_, target, state_, linear_.columns);
     double rows[ARM_PINS][ARM_PINS + 1];
     std::size_t columns[ARM_PINS];
@@ -523,7 +564,7 @@ class SixPins : public Arm {
       columns[r] = r;
     }
     std::size_t rank = 0;
-    double first = 0;
+    double first_pivot = 0;
     for (; rank < ARM_PINS; ++rank) {
       std::size_t row = rank, column = rank;
       for (std::size_t r = rank; r < ARM_PINS; ++r)
@@ -531,15 +572,15 @@ class SixPins : public Arm {
           if (std::fabs(rows[r][c]) > std::fabs(rows[row][column])) row = r, column = c;
       std::swap_ranges(rows[rank], rows[rank] + ARM_PINS + 1, rows[row]);
       if (column != rank) {
-        for (auto& each : rows) std::swap(each[rank], each[column]);
+        for (auto& row_values : rows) std::swap(row_values[rank], row_values[column]);
         std::swap(columns[rank], columns[column]);
       }
       const double pivot = rows[rank][rank];
-      if (rank == 0) first = std::fabs(pivot);
-      if (!(std::fabs(pivot) > ARM_PIVOT * first)) break;
+      if (rank == 0) first_pivot = std::fabs(pivot);
+      if (!(std::fabs(pivot) > ARM_MIN_PIVOT * first_pivot)) break;
       for (std::size_t r = rank + 1; r < ARM_PINS; ++r) {
-        const double cosine = rows[r][rank] / pivot;
-        for (std::size_t c = rank; c <= ARM_PINS; ++c) rows[r][c] -= cosine * rows[rank][c];
+        const double ratio = rows[r][rank] / pivot;
+        for (std::size_t c = rank; c <= ARM_PINS; ++c) rows[r][c] -= ratio * rows[rank][c];
       }
     }
     std::fill(step, step + ARM_PINS, 0.0);
@@ -550,17 +591,17 @@ class SixPins : public Arm {
     }
   }
 
-  // By how much rounding and nearly parallel axes may put a target out of reach, as a fraction of
-  // the length.
+  // By how much a target may be out of range because of rounding and nearly parallel axes, as a
+  // fraction of the length.
   static constexpr double SLACK = 1e-9;
 
   const Task& task_;
-  const Anatomy arm_;
+  const ArmGeometry arm_;
   const double tolerances_[2];
   State state_;
   Linearized linear_;
-  double goal_[9];  // rotation of the last node from its pose at zero angles
-  Triple wrist_;    // target of the wrist
+  double goal_rotation_[9];  // rotation of the last node relative to the pose with zero angles
+  Triple wrist_target_;      // target of the wrist
   const double* start_ = nullptr;
   std::array<Branch, MAX_BRANCHES> branches_;
   std::array<std::size_t, MAX_BRANCHES> order_;
@@ -569,10 +610,10 @@ class SixPins : public Arm {
 
 }  // namespace
 
-ArmKind arm_kind(const Task& task) { return look(task).kind; }
+ArmKind arm_kind(const Task& task) { return analyze_arm(task).kind; }
 
 std::unique_ptr<Arm> make_arm(const Task& task, double length_tolerance, double angle_tolerance) {
-  const Anatomy arm = look(task);
+  const ArmGeometry arm = analyze_arm(task);
   if (arm.kind == ArmKind::NONE) return nullptr;
   return std::make_unique<SixPins>(task, arm, length_tolerance, angle_tolerance);
 }

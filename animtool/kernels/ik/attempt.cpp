@@ -1,63 +1,64 @@
-// The state of one problem while it is being solved.
+// The state of a solver during one problem, and its descents.
 #include "ik/attempt.h"
 
 namespace animtool::ik {
 
-bool Attempt::open(const double* start, const double* targets, const double* rest) {
+bool SolverState::begin_problem(const double* start, const double* targets, const double* rest) {
   targets_ = targets;
   rest_ = rest;
-  shift_ = nullptr;
+  residual_offsets_ = nullptr;
   outcome_ = {};
-  began_ = std::chrono::steady_clock::now();
+  start_time_ = std::chrono::steady_clock::now();
   std::fill(delta_.begin(), delta_.end(), 0.0);
   stepper_.move(start, delta_.data(), best_.q.data());
   evaluate(best_);
   return std::isfinite(best_.cost);
 }
 
-Descent::End Descent::descend(double damping, bool thorough) {
+Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
   ++outcome_.descents;
-  bool fresh = true;
-  double grow = 2, checkpoint_cost = now_.cost, trust_radius = MAX_ROTATION;
-  int slow = 0;
+  bool is_accepted = true;
+  double damping_growth = 2, checkpoint_cost = current_.cost, trust_radius = MAX_ROTATION;
+  int slow_steps = 0;
   for (int steps = 0;; ++steps) {
-    if (!(task_.rest_weight > 0) && reached(now_)) return End::REACHED;
-    if (spent()) return End::BUDGET;
-    if (fresh) linearize(task_, targets_, rest_, now_, linear_);
+    if (!(task_.rest_weight > 0) && is_reached(current_)) return DescentEnd::REACHED;
+    if (is_budget_spent()) return DescentEnd::BUDGET;
+    if (is_accepted) linearize(task_, targets_, rest_, current_, linear_);
     ++outcome_.iterations;
-    const bool curved = thorough && (now_.cost > FAR || slow > 1);
-    const double gain = try_step(curved ? MIN_DAMPING : damping, curved, trust_radius);
-    if (std::fabs(gain) <= least_gain_ * now_.cost) return End::STUCK;
-    const double ratio = gain > 0 ? (now_.cost - next_.cost) / gain : 0;
-    fresh = ratio > MIN_RATIO && next_.cost < now_.cost;
-    if (curved)
-      trust_radius = ratio < 0.25  ? 0.3 * stepper_.rotation()
+    const bool use_hessian = is_thorough && (current_.cost > FAR_COST || slow_steps > 1);
+    const double gain = try_step(use_hessian ? MIN_DAMPING : damping, use_hessian, trust_radius);
+    if (std::fabs(gain) <= min_gain_ * current_.cost) return DescentEnd::STUCK;
+    const double ratio = gain > 0 ? (current_.cost - next_.cost) / gain : 0;
+    is_accepted = ratio > MIN_RATIO && next_.cost < current_.cost;
+    if (use_hessian)
+      trust_radius = ratio < 0.25  ? 0.3 * stepper_.last_rotation()
                      : ratio > 0.5 ? std::min(2.5 * trust_radius, MAX_ROTATION)
                                    : trust_radius;
-    else if (fresh)
+    else if (is_accepted)
       damping = ratio > 0.75   ? std::max(damping * 0.1, MIN_DAMPING)
                 : ratio < 0.25 ? damping * 3
                                : damping;
     else
-      damping = std::max(damping, 1e-9) * grow;
-    grow = fresh ? 2 : grow * 2;
-    if (damping > MAX_DAMPING || trust_radius < MIN_ROTATION) return End::STUCK;
-    if (fresh) {
-      slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
-      std::swap(now_, next_);
+      damping = std::max(damping, 1e-9) * damping_growth;
+    damping_growth = is_accepted ? 2 : damping_growth * 2;
+    if (damping > MAX_DAMPING || trust_radius < MIN_ROTATION) return DescentEnd::STUCK;
+    if (is_accepted) {
+      slow_steps = next_.cost > 0.5 * current_.cost ? slow_steps + 1 : 0;
+      std::swap(current_, next_);
     }
-    if (steps % MAX_STALLED == MAX_STALLED - 1) {
-      if (!thorough && now_.cost > PROGRESS * checkpoint_cost) return End::SLOW;
-      checkpoint_cost = now_.cost;
+    if (steps % PROGRESS_STEPS == PROGRESS_STEPS - 1) {
+      if (!is_thorough && current_.cost > PROGRESS_RATIO * checkpoint_cost) return DescentEnd::SLOW;
+      checkpoint_cost = current_.cost;
     }
   }
 }
 
-double Descent::try_step(double damping, bool curved, double trust_radius) {
-  if (!stepper_.step(now_, linear_, damping, curved, trust_radius, delta_.data())) return -1;
-  const double gain = stepper_.predicted(now_, linear_, curved, delta_.data());
+double Descent::try_step(double damping, bool use_hessian, double trust_radius) {
+  if (!stepper_.step(current_, linear_, damping, use_hessian, trust_radius, delta_.data()))
+    return -1;
+  const double gain = stepper_.predicted_gain(current_, linear_, use_hessian, delta_.data());
   if (!(gain > 0)) return gain;
-  stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
+  stepper_.move(current_.q.data(), delta_.data(), next_.q.data());
   evaluate(next_);
   return gain;
 }

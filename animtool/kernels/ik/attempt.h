@@ -1,4 +1,4 @@
-// Random poses inside the limits, the same on all platforms.
+// Random poses within the limits, and the base of solvers: their state, costs and stopping tests.
 #pragma once
 
 #include <chrono>
@@ -10,13 +10,13 @@
 
 namespace animtool::ik {
 
-// splitmix64 (S. Vigna): small, and gives the same numbers on all platforms.
+// splitmix64 (S. Vigna): small, and with the same numbers on all platforms.
 class Random {
  public:
   explicit Random(std::uint64_t seed) : state_(seed) {}
 
-  // In [low, high).
-  double between(double low, double high) {
+  // A uniformly distributed number in [low, high).
+  double uniform(double low, double high) {
     std::uint64_t z = (state_ += 0x9e3779b97f4a7c15ull);
     z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
     z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
@@ -28,46 +28,50 @@ class Random {
   std::uint64_t state_;
 };
 
-// A random pose; joints without narrow limits are varied around `home`.
-inline void sample(const Chain& chain, const double* home, Random& random, double* q) {
+// Samples a random pose; joints without narrow limits are varied around `home`.
+inline void sample_pose(const Chain& chain, const double* home, Random& random, double* q) {
   for (const Node& node : chain.nodes) {
-    if (node.follows) continue;
+    if (node.is_driven) continue;
     double* values = q + node.coordinate;
-    const double* l = node.limit;
+    const double* limit = node.limit;
     const double middle = home[node.coordinate];
     if (node.kind == Kind::BALL) {
-      SwingTwist parts;
-      const double reach = std::sqrt(random.between(0, 1));
-      const double angle = random.between(0, REVOLUTION);
-      parts.swing[0] = reach * std::min(l[0], REVOLUTION / 2) * std::cos(angle);
-      parts.swing[1] = reach * std::min(l[1], REVOLUTION / 2) * std::sin(angle);
-      parts.twist = random.between(std::max(l[2], -REVOLUTION / 2), std::min(l[3], REVOLUTION / 2));
-      compose(parts, values);
-      clamp_ball(values, l);
-    } else if (l[1] - l[0] < REVOLUTION) {
-      values[0] = random.between(l[0], l[1]);
+      SwingTwist swing_twist;
+      const double radius = std::sqrt(random.uniform(0, 1));
+      const double angle = random.uniform(0, REVOLUTION);
+      swing_twist.swing[0] = radius * std::min(limit[0], REVOLUTION / 2) * std::cos(angle);
+      swing_twist.swing[1] = radius * std::min(limit[1], REVOLUTION / 2) * std::sin(angle);
+      swing_twist.twist =
+          random.uniform(std::max(limit[2], -REVOLUTION / 2), std::min(limit[3], REVOLUTION / 2));
+      compose(swing_twist, values);
+      clamp_ball(values, limit);
+    } else if (limit[1] - limit[0] < REVOLUTION) {
+      values[0] = random.uniform(limit[0], limit[1]);
     } else {
-      const double half = node.kind == Kind::PIN ? REVOLUTION / 2 : 1;
-      values[0] = std::clamp(middle + random.between(-half, half), l[0], l[1]);
+      const double half_range = node.kind == Kind::PIN ? REVOLUTION / 2 : 1;
+      values[0] = std::clamp(middle + random.uniform(-half_range, half_range), limit[0], limit[1]);
     }
   }
 }
 
-// The state of one solve: poses, costs and stopping tests.
-
+// Settings of a solver.
 struct Settings {
-  double length_tolerance;  // as a fraction of the chain's length
+  double length_tolerance;  // fraction of the chain's length
   double angle_tolerance;   // [rad]
-  double damping;           // in the first step
-  int iterations;           // largest number in all descents of one problem
-  int restarts;
+  double damping;           // of the first step
+  int iterations;           // largest number in all descents of a problem
+  int restarts;             // largest number of other starts
   std::uint64_t seed;
-  double seconds;        // time limit; 0 is none
-  bool separate_starts;  // frames of a clip each have their own start
+  double seconds;        // time limit; 0 for none
+  bool separate_starts;  // each frame of a clip has its start
 
-  double tolerance(int part) const { return METRIC[part] ? length_tolerance : angle_tolerance; }
+  double tolerance(int component) const {
+    return METRIC[component] ? length_tolerance : angle_tolerance;
+  }
 };
 
+// Result of a problem: goals reached, not reachable, budget spent, cost not finite, yielded to the
+// rest preference or to other goals, conflicting goals, or stalled.
 enum class Status {
   REACHED = 0,
   NEAREST = 1,
@@ -78,6 +82,7 @@ enum class Status {
   STALLED = 6
 };
 
+// Result of a problem, and the numbers of iterations and descents.
 struct Outcome {
   Status status = Status::BUDGET;
   int iterations = 0;
@@ -89,131 +94,137 @@ class Solver {
  public:
   virtual ~Solver() = default;
 
-  // Finds the best pose; `next` is the frame after the last run.
+  // Finds the best pose; `is_next_frame` if the problem is the frame after the last one.
   virtual Outcome run(const double* start, const double* targets, const double* rest,
-                      bool next) = 0;
-  // Evaluates it with other targets.
-  virtual void review(const double* targets) = 0;
+                      bool is_next_frame) = 0;
+  // Evaluates the best pose with other targets.
+  virtual void reevaluate(const double* targets) = 0;
   virtual const State& best() const = 0;
 };
 
-// Base of the solvers.
-class Attempt {
+// Base of iterative solvers.
+class SolverState {
  public:
   const State& best() const { return best_; }
   const Outcome& outcome() const { return outcome_; }
 
-  // The fraction of the budget that may be spent from now on.
-  void allow(double fraction) { allowance_ = fraction; }
+  // Sets the fraction of the budget that may be spent.
+  void set_allowance(double fraction) { allowance_ = fraction; }
 
-  bool spent() const {
+  bool is_budget_spent() const {
     if (outcome_.iterations >= allowance_ * settings_.iterations) return true;
     if (!(settings_.seconds > 0)) return false;
-    const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - began_;
-    return taken.count() > allowance_ * settings_.seconds;
+    const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start_time_;
+    return elapsed.count() > allowance_ * settings_.seconds;
   }
 
   // Whether the errors of a goal are within a fraction of the tolerances.
-  bool within(const double* errors, double fraction = 1) const {
-    for (int part = 0; part < PARTS; ++part)
-      if (errors[part] > fraction * settings_.tolerance(part)) return false;
+  bool is_within_tolerance(const double* errors, double fraction = 1) const {
+    for (int component = 0; component < COMPONENTS; ++component)
+      if (errors[component] > fraction * settings_.tolerance(component)) return false;
     return true;
   }
 
-  bool reached(const State& state) const {
+  // Whether all goals are within the tolerances.
+  bool is_reached(const State& state) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (!within(&state.errors[PARTS * e])) return false;
+      if (!is_within_tolerance(&state.errors[COMPONENTS * e])) return false;
     return true;
   }
 
  protected:
-  Attempt(const Task& task, const Settings& settings)
+  SolverState(const Task& task, const Settings& settings)
       : task_(task),
         settings_(settings),
         linear_(task),
         stepper_(task),
-        now_(task),
+        current_(task),
         next_(task),
         best_(task),
         delta_(task.chain.dofs),
-        pull_(task.chain.dofs) {}
+        rest_downhill_(task.chain.dofs) {}
 
-  // Clamps the start to the limits; returns false if its cost is not finite.
-  bool open(const double* start, const double* targets, const double* rest);
+  // Begins a problem: clamps the start to the limits; returns false if its cost is not finite.
+  bool begin_problem(const double* start, const double* targets, const double* rest);
 
+  // Computes the residuals, errors and cost of a pose.
   void evaluate(State& state) {
     forward(task_.chain, state.q.data(), state.frames);
-    measure(task_, targets_, state, shift_);
-    state.rest_cost = rest_pull(task_, state.q.data(), rest_, task_.rest_weight, pull_.data());
+    measure(task_, targets_, state, residual_offsets_);
+    state.rest_cost =
+        evaluate_rest(task_, state.q.data(), rest_, task_.rest_weight, rest_downhill_.data());
     state.cost += state.rest_cost;
   }
 
-  void begin(const State& state) {
-    now_.q = state.q;
-    evaluate(now_);
+  // Makes a pose the current one.
+  void set_current(const State& state) {
+    current_.q = state.q;
+    evaluate(current_);
   }
 
-  // Perturbs now_: a pose with zero gradient need not be a minimum.
+  // Perturbs the current pose: a pose with zero gradient need not be a minimum.
   void perturb() {
-    for (double& d : delta_) d = random_.between(-PERTURBATION, PERTURBATION);
-    stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
-    std::swap(now_, next_);
-    evaluate(now_);
+    for (double& d : delta_) d = random_.uniform(-MAX_PERTURBATION, MAX_PERTURBATION);
+    stepper_.move(current_.q.data(), delta_.data(), next_.q.data());
+    std::swap(current_, next_);
+    evaluate(current_);
   }
 
-  // Keeps the better pose; returns whether it reaches the goals.
+  // Keeps the better of the current and the best pose; returns whether that reaches the goals.
   bool accept() {
-    if (now_.cost < best_.cost || (reached(now_) && !reached(best_))) std::swap(now_, best_);
-    return reached(best_);
+    if (current_.cost < best_.cost || (is_reached(current_) && !is_reached(best_)))
+      std::swap(current_, best_);
+    return is_reached(best_);
   }
 
-  static constexpr double PERTURBATION = 0.05;  // [rad]
+  static constexpr double MAX_PERTURBATION = 0.05;  // [rad]
 
   const Task& task_;
   const Settings& settings_;
   Random random_{0};
   Linearized linear_;
   Stepper stepper_;
-  State now_, next_, best_;
-  std::vector<double> delta_, pull_;
+  State current_, next_, best_;
+  std::vector<double> delta_, rest_downhill_;
   Outcome outcome_;
   double allowance_ = 1;
   const double* targets_ = nullptr;
   const double* rest_ = nullptr;
-  const double* shift_ = nullptr;  // (M,), added to the residuals
-  std::chrono::steady_clock::time_point began_;
+  const double* residual_offsets_ = nullptr;  // (M,), added to the residuals
+  std::chrono::steady_clock::time_point start_time_;
 };
 
-// Descent from a pose.
+// A solver that descends from a pose.
 
-class Descent : public Attempt {
+class Descent : public SolverState {
  protected:
-  using Attempt::Attempt;
+  using SolverState::SolverState;
 
-  enum class End { REACHED, STUCK, SLOW, BUDGET };
+  enum class DescentEnd { REACHED, STUCK, SLOW, BUDGET };  // the reason why a descent ended
 
   // Bounds of the damping of all descents.
   static constexpr double MIN_DAMPING = 1e-12, MAX_DAMPING = 1e8;
-  // In this many steps a descent has to reduce the cost to this fraction.
-  static constexpr int MAX_STALLED = 6;
-  static constexpr double PROGRESS = 0.3;
-  // Above this cost the full Hessian pays off: goals are about one chain length away.
-  static constexpr double FAR = 0.5;
-  // A step is accepted if it gains this fraction of the predicted decrease; a descent ends when
-  // steps rotate joints by less than this [rad].
+  // In this many steps a descent has to reduce the cost to this fraction, or it counts as slow.
+  static constexpr int PROGRESS_STEPS = 6;
+  static constexpr double PROGRESS_RATIO = 0.3;
+  // Above this cost the full Hessian is worth its time: goals are about one chain length away.
+  static constexpr double FAR_COST = 0.5;
+  // A step is accepted if its gain is at least this fraction of the predicted one; a descent ends
+  // when steps rotate joints by less than this [rad].
   static constexpr double MIN_RATIO = 1e-4, MIN_ROTATION = 1e-10;
-  // It also ends when the predicted gain is below this fraction of the cost: rounding error,
+  // A descent also ends when the predicted gain is below this fraction of the cost: rounding error,
   // unless the caller asks for less precision.
-  static constexpr double ROUNDED = 1e-15;
-  double least_gain_ = ROUNDED;
+  static constexpr double ROUNDING_GAIN = 1e-15;
+  double min_gain_ = ROUNDING_GAIN;
 
-  // Moves now_ downhill by Levenberg-Marquardt; where goals are far or progress is slow, by a
-  // trust-region method with the full Hessian. If not `thorough`, it gives up there, because
-  // another start is a better use of the time.
-  End descend(double damping, bool thorough);
+  // Moves the current pose downhill by Levenberg-Marquardt; where goals are far or progress is
+  // slow, by a trust-region method with the full Hessian. If not `is_thorough`, it stops there,
+  // because another start is a better use of the time.
+  DescentEnd descend(double damping, bool is_thorough);
 
-  // Decrease of the cost that the model predicts for the step to next_; negative without a step.
-  double try_step(double damping, bool curved, double trust_radius);
+  // Computes the step to next_; returns the decrease of the cost that the model predicts, negative
+  // without a step.
+  double try_step(double damping, bool use_hessian, double trust_radius);
 };
 
 }  // namespace animtool::ik

@@ -8,35 +8,36 @@ void forward(const Chain& chain, const double* q, std::size_t first, std::size_t
   if (!chain.programs.empty()) Evaluation(chain.programs, q, frames.results).run();
   for (std::size_t n = first; n < end; ++n) {
     const Node& node = chain.nodes[n];
-    double unrotated[9];
+    double zero_rotation[9];
     double* origin = &frames.origins[3 * n];
     double* rotation = &frames.rotations[9 * n];
     double* axes = &frames.axes[9 * n];
     if (node.parent < 0) {
-      std::copy(node.rest, node.rest + 9, unrotated);
+      std::copy(node.rest, node.rest + 9, zero_rotation);
       std::copy(node.offset, node.offset + 3, origin);
     } else {
       const double* parent = &frames.rotations[9 * node.parent];
-      const double* base = &frames.origins[3 * node.parent];
-      multiply(parent, node.rest, unrotated);
+      const double* parent_origin = &frames.origins[3 * node.parent];
+      multiply(parent, node.rest, zero_rotation);
       rotate(parent, node.offset, origin);
-      for (int i = 0; i < 3; ++i) origin[i] += base[i];
+      for (int i = 0; i < 3; ++i) origin[i] += parent_origin[i];
     }
-    const double* numbers = q + node.coordinate;
+    const double* coordinates = q + node.coordinate;
     if (node.kind == Kind::BALL) {
       double motion[9];
-      to_matrix(numbers, motion);
-      multiply(unrotated, motion, rotation);
-      for (int i = 0; i < 9; ++i) axes[3 * (i % 3) + i / 3] = unrotated[i];
+      to_matrix(coordinates, motion);
+      multiply(zero_rotation, motion, rotation);
+      for (int i = 0; i < 9; ++i) axes[3 * (i % 3) + i / 3] = zero_rotation[i];
       continue;
     }
-    const double by = node.program < 0 ? numbers[0] : frames.results.values[node.program];
-    const double value = node.gain * by + node.shift;
-    for (int i = 0; i < 3; ++i) axes[i] = unrotated[3 * i + 2];
+    const double coordinate =
+        node.program < 0 ? coordinates[0] : frames.results.values[node.program];
+    const double value = node.gain * coordinate + node.shift;
+    for (int i = 0; i < 3; ++i) axes[i] = zero_rotation[3 * i + 2];
     if (node.kind == Kind::PIN) {
-      rotate_about_z(unrotated, value, rotation);
+      rotate_about_z(zero_rotation, value, rotation);
     } else {
-      std::copy(unrotated, unrotated + 9, rotation);
+      std::copy(zero_rotation, zero_rotation + 9, rotation);
       for (int i = 0; i < 3; ++i) origin[i] += axes[i] * value;
     }
   }
@@ -44,28 +45,30 @@ void forward(const Chain& chain, const double* q, std::size_t first, std::size_t
 
 void difference(const Chain& chain, const double* from, const double* to, double* out) {
   for (const Node& node : chain.nodes) {
-    if (node.follows) continue;
+    if (node.is_driven) continue;
     const double *a = from + node.coordinate, *b = to + node.coordinate;
     if (node.kind == Kind::BALL) {
-      const double back[4] = {-a[0], -a[1], -a[2], a[3]};
-      double between[4];
-      product(b, back, between);
-      logarithm(between, out + node.dof);
+      const double inverse[4] = {-a[0], -a[1], -a[2], a[3]};
+      double relative[4];
+      product(b, inverse, relative);
+      logarithm(relative, out + node.dof);
     } else {
       out[node.dof] = b[0] - a[0];
     }
   }
 }
 
-void follow(const Node& node, const double* axes, const Pull& pull, double* delta) {
+void apply_alignment(const Node& node, const double* axes, const AlignmentSums& sums,
+                     double* delta) {
   if (node.kind == Kind::PIN) {
-    delta[node.dof] = pull.angle(axes) / node.gain;
+    delta[node.dof] = sums.angle(axes) / node.gain;
     return;
   }
-  const double size = length(pull.torque);
-  if (!(size > 1e-300)) return;
-  const double axis[3] = {pull.torque[0] / size, pull.torque[1] / size, pull.torque[2] / size};
-  const double angle = pull.angle(axis);
+  const double torque_length = length(sums.torque);
+  if (!(torque_length > 1e-300)) return;
+  const double axis[3] = {sums.torque[0] / torque_length, sums.torque[1] / torque_length,
+                          sums.torque[2] / torque_length};
+  const double angle = sums.angle(axis);
   for (int k = 0; k < 3; ++k) delta[node.dof + k] = angle * dot(axis, axes + 3 * k);
 }
 

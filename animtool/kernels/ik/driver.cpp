@@ -5,86 +5,90 @@ namespace animtool::ik {
 
 void Evaluation::run(std::size_t p) {
   const Program& program = programs_[p];
-  slots_ = program.dofs.size();
+  slope_count_ = program.dofs.size();
   top_ = 0;
-  std::size_t points = 0;
+  std::size_t point_count = 0;
   for (std::size_t i = 0; i < program.instructions.size(); ++i) {
-    const Instruction& one = program.instructions[i];
-    if (one.op == Op::POINT) {
-      ++points;
+    const Instruction& instruction = program.instructions[i];
+    if (instruction.op == Op::POINT) {
+      ++point_count;
       continue;
     }
-    apply(program, one, &one - points);
-    points = 0;
+    apply(program, instruction, &instruction - point_count);
+    point_count = 0;
   }
-  results_.values[p] = at(0)[0];
-  std::copy(at(0) + 1, at(0) + 1 + slots_, &results_.slopes[program.first]);
+  results_.values[p] = entry(0)[0];
+  std::copy(entry(0) + 1, entry(0) + 1 + slope_count_, &results_.slopes[program.first_slope]);
 }
 
 void Evaluation::replace_operands(int count, double value, double a, double b, double c) {
   top_ -= count - 1;
-  double* top = at(top_ - 1);
-  const double by[3] = {a, b, c};
+  double* top = entry(top_ - 1);
+  const double derivatives[3] = {a, b, c};
   top[0] = value;
-  for (std::size_t s = 1; s <= slots_; ++s) {
+  for (std::size_t s = 1; s <= slope_count_; ++s) {
     double sum = 0;
     for (int k = 0; k < count; ++k)
-      // The derivative by what a value does not depend on is 0, even if the slope is infinite.
-      if (at(top_ - 1 + k)[s] != 0) sum += by[k] * at(top_ - 1 + k)[s];
+      // The derivative by an operand that does not depend on a coordinate is 0, even if the slope
+      // is infinite.
+      if (entry(top_ - 1 + k)[s] != 0) sum += derivatives[k] * entry(top_ - 1 + k)[s];
     top[s] = sum;
   }
 }
 
-void Evaluation::apply(const Program& program, const Instruction& one, const Instruction* points) {
-  const double* n = one.numbers;
-  switch (one.op) {
+void Evaluation::apply(const Program& program, const Instruction& instruction,
+                       const Instruction* points) {
+  const double* n = instruction.numbers;
+  switch (instruction.op) {
     case Op::NUMBER:
       push(n[0]);
       return;
     case Op::COORDINATE:
-      push(n[0] * q_[one.which])[one.slot] = n[0];
+      push(n[0] * q_[instruction.index])[instruction.first_slot] = n[0];
       return;
     case Op::BALL:
-      ball(one);
+      push_ball(instruction);
       return;
     case Op::RESULT:
-      result(program, one);
+      push_result(program, instruction);
       return;
     case Op::POINT:
       return;
     case Op::CURVE:
-      curve(one, points);
+      apply_curve(instruction, points);
       return;
     default:
-      function(one.op);
+      apply_function(instruction.op);
   }
 }
 
-void Evaluation::ball(const Instruction& one) {
-  const double* n = one.numbers;
-  const BallParts parts = ball_parts(q_ + one.which, n[4]);
-  const double angle = std::hypot(parts.swing[0], parts.swing[1]);
-  const double by[2] = {angle > 0 ? n[3] * parts.swing[0] / angle : 0,
-                        angle > 0 ? n[3] * parts.swing[1] / angle : 0};
+void Evaluation::push_ball(const Instruction& instruction) {
+  const double* n = instruction.numbers;
+  const BallParts ball = split_ball(q_ + instruction.index, n[4]);
+  const double angle = std::hypot(ball.swing[0], ball.swing[1]);
+  const double swing_slopes[2] = {angle > 0 ? n[3] * ball.swing[0] / angle : 0,
+                                  angle > 0 ? n[3] * ball.swing[1] / angle : 0};
   double* slopes =
-      push(n[0] * parts.twist + n[1] * parts.swing[0] + n[2] * parts.swing[1] + n[3] * angle);
+      push(n[0] * ball.twist + n[1] * ball.swing[0] + n[2] * ball.swing[1] + n[3] * angle);
   for (int i = 0; i < 3; ++i)
-    slopes[one.slot + i] = n[0] * parts.slopes[2][i] + (n[1] + by[0]) * parts.slopes[0][i] +
-                           (n[2] + by[1]) * parts.slopes[1][i];
+    slopes[instruction.first_slot + i] = n[0] * ball.slopes[2][i] +
+                                         (n[1] + swing_slopes[0]) * ball.slopes[0][i] +
+                                         (n[2] + swing_slopes[1]) * ball.slopes[1][i];
 }
 
-void Evaluation::result(const Program& program, const Instruction& one) {
-  const Program& other = programs_[one.which];
-  double* slopes = push(one.numbers[0] * results_.values[one.which]);
+void Evaluation::push_result(const Program& program, const Instruction& instruction) {
+  const Program& other = programs_[instruction.index];
+  double* slopes = push(instruction.numbers[0] * results_.values[instruction.index]);
   for (std::size_t k = 0; k < other.dofs.size(); ++k) {
-    const auto position = std::lower_bound(program.dofs.begin(), program.dofs.end(), other.dofs[k]);
-    slopes[position - program.dofs.begin()] = one.numbers[0] * results_.slopes[other.first + k];
+    const auto entry = std::lower_bound(program.dofs.begin(), program.dofs.end(), other.dofs[k]);
+    slopes[entry - program.dofs.begin()] =
+        instruction.numbers[0] * results_.slopes[other.first_slope + k];
   }
 }
 
-void Evaluation::curve(const Instruction& one, const Instruction* points) {
-  const double x = at(top_ - 1)[0];
-  const int count = one.which;
+void Evaluation::apply_curve(const Instruction& instruction, const Instruction* points) {
+  const double x = entry(top_ - 1)[0];
+  const int count = instruction.index;
   const double* first = points[0].numbers;
   const double* last = points[count - 1].numbers;
   if (!(x > first[0])) return replace_operands(1, x == x ? first[1] : x, 0);
@@ -95,19 +99,21 @@ void Evaluation::curve(const Instruction& one, const Instruction* points) {
     (points[middle].numbers[0] <= x ? low : high) = middle;
   }
   const double *a = points[low].numbers, *b = points[high].numbers;
-  const double span = b[0] - a[0], u = (x - a[0]) / span, rise = b[1] - a[1];
-  if (!(one.numbers[0] > 0)) return replace_operands(1, a[1] + u * rise, rise / span);
-  const double p = a[2] * span, r = b[2] * span;
-  // Hermite: h(u) = u^2 (3 - 2 u) rise + u (1 - u)^2 p - u^2 (1 - u) r
-  const double value = a[1] + u * u * (3 - 2 * u) * rise + u * (1 - u) * ((1 - u) * p - u * r);
-  const double slope = 6 * u * (1 - u) * rise + (1 - u) * (1 - 3 * u) * p + u * (3 * u - 2) * r;
-  replace_operands(1, value, slope / span);
+  const double interval = b[0] - a[0], u = (x - a[0]) / interval, rise = b[1] - a[1];
+  if (!(instruction.numbers[0] > 0)) return replace_operands(1, a[1] + u * rise, rise / interval);
+  const double start_slope = a[2] * interval, end_slope = b[2] * interval;
+  // Hermite: h(u) = u^2 (3 - 2 u) rise + u (1 - u)^2 start_slope - u^2 (1 - u) end_slope
+  const double value =
+      a[1] + u * u * (3 - 2 * u) * rise + u * (1 - u) * ((1 - u) * start_slope - u * end_slope);
+  const double slope =
+      6 * u * (1 - u) * rise + (1 - u) * (1 - 3 * u) * start_slope + u * (3 * u - 2) * end_slope;
+  replace_operands(1, value, slope / interval);
 }
 
-void Evaluation::function(Op op) {
-  const int count = arguments(op);
+void Evaluation::apply_function(Op op) {
+  const int count = count_operands(op);
   double x[3] = {0, 0, 0};
-  for (int k = 0; k < count; ++k) x[k] = at(top_ - count + k)[0];
+  for (int k = 0; k < count; ++k) x[k] = entry(top_ - count + k)[0];
   switch (op) {
     case Op::ADD:
       return replace_operands(2, x[0] + x[1], 1, 1);
@@ -155,7 +161,7 @@ void Evaluation::function(Op op) {
     case Op::SIN:
       return replace_operands(1, std::sin(x[0]), std::cos(x[0]));
     case Op::SMOOTHSTEP:
-      return smoothstep(x);
+      return apply_smoothstep(x);
     case Op::SQRT:
       return replace_operands(1, std::sqrt(x[0]), 0.5 / std::sqrt(x[0]));
     case Op::TAN:
@@ -165,11 +171,11 @@ void Evaluation::function(Op op) {
   }
 }
 
-void Evaluation::smoothstep(const double* x) {
+void Evaluation::apply_smoothstep(const double* x) {
   const double width = x[1] - x[0];
   if (width == 0) return replace_operands(3, x[2] < x[0] ? 0 : 1, 0, 0, 0);
-  const double raw = (x[2] - x[0]) / width, u = std::clamp(raw, 0.0, 1.0);
-  const double slope = raw == u ? 6 * u * (1 - u) / width : 0;
+  const double unclamped = (x[2] - x[0]) / width, u = std::clamp(unclamped, 0.0, 1.0);
+  const double slope = unclamped == u ? 6 * u * (1 - u) / width : 0;
   replace_operands(3, u * u * (3 - 2 * u), slope * (u - 1), -slope * u, slope);
 }
 

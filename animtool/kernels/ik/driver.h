@@ -1,7 +1,7 @@
-// Driven joints: values are expressions of other joints; derivatives by forward mode.
+// Driven joints: their values are expressions of other joints; derivatives by forward mode.
 //
-// A program is in reverse Polish notation, over coordinates and the results of earlier
-// programs. Derivatives are by the degrees of freedom that it reads.
+// A program is an expression in reverse Polish notation, of coordinates and of results of earlier
+// programs. Its derivatives are by the degrees of freedom that it reads.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,8 @@
 
 namespace animtool::ik {
 
-// As in animtool.ik.driver_programs; the functions are those of a rig's expressions.
+// Operations, numbered as in animtool.ik.driver_programs; the functions are those of a rig's
+// expressions.
 enum class Op {
   NUMBER,
   COORDINATE,
@@ -48,9 +49,10 @@ enum class Op {
 // Numbers of an instruction.
 constexpr int MAX_NUMBERS = 6;
 // Largest stack depth of a program, and largest number of derivatives of a value.
-constexpr std::size_t MAX_STACKED = 1024, MAX_SLOPES = 1024;
+constexpr std::size_t MAX_STACK_DEPTH = 1024, MAX_SLOPES = 1024;
 
-inline int arguments(Op op) {
+// Number of operands of an operation.
+inline int count_operands(Op op) {
   switch (op) {
     case Op::NUMBER:
     case Op::COORDINATE:
@@ -78,23 +80,25 @@ inline int arguments(Op op) {
 
 struct Instruction {
   Op op;
-  // COORDINATE and BALL: the coordinate; RESULT: the program; CURVE: its points' count.
-  int which;
+  // COORDINATE and BALL: index of the coordinate; RESULT: index of the program; CURVE: number of
+  // its points.
+  int index;
   // NUMBER: its value; POINT: x, y, slope; CURVE: whether it is smooth; COORDINATE: scale; BALL:
-  // factors of the twist, the swing about x and y, and the swing angle, and the middle of the
+  // factors of the twist, of the swing about x and y, and of the swing angle, and the middle of the
   // twist's range.
   double numbers[MAX_NUMBERS];
-  int slot;  // of the first degree of freedom, among the program's
+  int first_slot;  // index of its first degree of freedom among those of the program
 };
 
+// The expression of one driven value.
 struct Program {
   std::vector<Instruction> instructions;
-  std::vector<int> dofs;  // degrees of freedom that it depends on, ascending
-  std::size_t first = 0;  // of its slopes, among those of all programs
-  std::size_t depth = 0;  // largest stack depth
+  std::vector<int> dofs;        // degrees of freedom that it depends on, ascending
+  std::size_t first_slope = 0;  // index of its first slope among those of all programs
+  std::size_t depth = 0;        // largest stack depth
 };
 
-// Results of programs at a pose.
+// Values of programs at a pose, and their derivatives.
 struct Results {
   std::vector<double> values, slopes;
   std::vector<double> stack;
@@ -106,9 +110,10 @@ struct BallParts {
   double slopes[3][3];
 };
 
-// In `ik/limits.cpp`, which knows how to split a ball's motion.
-BallParts ball_parts(const double* q, double middle);
+// Splits a ball's motion into twist and swing (see ik/limits.cpp).
+BallParts split_ball(const double* q, double middle);
 
+// Evaluates programs in order at a pose.
 class Evaluation {
  public:
   Evaluation(const std::vector<Program>& programs, const double* q, Results& results)
@@ -121,34 +126,36 @@ class Evaluation {
  private:
   void run(std::size_t p);
 
-  double* at(std::size_t i) { return &results_.stack[i * (1 + slots_)]; }
+  // A value on the stack, followed by its derivatives.
+  double* entry(std::size_t i) { return &results_.stack[i * (1 + slope_count_)]; }
 
+  // Pushes a value; returns its derivatives, which are 0.
   double* push(double value) {
-    double* top = at(top_++);
+    double* top = entry(top_++);
     top[0] = value;
-    std::fill(top + 1, top + 1 + slots_, 0.0);
+    std::fill(top + 1, top + 1 + slope_count_, 0.0);
     return top + 1;
   }
 
-  // The result of one, two or three operands replaces the first.
+  // Replaces one, two or three operands by a value, with its derivatives by each of them.
   void replace_operands(int count, double value, double a, double b = 0, double c = 0);
 
-  void apply(const Program& program, const Instruction& one, const Instruction* points);
+  void apply(const Program& program, const Instruction& instruction, const Instruction* points);
 
-  void ball(const Instruction& one);
+  void push_ball(const Instruction& instruction);
 
-  void result(const Program& program, const Instruction& one);
+  void push_result(const Program& program, const Instruction& instruction);
 
-  void curve(const Instruction& one, const Instruction* points);
+  void apply_curve(const Instruction& instruction, const Instruction* points);
 
-  void function(Op op);
+  void apply_function(Op op);
 
-  void smoothstep(const double* x);
+  void apply_smoothstep(const double* x);
 
   const std::vector<Program>& programs_;
   const double* q_;
   Results& results_;
-  std::size_t slots_ = 0, top_ = 0;
+  std::size_t slope_count_ = 0, top_ = 0;
 };
 
 }  // namespace animtool::ik

@@ -1,4 +1,4 @@
-// Soft extension and stretch of limbs.
+// Soft extension and stretching of limbs.
 #include "ik/extension.h"
 
 #include <algorithm>
@@ -15,14 +15,14 @@ namespace {
 
 constexpr std::size_t LIMB_NUMBERS = 7;
 
-// How far a limb extends towards a target: up to the target as long as that is within
-// (1 - soft) reach, then asymptotically to its full reach (A. Nicholas, Soft IK, 2009: the
+// Distance to which a limb extends towards a target: up to the target if that is within (1 - soft)
+// of its length, beyond that asymptotically to its full length (A. Nicholas, Soft IK, 2009: the
 // exponential ease).
-double soft_distance(double distance, double reach, double soft) {
-  if (soft <= 0) return std::min(distance, reach);
-  const double start = (1 - soft) * reach, width = soft * reach;
-  const double beyond = std::max(distance - start, 0.0);
-  return distance > start ? start + width * -std::expm1(-beyond / width) : distance;
+double soft_distance(double distance, double max_length, double soft) {
+  if (soft <= 0) return std::min(distance, max_length);
+  const double start = (1 - soft) * max_length, width = soft * max_length;
+  const double excess = std::max(distance - start, 0.0);
+  return distance > start ? start + width * -std::expm1(-excess / width) : distance;
 }
 
 }  // namespace
@@ -45,49 +45,50 @@ std::vector<Limb> read_limbs(const In<std::int64_t, 1>& goals, const In<double, 
   return limbs;
 }
 
-void extend(const std::vector<Limb>& limbs, std::size_t count, const double* targets,
-            double* reachable, double* scales, bool* softened) {
+void extend_limbs(const std::vector<Limb>& limbs, std::size_t count, const double* targets,
+                  double* reachable, double* scales, bool* softened) {
   std::copy(targets, targets + count * TARGET_WIDTH, reachable);
   std::fill(scales, scales + count, 1.0);
   std::fill(softened, softened + count, false);
   for (const Limb& limb : limbs) {
     const double* target = targets + TARGET_WIDTH * limb.goal;
-    double towards[3];
-    for (int i = 0; i < 3; ++i) towards[i] = target[i] - limb.origin[i];
-    const bool asked = target[WEIGHTS + part_of<Position>()] > 0;
-    const double distance = asked ? length(towards) : 0;
-    double extent = soft_distance(distance, limb.reach, limb.soft);
-    if (limb.stretch > 0) {
-      const double grown = std::clamp((distance - extent) / limb.bones, 0.0, limb.stretch);
-      scales[limb.goal] += grown;
-      extent = std::min(extent + grown * limb.bones, distance);
+    double offset[3];
+    for (int i = 0; i < 3; ++i) offset[i] = target[i] - limb.origin[i];
+    const bool has_target = target[WEIGHTS + component_of<Position>()] > 0;
+    const double distance = has_target ? length(offset) : 0;
+    double extension = soft_distance(distance, limb.max_length, limb.softness);
+    if (limb.max_stretch > 0) {
+      const double growth =
+          std::clamp((distance - extension) / limb.bone_length, 0.0, limb.max_stretch);
+      scales[limb.goal] += growth;
+      extension = std::min(extension + growth * limb.bone_length, distance);
     }
-    if (!(distance > extent)) continue;
-    if (limb.soft > 0)
-      softened[limb.goal] = distance <= limb.reach + limb.stretch * limb.bones;
-    else if (limb.stretch <= 0)
+    if (!(distance > extension)) continue;
+    if (limb.softness > 0)
+      softened[limb.goal] = distance <= limb.max_length + limb.max_stretch * limb.bone_length;
+    else if (limb.max_stretch <= 0)
       continue;
-    const double ratio = extent / distance;
-    double* moved = reachable + TARGET_WIDTH * limb.goal;
-    for (int i = 0; i < 3; ++i) moved[i] = limb.origin[i] + towards[i] * ratio;
+    const double ratio = extension / distance;
+    double* reachable_target = reachable + TARGET_WIDTH * limb.goal;
+    for (int i = 0; i < 3; ++i) reachable_target[i] = limb.origin[i] + offset[i] * ratio;
   }
 }
 
 }  // namespace ik
 
-IkExtended extend_ik_limbs(In<std::int64_t, 1> limbs, In<double, 2> limb_numbers,
-                           In<double, 3> targets) {
+IkExtension extend_ik_limbs(In<std::int64_t, 1> limbs, In<double, 2> limb_numbers,
+                            In<double, 3> targets) {
   using namespace ik;
   const std::size_t batch = targets.shape(0), goals = targets.shape(1);
   check::shape("targets", targets, {check::ANY, check::ANY, TARGET_WIDTH});
-  const std::vector<Limb> read = read_limbs(limbs, limb_numbers, goals);
+  const std::vector<Limb> limb_list = read_limbs(limbs, limb_numbers, goals);
   Out<double, 3> reachable(batch, goals, TARGET_WIDTH);
   Out<double, 2> scales(batch, goals);
   Out<bool, 2> softened(batch, goals);
   for (std::size_t b = 0; b < batch; ++b)
-    extend(read, goals, targets.data() + b * goals * TARGET_WIDTH,
-           reachable.get() + b * goals * TARGET_WIDTH, scales.get() + b * goals,
-           softened.get() + b * goals);
+    extend_limbs(limb_list, goals, targets.data() + b * goals * TARGET_WIDTH,
+                 reachable.get() + b * goals * TARGET_WIDTH, scales.get() + b * goals,
+                 softened.get() + b * goals);
   return {std::move(reachable), std::move(scales), std::move(softened)};
 }
 

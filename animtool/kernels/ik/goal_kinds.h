@@ -1,8 +1,8 @@
-// The kinds of goals: residuals, Jacobians, and use in solvers.
+// The kinds of goals: residuals, Jacobians, and alignment of single joints.
 //
 // A residual r is target minus value, so that r(q + d) = r(q) - J d to first order, and the
-// gradient of the cost |r|^2 / 2 is exactly -J^T r: rotations are compared by their rotation
-// vector in the world, separately from positions.
+// gradient of the cost |r|^2 / 2 is exactly -J^T r: rotations are compared by their rotation vector
+// in the world, separately from positions.
 #pragma once
 
 #include <array>
@@ -14,26 +14,26 @@
 namespace animtool::ik {
 
 // The pose of the chain as seen by a goal kind.
-struct View {
-  const double* rotation;  // of the goal's node
-  const double* point;
+struct GoalView {
+  const double* rotation;        // of the goal's node
+  const double* point;           // the goal's point
   const double* aim_axis;        // in the node's frame
   int root, middle;              // nodes of the limb, or -1
-  const double *origin, *joint;  // of its root and middle; null without a limb
+  const double *origin, *joint;  // positions of its root and middle; null without a limb
 };
 
 // Velocity of a goal's point and frame per unit motion about an axis of a node.
-struct Motion {
+struct AxisMotion {
   const Node& node;
   int index;
   const double *axis, *origin;
   double linear[3], angular[3];
 
-  // The same for another point of the node.
-  double along(const double* direction, const double* point) const {
-    double moved[3], turned[3];
-    velocity(node, axis, origin, point, moved, turned);
-    return dot(direction, moved);
+  // Velocity of another point of the node along a direction.
+  double velocity_along(const double* direction, const double* point) const {
+    double linear_velocity[3], angular_velocity[3];
+    velocity(node, axis, origin, point, linear_velocity, angular_velocity);
+    return dot(direction, linear_velocity);
   }
 };
 
@@ -41,8 +41,8 @@ struct Motion {
 struct PointTarget {
   static constexpr int WIDTH = 3;
 
-  // Scales it by the length of the chain.
-  static void to_chain(double* target, const double*, double length) {
+  // Divides the target by the length of the chain.
+  static void convert_target(double* target, const double*, double length) {
     for (int i = 0; i < 3; ++i) target[i] /= length;
   }
 };
@@ -50,10 +50,10 @@ struct PointTarget {
 struct RotationTarget {
   static constexpr int WIDTH = 4;
 
-  // Normalises it and transforms it to the node's frame; `frame` is node_from_joint. Scales
-  // first, so that neither tiny nor huge numbers under- or overflow.
-  static void to_chain(double* q, const double* frame, double) {
-    const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
+  // Normalises the target and transforms it to the node's frame; `frame` is node_from_joint. Scales
+  // it first, so that neither tiny nor huge numbers under- or overflow.
+  static void convert_target(double* q, const double* frame, double) {
+    const double inverse[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
     const double largest =
         std::max({std::fabs(q[0]), std::fabs(q[1]), std::fabs(q[2]), std::fabs(q[3])});
     if (largest > 0) {
@@ -62,45 +62,45 @@ struct RotationTarget {
     } else {
       q[0] = q[1] = q[2] = 0, q[3] = 1;
     }
-    product(q, back, q);
+    product(q, inverse, q);
   }
 };
 
 // Each kind has, besides its name as in Python:
-//   ROWS     residuals
-//   METRIC   the error is a length, else an angle
-//   LIMB     it needs the nodes of a limb
-//   measure  writes the weighted residuals and returns the error
-//   keep     writes the target that the current pose reaches
-//   Slopes   built once per pose; `add` adds the effect of a motion to a column of the
-//            Jacobian; `scale` is its weight times gain
-//   pull     for cyclic coordinate descent, if supported: adds the goal's pull on a joint at
-//            `origin`
+// ROWS: number of residuals
+// METRIC: the error is a length, else an angle
+// LIMB: it needs the nodes of a limb
+// measure: computes the weighted residuals and returns the error
+// target_from_pose: computes the target that the current pose reaches
+// Slopes: built once per pose; `add` adds the effect of a motion to a column of the Jacobian;
+// `scale` is its weight times gain
+// add_alignment: for cyclic coordinate descent, if supported: adds the goal to the sums of a joint
+// at `origin`
 struct Position : PointTarget {
   static constexpr const char* NAME = "position";
   static constexpr int ROWS = 3;
   static constexpr bool METRIC = true, LIMB = false;
 
-  static double measure(double weight, const View& view, const double* target, double* r) {
+  static double measure(double weight, const GoalView& view, const double* target, double* r) {
     for (int i = 0; i < 3; ++i) r[i] = target[i] - view.point[i];
     const double error = length(r);
     for (int i = 0; i < 3; ++i) r[i] *= weight;
     return error;
   }
 
-  static void target_from_pose(const View& view, double* target) {
+  static void target_from_pose(const GoalView& view, double* target) {
     std::copy(view.point, view.point + 3, target);
   }
 
   struct Slopes {
-    void prepare(const View&, const double*) {}
-    void add(const Motion& motion, double scale, double* column) const {
+    void prepare(const GoalView&, const double*) {}
+    void add(const AxisMotion& motion, double scale, double* column) const {
       for (int i = 0; i < 3; ++i) column[i] += scale * motion.linear[i];
     }
   };
 
-  static void pull(double weight, const View& view, const double* target, const double* origin,
-                   Pull& sum) {
+  static void add_alignment(double weight, const GoalView& view, const double* target,
+                            const double* origin, AlignmentSums& sum) {
     double from[3], to[3];
     for (int i = 0; i < 3; ++i) from[i] = view.point[i] - origin[i], to[i] = target[i] - origin[i];
     sum.add(weight, from, to);
@@ -112,15 +112,15 @@ struct Orientation : RotationTarget {
   static constexpr int ROWS = 3;
   static constexpr bool METRIC = false, LIMB = false;
 
-  // The remaining rotation.
-  static void remaining_rotation(const View& view, const double* target, double* out) {
-    double desired[9], transposed[9];
+  // The rotation from the current to the target orientation.
+  static void remaining_rotation(const GoalView& view, const double* target, double* out) {
+    double desired[9], inverse[9];
     to_matrix(target, desired);
-    for (int i = 0; i < 9; ++i) transposed[i] = view.rotation[3 * (i % 3) + i / 3];
-    multiply(desired, transposed, out);
+    for (int i = 0; i < 9; ++i) inverse[i] = view.rotation[3 * (i % 3) + i / 3];
+    multiply(desired, inverse, out);
   }
 
-  static double measure(double weight, const View& view, const double* target, double* r) {
+  static double measure(double weight, const GoalView& view, const double* target, double* r) {
     double remaining[9];
     remaining_rotation(view, target, remaining);
     logarithm_of_matrix(remaining, r);
@@ -129,21 +129,21 @@ struct Orientation : RotationTarget {
     return error;
   }
 
-  static void target_from_pose(const View& view, double* target) {
-    double remaining[3];
-    logarithm_of_matrix(view.rotation, remaining);
-    exponential(remaining, target);
+  static void target_from_pose(const GoalView& view, double* target) {
+    double rotation_vector[3];
+    logarithm_of_matrix(view.rotation, rotation_vector);
+    exponential(rotation_vector, target);
   }
 
   struct Slopes {
-    void prepare(const View&, const double*) {}
-    void add(const Motion& motion, double scale, double* column) const {
+    void prepare(const GoalView&, const double*) {}
+    void add(const AxisMotion& motion, double scale, double* column) const {
       for (int i = 0; i < 3; ++i) column[i] += scale * motion.angular[i];
     }
   };
 
-  static void pull(double weight, const View& view, const double* target, const double*,
-                   Pull& sum) {
+  static void add_alignment(double weight, const GoalView& view, const double* target,
+                            const double*, AlignmentSums& sum) {
     double remaining[9];
     remaining_rotation(view, target, remaining);
     sum.add(weight, remaining);
@@ -155,13 +155,13 @@ struct Aim : PointTarget {
   static constexpr int ROWS = 2;
   static constexpr bool METRIC = false, LIMB = false;
 
-  // The rotation that takes the aim axis to its target: angle and unit axis.
+  // The rotation that takes the aim axis to its target: its angle and unit axis.
   struct AimRotation {
     double direction[3], desired[3], axis[3];
     double distance, angle;
   };
 
-  static AimRotation aim_rotation(const View& view, const double* target) {
+  static AimRotation aim_rotation(const GoalView& view, const double* target) {
     AimRotation aim;
     rotate(view.rotation, view.aim_axis, aim.direction);
     for (int i = 0; i < 3; ++i) aim.desired[i] = target[i] - view.point[i];
@@ -175,24 +175,24 @@ struct Aim : PointTarget {
     cross(aim.direction, aim.desired, aim.axis);
     const double sine = length(aim.axis);
     aim.angle = std::atan2(sine, dot(aim.direction, aim.desired));
-    double other[3];
+    double unused[3];
     if (sine < 1e-12)
-      across(aim.direction, aim.axis, other);
+      orthogonal_basis(aim.direction, aim.axis, unused);
     else
       for (double& x : aim.axis) x /= sine;
     return aim;
   }
 
-  static double measure(double weight, const View& view, const double* target, double* r) {
+  static double measure(double weight, const GoalView& view, const double* target, double* r) {
     const AimRotation aim = aim_rotation(view, target);
     double u[3], v[3];
-    across(aim.direction, u, v);
+    orthogonal_basis(aim.direction, u, v);
     r[0] = weight * aim.angle * dot(aim.axis, u);
     r[1] = weight * aim.angle * dot(aim.axis, v);
     return aim.angle;
   }
 
-  static void target_from_pose(const View& view, double* target) {
+  static void target_from_pose(const GoalView& view, double* target) {
     double direction[3];
     rotate(view.rotation, view.aim_axis, direction);
     for (int i = 0; i < 3; ++i) target[i] = view.point[i] + direction[i];
@@ -202,21 +202,22 @@ struct Aim : PointTarget {
     AimRotation aim;
     double u[3], v[3];
 
-    void prepare(const View& view, const double* target) {
+    void prepare(const GoalView& view, const double* target) {
       aim = aim_rotation(view, target);
-      across(aim.direction, u, v);
+      orthogonal_basis(aim.direction, u, v);
     }
-    void add(const Motion& motion, double scale, double* column) const {
-      double turned[3];
-      cross(aim.desired, motion.linear, turned);
-      for (int i = 0; i < 3; ++i) turned[i] = motion.angular[i] + turned[i] / aim.distance;
-      column[0] += scale * dot(turned, u);
-      column[1] += scale * dot(turned, v);
+    void add(const AxisMotion& motion, double scale, double* column) const {
+      double direction_velocity[3];
+      cross(aim.desired, motion.linear, direction_velocity);
+      for (int i = 0; i < 3; ++i)
+        direction_velocity[i] = motion.angular[i] + direction_velocity[i] / aim.distance;
+      column[0] += scale * dot(direction_velocity, u);
+      column[1] += scale * dot(direction_velocity, v);
     }
   };
 
-  static void pull(double weight, const View& view, const double* target, const double*,
-                   Pull& sum) {
+  static void add_alignment(double weight, const GoalView& view, const double* target,
+                            const double*, AlignmentSums& sum) {
     const AimRotation aim = aim_rotation(view, target);
     sum.add(weight, aim.direction, aim.desired);
   }
@@ -229,12 +230,12 @@ struct Pole : PointTarget {
 
   // The half planes of a limb and of its pole, projected along the limb.
   struct Bend {
-    double axis[3], middle[3], pole[3];  // the last two at right angles to the axis
-    double span, middle_along, pole_along, angle;
+    double axis[3], middle[3], pole[3];  // `middle` and `pole` are perpendicular to the axis
+    double span, middle_distance, pole_distance, angle;
     bool is_defined;
   };
 
-  static Bend bend_of(const View& view, const double* target) {
+  static Bend compute_bend(const GoalView& view, const double* target) {
     Bend limb;
     for (int i = 0; i < 3; ++i) {
       limb.axis[i] = view.point[i] - view.origin[i];
@@ -245,106 +246,112 @@ struct Pole : PointTarget {
     limb.is_defined = limb.span > 1e-9;
     if (!limb.is_defined) return limb;
     for (double& x : limb.axis) x /= limb.span;
-    limb.middle_along = dot(limb.axis, limb.middle);
-    limb.pole_along = dot(limb.axis, limb.pole);
+    limb.middle_distance = dot(limb.axis, limb.middle);
+    limb.pole_distance = dot(limb.axis, limb.pole);
     for (int i = 0; i < 3; ++i) {
-      limb.middle[i] -= limb.middle_along * limb.axis[i];
-      limb.pole[i] -= limb.pole_along * limb.axis[i];
+      limb.middle[i] -= limb.middle_distance * limb.axis[i];
+      limb.pole[i] -= limb.pole_distance * limb.axis[i];
     }
     limb.is_defined = length(limb.middle) > 1e-9 && length(limb.pole) > 1e-9;
-    limb.angle = std::atan2(triple(limb.axis, limb.middle, limb.pole), dot(limb.middle, limb.pole));
+    limb.angle =
+        std::atan2(triple_product(limb.axis, limb.middle, limb.pole), dot(limb.middle, limb.pole));
     return limb;
   }
 
-  static double measure(double weight, const View& view, const double* target, double* r) {
-    const Bend limb = bend_of(view, target);
+  static double measure(double weight, const GoalView& view, const double* target, double* r) {
+    const Bend limb = compute_bend(view, target);
     r[0] = limb.is_defined ? weight * limb.angle : 0;
     return limb.is_defined ? std::fabs(limb.angle) : 0;
   }
 
-  static void target_from_pose(const View& view, double* target) {
+  static void target_from_pose(const GoalView& view, double* target) {
     std::copy(view.joint, view.joint + 3, target);
   }
 
   // Derivatives of Bend::angle by the points of a limb.
   struct Slopes {
-    View view;
+    GoalView view;
     bool is_defined;
     double root[3], middle[3], tip[3];
 
-    void prepare(const View& chain_view, const double* target) {
+    void prepare(const GoalView& chain_view, const double* target) {
       view = chain_view;
-      const Bend limb = bend_of(view, target);
+      const Bend limb = compute_bend(view, target);
       is_defined = limb.is_defined;
       if (!is_defined) return;
-      double by_middle[3], by_pole[3];
-      cross(limb.axis, limb.middle, by_middle);
-      cross(limb.axis, limb.pole, by_pole);
-      const double m = dot(limb.middle, limb.middle), p = dot(limb.pole, limb.pole);
-      const double at_middle = limb.middle_along / limb.span;
-      const double at_pole = limb.pole_along / limb.span;
+      double middle_normal[3], pole_normal[3];
+      cross(limb.axis, limb.middle, middle_normal);
+      cross(limb.axis, limb.pole, pole_normal);
+      const double middle_square = dot(limb.middle, limb.middle),
+                   pole_square = dot(limb.pole, limb.pole);
+      const double middle_fraction = limb.middle_distance / limb.span;
+      const double pole_fraction = limb.pole_distance / limb.span;
       for (int i = 0; i < 3; ++i) {
-        const double a = by_middle[i] / m, b = by_pole[i] / p;
+        const double a = middle_normal[i] / middle_square, b = pole_normal[i] / pole_square;
         middle[i] = -a;
-        tip[i] = at_middle * a - at_pole * b;
-        root[i] = (1 - at_middle) * a - (1 - at_pole) * b;
+        tip[i] = middle_fraction * a - pole_fraction * b;
+        root[i] = (1 - middle_fraction) * a - (1 - pole_fraction) * b;
       }
     }
-    void add(const Motion& motion, double scale, double* column) const {
+    void add(const AxisMotion& motion, double scale, double* column) const {
       if (!is_defined) return;
-      double rate = dot(tip, motion.linear);
-      if (motion.index <= view.middle) rate += motion.along(middle, view.joint);
-      if (motion.index <= view.root) rate += motion.along(root, view.origin);
-      column[0] -= scale * rate;
+      double angle_rate = dot(tip, motion.linear);
+      if (motion.index <= view.middle) angle_rate += motion.velocity_along(middle, view.joint);
+      if (motion.index <= view.root) angle_rate += motion.velocity_along(root, view.origin);
+      column[0] -= scale * angle_rate;
     }
   };
 };
 
-// In the order of rows, weights and errors, as in Python's table.
+// In the order of rows, weights and errors, as in the table of Python.
 using Kinds = std::tuple<Position, Orientation, Aim, Pole>;
-constexpr int PARTS = std::tuple_size_v<Kinds>;
+constexpr int COMPONENTS = std::tuple_size_v<Kinds>;
 
-// Calls f<Kind>(number) for each kind.
+// Calls f<Kind>(index) for each kind.
 template <class F>
-constexpr void each_kind(F&& f) {
+constexpr void for_each_kind(F&& f) {
   [&]<std::size_t... K>(std::index_sequence<K...>) {
     (f.template operator()<std::tuple_element_t<K, Kinds>>(K), ...);
-  }(std::make_index_sequence<PARTS>{});
+  }(std::make_index_sequence<COMPONENTS>{});
 }
 
+// Index of a kind.
 template <class Kind>
-constexpr int part_of() {
+constexpr int component_of() {
   int match = -1;
-  each_kind([&]<class Other>(int part) {
-    if (std::is_same_v<Kind, Other>) match = part;
+  for_each_kind([&]<class Other>(int component) {
+    if (std::is_same_v<Kind, Other>) match = component;
   });
   return match;
 }
 
+// Cumulative sums of a number of each kind, starting at 0.
 template <class F>
-constexpr std::array<int, PARTS + 1> sums(F&& count) {
-  std::array<int, PARTS + 1> ends{};
-  each_kind([&]<class Kind>(int part) {
-    ends[part + 1] = ends[part] + count.template operator()<Kind>();
+constexpr std::array<int, COMPONENTS + 1> cumulative_sums(F&& count) {
+  std::array<int, COMPONENTS + 1> ends{};
+  for_each_kind([&]<class Kind>(int component) {
+    ends[component + 1] = ends[component] + count.template operator()<Kind>();
   });
   return ends;
 }
 
 // Offset of each kind's target in a row of targets. The targets are followed by factors of the
 // weights: with a factor of 0, the residuals are 0.
-constexpr std::array<int, PARTS + 1> COLUMNS = sums([]<class Kind>() { return Kind::WIDTH; });
-constexpr int WEIGHTS = COLUMNS[PARTS];
-constexpr int TARGET_WIDTH = WEIGHTS + PARTS;
+constexpr std::array<int, COMPONENTS + 1> COLUMNS =
+    cumulative_sums([]<class Kind>() { return Kind::WIDTH; });
+constexpr int WEIGHTS = COLUMNS[COMPONENTS];
+constexpr int TARGET_WIDTH = WEIGHTS + COMPONENTS;
 // Number of rows of a goal with all kinds.
-constexpr int MAX_GOAL_ROWS = sums([]<class Kind>() { return Kind::ROWS; })[PARTS];
-constexpr std::array<bool, PARTS> METRIC = [] {
-  std::array<bool, PARTS> metric{};
-  each_kind([&]<class Kind>(int part) { metric[part] = Kind::METRIC; });
+constexpr int MAX_GOAL_ROWS = cumulative_sums([]<class Kind>() { return Kind::ROWS; })[COMPONENTS];
+constexpr std::array<bool, COMPONENTS> METRIC = [] {
+  std::array<bool, COMPONENTS> metric{};
+  for_each_kind([&]<class Kind>(int component) { metric[component] = Kind::METRIC; });
   return metric;
 }();
 
 template <class Kind>
-concept Pulling =
-    requires(const View& view, const double* at, Pull& sum) { Kind::pull(1.0, view, at, at, sum); };
+concept Alignable = requires(const GoalView& view, const double* vector, AlignmentSums& sum) {
+  Kind::add_alignment(1.0, view, vector, vector, sum);
+};
 
 }  // namespace animtool::ik

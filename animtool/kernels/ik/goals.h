@@ -8,23 +8,25 @@
 
 namespace animtool::ik {
 
+// A goal of one node, with a weight for each kind.
 struct Goal {
   int node;
-  double offset[3];  // of its point, in the node's frame: the part that stretches with the limb,
-  double bone[3], tool[3];  // and the rest
+  double offset[3];         // of its point, in the node's frame: stretch_factor * bone + tool
+  double bone[3], tool[3];  // the part that stretches with the limb, and the rest
   double aim_axis[3];
-  double weights[PARTS];  // 0: not used
-  double stretched = 1;
+  double weights[COMPONENTS];  // 0 for kinds that are not used
+  double stretch_factor = 1;
   int level = 0;               // priority: 0 is hard; higher levels yield to lower ones
   int root = -1, middle = -1;  // nodes of the limb with a pole
-  int row = 0;
-  std::vector<int> path;  // nodes that move it, from the root
+  int row = 0;                 // first row of its residuals
+  std::vector<int> path;       // nodes that move it, from the root
 };
 
-inline double weight_of(const Goal& goal, const double* target, int part) {
-  return goal.weights[part] * target[WEIGHTS + part];
+inline double weight_of(const Goal& goal, const double* target, int component) {
+  return goal.weights[component] * target[WEIGHTS + component];
 }
 
+// A chain with its goals.
 struct Task {
   Chain chain;
   std::vector<Goal> goals;
@@ -33,17 +35,20 @@ struct Task {
   double rest_weight = 0;
 };
 
-inline int rows_of(const Goal& goal) {
+// Number of residuals of a goal.
+inline int count_rows(const Goal& goal) {
   int count = 0;
-  each_kind([&]<class Kind>(int part) { count += Kind::ROWS * (goal.weights[part] > 0); });
+  for_each_kind(
+      [&]<class Kind>(int component) { count += Kind::ROWS * (goal.weights[component] > 0); });
   return count;
 }
 
-inline int rows_asked(const Task& task, const double* targets) {
+// Number of residuals with a weight in a row of targets.
+inline int count_active_rows(const Task& task, const double* targets) {
   int count = 0;
   for (std::size_t e = 0; e < task.goals.size(); ++e)
-    each_kind([&]<class Kind>(int part) {
-      count += Kind::ROWS * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, part) > 0);
+    for_each_kind([&]<class Kind>(int component) {
+      count += Kind::ROWS * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, component) > 0);
     });
   return count;
 }
@@ -56,83 +61,84 @@ struct State {
   std::vector<double> points;     // (E, 3)
   std::vector<double> errors;     // errors (E, K), not weighted: lengths and angles
   std::vector<double> weights;    // (E, K), times the factors of the targets
-  double cost = 0;                // of the goals and of the rest preference
-  double rest_cost = 0;           // the part of the rest preference
+  double cost = 0;                // cost of the goals and of the rest preference
+  double rest_cost = 0;           // cost of the rest preference
 
   explicit State(const Task& task)
       : q(task.chain.coordinates),
         frames(task.chain),
         residuals(task.rows),
         points(3 * task.goals.size()),
-        errors(PARTS * task.goals.size()),
-        weights(PARTS * task.goals.size()) {}
+        errors(COMPONENTS * task.goals.size()),
+        weights(COMPONENTS * task.goals.size()) {}
 };
 
-// Once its point is known.
-inline View view_of(const Goal& goal, const State& state, const double* point) {
-  View view{&state.frames.rotations[9 * goal.node],
-            point,
-            goal.aim_axis,
-            goal.root,
-            goal.middle,
-            nullptr,
-            nullptr};
+// The view of a goal; its point must be known.
+inline GoalView view_of(const Goal& goal, const State& state, const double* point) {
+  GoalView view{&state.frames.rotations[9 * goal.node],
+                point,
+                goal.aim_axis,
+                goal.root,
+                goal.middle,
+                nullptr,
+                nullptr};
   if (goal.middle < 0) return view;
   view.origin = &state.frames.origins[3 * goal.root];
   view.joint = &state.frames.origins[3 * goal.middle];
   return view;
 }
 
-// `shift` (M,) is added to the residuals, or null.
-void measure(const Task& task, const double* targets, State& state, const double* shift = nullptr);
+// Computes the residuals, errors and cost of the goals. `residual_offsets` (M,) are added to the
+// residuals, unless null.
+void measure(const Task& task, const double* targets, State& state,
+             const double* residual_offsets = nullptr);
 
-// Everything from which the Jacobian rows of all kinds are computed.
+// One `Slopes` of each kind.
 template <class... Kind>
 std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
 using Slopes = decltype(slopes_of(Kinds{}));
 
-// Columns of the Jacobian (D, M), each contiguous in memory.
+// Computes the columns of the Jacobian (D, M), each contiguous in memory.
 void differentiate(const Task& task, const double* targets, const State& state,
                    std::vector<double>& columns);
 
-// Adds the second-order part of the Hessian times a direction to `out` (D,): (Hessian of the
-// cost - J^T J) times `along`, for positions and rotations only.
+// Multiplies the second-order part of the Hessian, (Hessian of the cost - J^T J), by a direction,
+// for positions and rotations only; adds the product to `out` (D,).
 //
-// Along a path, joint i before joint j: d2p/didj = a_i x (a_j x (p - p_j)), and rotation
-// vectors obey exp(x) exp(y) = exp(x + y + x cross y / 2 + ...). Sums over the joints before
-// and behind make it linear in their number.
+// Along a path, with joint i before joint j: d2p/didj = a_i x (a_j x (p - p_j)), and rotation
+// vectors obey exp(x) exp(y) = exp(x + y + x cross y / 2 + ...). Sums over earlier and later joints
+// make the time linear in their number.
 class Curvature {
  public:
-  explicit Curvature(const Task& task) : behind_(6 * task.chain.nodes.size()) {}
+  explicit Curvature(const Task& task) : later_sums_(6 * task.chain.nodes.size()) {}
 
-  void add(const Task& task, const State& state, const double* along, double* out) {
-    for (std::size_t e = 0; e < task.goals.size(); ++e) add(task, state, e, along, out);
+  void add(const Task& task, const State& state, const double* direction, double* out) {
+    for (std::size_t e = 0; e < task.goals.size(); ++e) add(task, state, e, direction, out);
   }
 
  private:
-  void add(const Task& task, const State& state, std::size_t e, const double* along, double* out);
+  void add(const Task& task, const State& state, std::size_t e, const double* direction,
+           double* out);
 
+  // Adds the velocities of a point and its frame by the motion of one node.
   static void accumulate(const Task& task, const State& state, int n, const double* point,
-                         const double* along, double* linear, double* angular);
+                         const double* direction, double* linear, double* angular);
 
-  std::vector<double> behind_;
+  std::vector<double> later_sums_;
 };
 
-// Lower bounds of errors from bone lengths.
-
-// Smallest and largest distance of a goal's point from the first joint of its path.
-struct Reach {
+// Smallest and largest distance of a goal's point from the first joint of its path, from bone
+// lengths.
+struct DistanceRange {
   double inner = 0, outer = 0;
 };
 
-Reach reach_of(const Task& task, const Goal& goal);
+DistanceRange distance_range(const Task& task, const Goal& goal);
 
-// A lower bound of the cost of all poses.
-double nearest_cost(const Task& task, const double* targets, const Frames& frames);
-
-// Stretching limbs.
+// A lower bound of the cost of all poses, from bone lengths.
+double cost_lower_bound(const Task& task, const double* targets, const Frames& frames);
 
 // Scales the bones of limbs, starting at their first joint.
-void stretch(const Chain& plain, const double* stretches, Task& task);
+void stretch_limbs(const Chain& unstretched, const double* factors, Task& task);
 
 }  // namespace animtool::ik

@@ -3,109 +3,111 @@
 
 namespace animtool::ik {
 
-Status Search::run(const double* start, const double* targets, const double* rest, bool next) {
-  last_unreached_ = next && outcome_.status == Status::NEAREST;
+Status Search::run(const double* start, const double* targets, const double* rest,
+                   bool is_next_frame) {
+  was_unreached_ = is_next_frame && outcome_.status == Status::NEAREST;
   // Frames that continue a search start elsewhere each time.
-  if (!last_unreached_) random_ = Random(settings_.seed);
-  if (!open(start, targets, rest)) return outcome_.status = Status::BROKEN;
+  if (!was_unreached_) random_ = Random(settings_.seed);
+  if (!begin_problem(start, targets, rest)) return outcome_.status = Status::BROKEN;
   outcome_.status = search_all();
-  last_cost_ = best_.cost;
-  last_.q = best_.q;
+  previous_cost_ = best_.cost;
+  previous_.q = best_.q;
   return outcome_.status;
 }
 
-void Search::refine(const double* targets, const double* shift, double least_gain) {
-  set_targets(targets, shift);
-  least_gain_ = std::max(least_gain, ROUNDED);
-  begin(best_);
-  descend(WARM, true);
-  std::swap(now_, best_);
+void Search::refine(const double* targets, const double* residual_offsets, double min_gain) {
+  set_targets(targets, residual_offsets);
+  min_gain_ = std::max(min_gain, ROUNDING_GAIN);
+  set_current(best_);
+  descend(WARM_DAMPING, true);
+  std::swap(current_, best_);
 }
 
 void Search::search(const double* targets) {
   set_targets(targets, nullptr);
   evaluate(best_);
-  State kept = best_;
-  best_.q = first_.q;
+  State previous_best = best_;
+  best_.q = start_.q;
   evaluate(best_);
-  last_unreached_ = false;
+  was_unreached_ = false;
   search_all();
-  if (!(best_.cost < kept.cost * BETTER)) std::swap(best_, kept);
+  if (!(best_.cost < previous_best.cost * IMPROVEMENT_RATIO)) std::swap(best_, previous_best);
 }
 
 Status Search::search_all() {
-  floor_ = nearest_cost(task_, targets_, best_.frames);
-  const bool mixed = task_.rest_weight > 0 || task_.levels > 1;
-  least_gain_ = task_.levels > 1 ? ROUGH : mixed ? FINE : ROUNDED;
+  min_cost_ = cost_lower_bound(task_, targets_, best_.frames);
+  const bool has_tradeoffs = task_.rest_weight > 0 || task_.levels > 1;
+  min_gain_ = task_.levels > 1 ? LEVEL_MIN_GAIN : has_tradeoffs ? REST_MIN_GAIN : ROUNDING_GAIN;
   const bool is_thorough =
-      floor_ > 0 || mixed || task_.chain.dofs >= REDUNDANT * rows_asked(task_, targets_);
-  first_.q = best_.q;
-  begin(best_);
-  const End end = descend(settings_.damping, is_thorough || last_unreached_);
+      min_cost_ > 0 || has_tradeoffs ||
+      task_.chain.dofs >= REDUNDANCY_RATIO * count_active_rows(task_, targets_);
+  start_.q = best_.q;
+  set_current(best_);
+  const DescentEnd end = descend(settings_.damping, is_thorough || was_unreached_);
   if (accept()) return Status::REACHED;
-  if (last_unreached_ && settings_.separate_starts && continue_last(is_thorough))
+  if (was_unreached_ && settings_.separate_starts && continue_previous(is_thorough))
     return Status::REACHED;
-  if (is_same_miss(end)) {
-    const double before = best_.cost;
-    const int restarts = task_.levels > 1 ? 0 : std::min(RESTARTS_NEXT, settings_.restarts);
-    for (int i = 0; i < restarts && !spent() && !is_minimal(); ++i) {
-      sample_start(i % 2 ? best_ : first_);
-      descend(COLD, is_thorough);
-      if (now_.cost > before * JUMP && !reached(now_)) continue;
+  if (is_same_minimum(end)) {
+    const double best_cost = best_.cost;
+    const int restarts = task_.levels > 1 ? 0 : std::min(MAX_CONTINUED_STARTS, settings_.restarts);
+    for (int i = 0; i < restarts && !is_budget_spent() && !is_minimal(); ++i) {
+      sample_start(i % 2 ? best_ : start_);
+      descend(COLD_DAMPING, is_thorough);
+      if (current_.cost > best_cost * BRANCH_RATIO && !is_reached(current_)) continue;
       if (accept()) return Status::REACHED;
     }
-    if (best_.cost == before) return Status::NEAREST;
+    if (best_.cost == best_cost) return Status::NEAREST;
   }
-  const double exact = least_gain_;
-  const bool restart_reached = search_restarts(end == End::STUCK, is_thorough);
-  least_gain_ = exact;
-  return restart_reached && !mixed ? Status::REACHED : polish();
+  const double exact_gain = min_gain_;
+  const bool is_reached_by_restart = search_restarts(end == DescentEnd::STUCK, is_thorough);
+  min_gain_ = exact_gain;
+  return is_reached_by_restart && !has_tradeoffs ? Status::REACHED : polish();
 }
 
-bool Search::search_restarts(bool stalled, bool is_thorough) {
-  const double exact = least_gain_;
-  int agreeing = 0;
-  const int enough = stepper_.abundant() ? FEW : AGREEING;
-  for (int i = 0; i < settings_.restarts && !spent() && !is_minimal(); ++i) {
-    restart(i, stalled);
-    least_gain_ = i == POLISHED ? exact : std::max(exact, COMPARED);
-    descend(COLD, is_thorough || i == POLISHED);
-    const double before = best_.cost;
-    if (now_.cost < before * BETTER)
-      agreeing = 0;
-    else if (now_.cost < before * (1 + 1e-2))
-      ++agreeing;
+bool Search::search_restarts(bool is_stuck, bool is_thorough) {
+  const double exact_gain = min_gain_;
+  int agreeing_count = 0;
+  const int max_agreeing = stepper_.is_redundant() ? REDUNDANT_AGREEING : MAX_AGREEING;
+  for (int i = 0; i < settings_.restarts && !is_budget_spent() && !is_minimal(); ++i) {
+    begin_restart(i, is_stuck);
+    min_gain_ = i == POLISH_START ? exact_gain : std::max(exact_gain, COMPARISON_MIN_GAIN);
+    descend(COLD_DAMPING, is_thorough || i == POLISH_START);
+    const double best_cost = best_.cost;
+    if (current_.cost < best_cost * IMPROVEMENT_RATIO)
+      agreeing_count = 0;
+    else if (current_.cost < best_cost * (1 + 1e-2))
+      ++agreeing_count;
     if (accept()) return true;
-    if (agreeing >= enough) break;
+    if (agreeing_count >= max_agreeing) break;
   }
   return false;
 }
 
-void Search::restart(int i, bool stalled) {
-  if (i == 0 && stalled) {
-    begin(best_);
+void Search::begin_restart(int i, bool is_stuck) {
+  if (i == 0 && is_stuck) {
+    set_current(best_);
     perturb();
-  } else if (i == POLISHED) {
-    begin(best_);
+  } else if (i == POLISH_START) {
+    set_current(best_);
   } else if (i == 1) {
-    straighten();
+    start_from_zero();
   } else {
-    sample_start(i % 2 ? best_ : first_);
+    sample_start(i % 2 ? best_ : start_);
   }
 }
 
 Status Search::polish() {
-  if (spent()) return Status::BUDGET;
-  begin(best_);
-  const End end = descend(COLD, true);
+  if (is_budget_spent()) return Status::BUDGET;
+  set_current(best_);
+  const DescentEnd end = descend(COLD_DAMPING, true);
   if (accept()) return Status::REACHED;
-  return end == End::BUDGET ? Status::BUDGET : Status::NEAREST;
+  return end == DescentEnd::BUDGET ? Status::BUDGET : Status::NEAREST;
 }
 
-void Search::straighten() {
+void Search::start_from_zero() {
   for (const Node& node : task_.chain.nodes) {
     if (node.program >= 0) continue;
-    double* values = &now_.q[node.coordinate];
+    double* values = &current_.q[node.coordinate];
     std::fill(values, values + (node.kind == Kind::BALL ? 4 : 1), 0.0);
     if (node.kind == Kind::BALL) values[3] = 1;
   }
@@ -113,133 +115,143 @@ void Search::straighten() {
 }
 
 void Search::sample_start(const State& home) {
-  double least = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < SAMPLES; ++i) {
-    sample(task_.chain, home.q.data(), random_, next_.q.data());
+  double min_cost = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < START_SAMPLES; ++i) {
+    sample_pose(task_.chain, home.q.data(), random_, next_.q.data());
     evaluate(next_);
-    if (!(next_.cost < least)) continue;
-    least = next_.cost;
-    std::swap(now_, next_);
+    if (!(next_.cost < min_cost)) continue;
+    min_cost = next_.cost;
+    std::swap(current_, next_);
   }
 }
 
-Outcome Levels::run(const double* start, const double* targets, const double* rest, bool next) {
+Outcome PrioritySolver::run(const double* start, const double* targets, const double* rest,
+                            bool is_next_frame) {
   targets_ = targets;
-  const int last = task_.levels - 1;
-  set_weights(last, SEARCH_RATIO);
-  search_.allow(last > 0 ? SEARCH_BUDGET : 1);
-  Status status = search_.run(start, scaled_.data(), rest, next);
-  search_.allow(1);
-  if ((status == Status::NEAREST || status == Status::BUDGET) && last > 0) {
-    const bool cut = status == Status::BUDGET;
-    status = separate_levels(next && last_unreached_);
-    if (cut && status == Status::NEAREST) status = Status::BUDGET;
+  const int last_level = task_.levels - 1;
+  set_weights(last_level, SEARCH_RATIO);
+  search_.set_allowance(last_level > 0 ? SEARCH_BUDGET : 1);
+  Status status = search_.run(start, scaled_targets_.data(), rest, is_next_frame);
+  search_.set_allowance(1);
+  if ((status == Status::NEAREST || status == Status::BUDGET) && last_level > 0) {
+    const bool is_budget_spent = status == Status::BUDGET;
+    status = separate_levels(is_next_frame && was_hard_unreached_);
+    if (is_budget_spent && status == Status::NEAREST) status = Status::BUDGET;
   }
-  last_unreached_ = last > 0 && !within(0);
+  was_hard_unreached_ = last_level > 0 && !is_level_reached(0);
   if (status == Status::NEAREST) status = diagnose();
   Outcome outcome = search_.outcome();
   outcome.status = status;
   return outcome;
 }
 
-void Levels::set_weights(int last, double ratio) {
-  std::copy(targets_, targets_ + scaled_.size(), scaled_.begin());
+void PrioritySolver::set_weights(int last_level, double ratio) {
+  std::copy(targets_, targets_ + scaled_targets_.size(), scaled_targets_.begin());
   double fraction = 1;
   for (int level = 1; level < task_.levels; ++level) {
     fraction *= ratio;
-    const double values = largest_weight(level), hard = largest_weight(0);
-    scale(level, level > last ? 0 : fraction * (values > 0 && hard > 0 ? hard / values : 1));
+    const double level_weight = largest_weight(level), hard_weight = largest_weight(0);
+    scale_level(level, level > last_level ? 0
+                                          : fraction * (level_weight > 0 && hard_weight > 0
+                                                            ? hard_weight / level_weight
+                                                            : 1));
   }
-  task_.rest_weight = last == task_.levels - 1 ? rest_weight_ * fraction * fraction : 0;
+  task_.rest_weight = last_level == task_.levels - 1 ? rest_weight_ * fraction * fraction : 0;
 }
 
-double Levels::largest_weight(int level) const {
-  double most = 0;
+double PrioritySolver::largest_weight(int level) const {
+  double largest = 0;
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
     if (task_.goals[e].level == level)
-      for (int part = 0; part < PARTS; ++part)
-        most = std::max(most, weight_of(task_.goals[e], targets_ + TARGET_WIDTH * e, part));
-  return most;
+      for (int component = 0; component < COMPONENTS; ++component)
+        largest =
+            std::max(largest, weight_of(task_.goals[e], targets_ + TARGET_WIDTH * e, component));
+  return largest;
 }
 
-Status Levels::separate_levels(bool was_unreached) {
-  std::fill(shift_.begin(), shift_.end(), 0.0);
-  std::fill(constrained_.begin(), constrained_.end(), false);
-  for (int level = 0; level < task_.levels && !search_.spent(); ++level) {
-    set_weights(level, ratio_);
-    for (int i = 0; i < SHIFTS; ++i) {
-      search_.refine(scaled_.data(), shift_.data(), EXACT * std::pow(ratio_, 2 * level));
-      if (search_.spent() || !shift()) break;
+Status PrioritySolver::separate_levels(bool was_unreached) {
+  std::fill(residual_offsets_.begin(), residual_offsets_.end(), 0.0);
+  std::fill(is_constrained_.begin(), is_constrained_.end(), false);
+  for (int level = 0; level < task_.levels && !search_.is_budget_spent(); ++level) {
+    set_weights(level, weight_ratio_);
+    for (int i = 0; i < MAX_SHIFTS; ++i) {
+      search_.refine(scaled_targets_.data(), residual_offsets_.data(),
+                     LEVEL_PRECISION * std::pow(weight_ratio_, 2 * level));
+      if (search_.is_budget_spent() || !update_offsets()) break;
     }
-    if (level == 0 && !was_unreached && !within(0)) search_.search(scaled_.data());
-    constrained_[level] = within(level);
+    if (level == 0 && !was_unreached && !is_level_reached(0))
+      search_.search(scaled_targets_.data());
+    is_constrained_[level] = is_level_reached(level);
   }
-  const bool spent = search_.spent();
-  if (!spent) restore();
-  search_.review(targets_);
-  if (spent) return Status::BUDGET;
-  return search_.reached(best()) ? Status::REACHED : Status::NEAREST;
+  const bool is_budget_spent = search_.is_budget_spent();
+  if (!is_budget_spent) restore_levels();
+  search_.reevaluate(targets_);
+  if (is_budget_spent) return Status::BUDGET;
+  return search_.is_reached(best()) ? Status::REACHED : Status::NEAREST;
 }
 
-bool Levels::shift() {
-  bool slack = false;
+bool PrioritySolver::update_offsets() {
+  bool has_slack = false;
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    slack = slack || (constrained_[task_.goals[e].level] &&
-                      !search_.within(&best().errors[PARTS * e], LEVEL_TOLERANCE));
-  if (!slack) return false;
+    has_slack = has_slack ||
+                (is_constrained_[task_.goals[e].level] &&
+                 !search_.is_within_tolerance(&best().errors[COMPONENTS * e], LEVEL_TOLERANCE));
+  if (!has_slack) return false;
   for (const Goal& goal : task_.goals)
-    if (constrained_[goal.level])
-      for (int i = goal.row; i < goal.row + rows_of(goal); ++i) shift_[i] = best().residuals[i];
+    if (is_constrained_[goal.level])
+      for (int i = goal.row; i < goal.row + count_rows(goal); ++i)
+        residual_offsets_[i] = best().residuals[i];
   return true;
 }
 
-void Levels::restore() {
-  bool slack = false;
-  set_weights(task_.levels - 1, ratio_);
+void PrioritySolver::restore_levels() {
+  bool has_slack = false;
+  set_weights(task_.levels - 1, weight_ratio_);
   task_.rest_weight = 0;
   for (int level = 0; level < task_.levels; ++level) {
-    slack = slack || (constrained_[level] && !within(level));
-    if (!constrained_[level]) scale(level, 0);
+    has_slack = has_slack || (is_constrained_[level] && !is_level_reached(level));
+    if (!is_constrained_[level]) scale_level(level, 0);
   }
-  if (slack) search_.refine(scaled_.data(), nullptr, 0);
+  if (has_slack) search_.refine(scaled_targets_.data(), nullptr, 0);
 }
 
-Status Levels::diagnose() {
-  const bool hard = within(0);
-  if (!hard && rest_weight_ > 0) {
+Status PrioritySolver::diagnose() {
+  const bool is_hard_reached = is_level_reached(0);
+  if (!is_hard_reached && rest_weight_ > 0) {
     set_weights(0, 1);
     task_.rest_weight = 0;
-    if (search_.reaches(scaled_.data())) return Status::SOFTENED;
+    if (search_.can_reach(scaled_targets_.data())) return Status::SOFTENED;
   }
-  if (requested_count() < 2) return Status::NEAREST;
-  for (const std::size_t e : missed_goals()) {
+  if (count_active_goals() < 2) return Status::NEAREST;
+  for (const std::size_t e : find_missed_goals()) {
     isolate_goal(e);
-    if (!search_.reaches(scaled_.data())) return Status::NEAREST;
+    if (!search_.can_reach(scaled_targets_.data())) return Status::NEAREST;
   }
-  return hard ? Status::SOFTENED : Status::CONFLICT;
+  return is_hard_reached ? Status::SOFTENED : Status::CONFLICT;
 }
 
-int Levels::requested_count() const {
+int PrioritySolver::count_active_goals() const {
   int count = 0;
   for (std::size_t e = 0; e < task_.goals.size(); ++e) {
-    bool any = false;
-    for (int part = 0; part < PARTS; ++part)
-      any = any || weight_of(task_.goals[e], targets_ + TARGET_WIDTH * e, part) > 0;
-    count += any;
+    bool is_active = false;
+    for (int component = 0; component < COMPONENTS; ++component)
+      is_active =
+          is_active || weight_of(task_.goals[e], targets_ + TARGET_WIDTH * e, component) > 0;
+    count += is_active;
   }
   return count;
 }
 
-std::vector<std::size_t> Levels::missed_goals() const {
+std::vector<std::size_t> PrioritySolver::find_missed_goals() const {
   std::vector<std::size_t> missed;
   const std::vector<double>& errors = best().errors;
-  const auto most = [&](std::size_t e) {
-    return *std::max_element(&errors[PARTS * e], &errors[PARTS * e] + PARTS);
+  const auto max_error = [&](std::size_t e) {
+    return *std::max_element(&errors[COMPONENTS * e], &errors[COMPONENTS * e] + COMPONENTS);
   };
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    if (!search_.within(&errors[PARTS * e])) missed.push_back(e);
+    if (!search_.is_within_tolerance(&errors[COMPONENTS * e])) missed.push_back(e);
   std::sort(missed.begin(), missed.end(),
-            [&](std::size_t a, std::size_t b) { return most(a) > most(b); });
+            [&](std::size_t a, std::size_t b) { return max_error(a) > max_error(b); });
   return missed;
 }
 

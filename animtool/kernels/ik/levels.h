@@ -1,4 +1,4 @@
-// Descents from the start and, if they do not reach the goals, from other starts.
+// Descents from the start and from other starts, and goals with priorities.
 #pragma once
 
 #include "ik/attempt.h"
@@ -6,201 +6,213 @@
 
 namespace animtool::ik {
 
+// Searches for the best pose: descends from the start and, if that does not reach the goals, from
+// other starts.
 class Search : public Descent {
  public:
   Search(const Task& task, const Settings& settings)
-      : Descent(task, settings), first_(task), last_(task) {}
+      : Descent(task, settings), start_(task), previous_(task) {}
 
-  // Finds the best pose; `next` is the frame after the last run.
-  Status run(const double* start, const double* targets, const double* rest, bool next);
+  // Finds the best pose; `is_next_frame` if the problem is the frame after the last one.
+  Status run(const double* start, const double* targets, const double* rest, bool is_next_frame);
 
-  // Continues from the best pose to other targets, and keeps the result.
-  void refine(const double* targets, const double* shift, double least_gain);
+  // Continues from the best pose with other targets; the result is the best pose.
+  void refine(const double* targets, const double* residual_offsets, double min_gain);
 
-  // Searches from the start for other targets, and keeps the result if it is better for them.
+  // Searches from the start with other targets; keeps the result if it is better for them.
   void search(const double* targets);
 
-  // Whether other targets are reached from the best pose, which does not change.
-  bool reaches(const double* targets) {
+  // Whether other targets are reached from the best pose; does not change it.
+  bool can_reach(const double* targets) {
     set_targets(targets, nullptr);
-    begin(best_);
-    descend(COLD, true);
-    return reached(now_);
+    set_current(best_);
+    descend(COLD_DAMPING, true);
+    return is_reached(current_);
   }
 
   // Evaluates the best pose with other targets.
-  void review(const double* targets) {
+  void reevaluate(const double* targets) {
     set_targets(targets, nullptr);
     evaluate(best_);
   }
 
  private:
   // Damping of the first step from a new start, and from a start near the goals.
-  static constexpr double COLD = 1e-3, WARM = 1e-6;
-  // Number of random poses of which the best becomes a new start.
-  static constexpr int SAMPLES = 4;
-  // Relative precision of a descent: if more levels follow, and if a rest preference keeps the
-  // cost above 0.
-  static constexpr double ROUGH = 1e-6, FINE = 1e-12;
-  // Precision at which new starts are compared.
-  static constexpr double COMPARED = 1e-6;
-  // After this many starts the best is descended to its minimum.
-  static constexpr int POLISHED = 8;
+  static constexpr double COLD_DAMPING = 1e-3, WARM_DAMPING = 1e-6;
+  // Number of random poses, the best of which becomes a new start.
+  static constexpr int START_SAMPLES = 4;
+  // Relative precision of a descent: if more levels follow, and if a rest preference keeps the cost
+  // above 0.
+  static constexpr double LEVEL_MIN_GAIN = 1e-6, REST_MIN_GAIN = 1e-12;
+  // Relative precision with which new starts are compared.
+  static constexpr double COMPARISON_MIN_GAIN = 1e-6;
+  // After this many starts the best pose is descended to its minimum.
+  static constexpr int POLISH_START = 8;
   // Number of other starts that must end at the best pose before it is accepted as the global
   // minimum.
-  static constexpr int AGREEING = 16;
-  // Likewise where degrees of freedom are abundant.
-  static constexpr int FEW = 2;
+  static constexpr int MAX_AGREEING = 16;
+  // The same if the chain has redundant degrees of freedom.
+  static constexpr int REDUNDANT_AGREEING = 2;
   // A start that ends below this fraction of the best cost is better.
-  static constexpr double BETTER = 1 - 1e-3;
-  // Number of starts in a frame whose cost is within a factor of that of the previous frame; it
-  // changes to another branch only if that has this fraction of the cost.
-  static constexpr int RESTARTS_NEXT = 2;
-  static constexpr double JUMP = 0.98;
-  static constexpr double SAME = 1.25;
+  static constexpr double IMPROVEMENT_RATIO = 1 - 1e-3;
+  // Number of starts in a frame whose cost is within a factor of that of the previous frame; the
+  // frame changes to another branch only if that has less than a fraction of the cost.
+  static constexpr int MAX_CONTINUED_STARTS = 2;
+  static constexpr double BRANCH_RATIO = 0.98;
+  static constexpr double SAME_COST_RATIO = 1.25;
   // With this many times more degrees of freedom than rows, slow descents are continued: there are
   // hardly any local minima.
-  static constexpr int REDUNDANT = 4;
+  static constexpr int REDUNDANCY_RATIO = 4;
 
-  void set_targets(const double* targets, const double* shift) {
+  void set_targets(const double* targets, const double* residual_offsets) {
     targets_ = targets;
-    shift_ = shift;
+    residual_offsets_ = residual_offsets;
   }
 
   Status search_all();
 
   // Descends from the previous frame's pose, if that is nearer to the goals than the result from
-  // the frame's own start; returns whether the goals are reached.
-  bool continue_last(bool is_thorough) {
-    begin(last_);
-    descend(WARM, is_thorough);
-    return (now_.cost < best_.cost * BETTER || reached(now_)) && accept();
+  // the start of the frame; returns whether the goals are reached.
+  bool continue_previous(bool is_thorough) {
+    set_current(previous_);
+    descend(WARM_DAMPING, is_thorough);
+    return (current_.cost < best_.cost * IMPROVEMENT_RATIO || is_reached(current_)) && accept();
   }
 
   // Descends from new starts; returns whether the goals are reached.
-  bool search_restarts(bool stalled, bool is_thorough);
+  bool search_restarts(bool is_stuck, bool is_thorough);
 
-  // Whether the frame is as far from the goals as the previous one, whose search failed, so that
-  // no new search is needed.
-  bool is_same_miss(End end) const {
-    return last_unreached_ && end == End::STUCK && best_.cost < SAME * last_cost_ &&
-           last_cost_ < SAME * best_.cost;
+  // Whether the frame is as far from the goals as the previous one, whose search failed, so that a
+  // new search is not needed.
+  bool is_same_minimum(DescentEnd end) const {
+    return was_unreached_ && end == DescentEnd::STUCK &&
+           best_.cost < SAME_COST_RATIO * previous_cost_ &&
+           previous_cost_ < SAME_COST_RATIO * best_.cost;
   }
 
-  void restart(int i, bool stalled);
+  // Sets the start with an index.
+  void begin_restart(int i, bool is_stuck);
 
   // Descends from the best pose to its minimum.
   Status polish();
 
   // Whether no pose can be nearer, or only the rest preference keeps the goals from being reached.
   bool is_minimal() const {
-    if (floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9)) return true;
+    if (min_cost_ > 0 && best_.cost <= min_cost_ * (1 + 1e-9)) return true;
     return best_.rest_cost > 0 && best_.cost <= 2 * best_.rest_cost;
   }
 
-  // The zero pose, clamped to the limits.
-  void straighten();
+  // Starts from the zero pose, clamped to the limits.
+  void start_from_zero();
 
-  // The best of some random poses.
+  // Starts from the best of several random poses.
   void sample_start(const State& home);
 
-  State first_, last_;
-  double floor_ = 0;             // lower bound of the cost
-  bool last_unreached_ = false;  // the previous frame did not reach its goals, at this cost:
-  double last_cost_ = 0;
+  State start_, previous_;
+  double min_cost_ = 0;         // lower bound of the cost
+  bool was_unreached_ = false;  // the previous frame did not reach its goals
+  double previous_cost_ = 0;    // of the previous frame
 };
 
-// Prioritised goals: among the poses that are best for the hard goals, those that are best for
-// the next level, and so on.
+// Goals with priorities: among the poses that are best for the hard goals, finds those that are
+// best for the next level, and so on.
 //
-// At first all levels are solved at once, each with a small fraction of the weight of the level
-// before it. Then they are solved one by one: a level that is reached becomes a constraint for the
-// later ones, enforced by the method of multipliers (M. R. Hestenes, Multiplier and gradient
-// methods, 1969; M. J. D. Powell, 1969), which shifts its residuals; a level that cannot be
-// reached is held by its weight.
+// At first all levels are solved at once, each with a small fraction of the weight of the previous
+// level. Then they are solved one by one. A level that is reached becomes a constraint for later
+// levels, enforced by the method of multipliers (M. R. Hestenes, Multiplier and gradient methods,
+// 1969; M. J. D. Powell, 1969), which offsets its residuals; a level that cannot be reached is
+// enforced by its weight.
 
-class Levels : public Solver {
+class PrioritySolver : public Solver {
  public:
   // Changes the task's rest weight while it runs.
-  Levels(Task& task, const Settings& settings)
+  PrioritySolver(Task& task, const Settings& settings)
       : task_(task),
         rest_weight_(task.rest_weight),
         search_(task_, settings),
-        scaled_(TARGET_WIDTH * task.goals.size()),
-        shift_(task.rows),
-        constrained_(task.levels),
-        ratio_(std::max(STEP, std::pow(LEAST_SCALE, 1.0 / std::max(1, task.levels - 1)))) {}
+        scaled_targets_(TARGET_WIDTH * task.goals.size()),
+        residual_offsets_(task.rows),
+        is_constrained_(task.levels),
+        weight_ratio_(std::max(MIN_LEVEL_RATIO,
+                               std::pow(MIN_LEVEL_WEIGHT, 1.0 / std::max(1, task.levels - 1)))) {}
 
-  Outcome run(const double* start, const double* targets, const double* rest, bool next) override;
+  Outcome run(const double* start, const double* targets, const double* rest,
+              bool is_next_frame) override;
 
-  void review(const double* targets) override { search_.review(targets); }
+  void reevaluate(const double* targets) override { search_.reevaluate(targets); }
   const State& best() const override { return search_.best(); }
 
  private:
-  // Ratio of weights from level to level while all are solved at once.
+  // Ratio of weights from level to level while all levels are solved at once.
   static constexpr double SEARCH_RATIO = 0.1;
-  // Fraction of the budget for that.
+  // Fraction of the budget for solving all levels at once.
   static constexpr double SEARCH_BUDGET = 0.5;
-  // Ratio of weights when levels are separated, and smallest weight of the last one.
-  static constexpr double STEP = 1e-3, LEAST_SCALE = 1e-6;
-  // Largest number of shifts of a level, and the fraction of the tolerance at which they end.
-  static constexpr int SHIFTS = 8;
+  // Smallest ratio of weights when levels are separated, and smallest weight of the last level.
+  static constexpr double MIN_LEVEL_RATIO = 1e-3, MIN_LEVEL_WEIGHT = 1e-6;
+  // Largest number of offset updates of a level, and the fraction of the tolerance at which they
+  // stop.
+  static constexpr int MAX_SHIFTS = 8;
   static constexpr double LEVEL_TOLERANCE = 0.1;
   // Approximate relative excess of a level over its smallest cost.
-  static constexpr double EXACT = 1e-5;
+  static constexpr double LEVEL_PRECISION = 1e-5;
 
-  // Sets the weights of the goals up to a level, each level with a fraction of the weight of the
-  // level before it; the rest preference gets the smallest weight.
-  void set_weights(int last, double ratio);
+  // Sets the weights of goals up to a level, each level with a fraction of the weight of the
+  // previous level; the rest preference gets the smallest weight.
+  void set_weights(int last_level, double ratio);
 
   double largest_weight(int level) const;
 
-  void scale(int level, double weight) {
+  // Scales the weights of a level.
+  void scale_level(int level, double weight) {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (task_.goals[e].level == level)
-        for (int part = 0; part < PARTS; ++part)
-          scaled_[TARGET_WIDTH * e + WEIGHTS + part] *= weight;
+        for (int component = 0; component < COMPONENTS; ++component)
+          scaled_targets_[TARGET_WIDTH * e + WEIGHTS + component] *= weight;
   }
 
-  // A single goal.
+  // Sets the weights of all goals but one to 0.
   void isolate_goal(std::size_t goal) {
     task_.rest_weight = 0;
-    std::copy(targets_, targets_ + scaled_.size(), scaled_.begin());
+    std::copy(targets_, targets_ + scaled_targets_.size(), scaled_targets_.begin());
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (e != goal) std::fill_n(&scaled_[TARGET_WIDTH * e + WEIGHTS], PARTS, 0.0);
+      if (e != goal) std::fill_n(&scaled_targets_[TARGET_WIDTH * e + WEIGHTS], COMPONENTS, 0.0);
   }
 
-  bool within(int level) const {
+  bool is_level_reached(int level) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (task_.goals[e].level == level && !search_.within(&best().errors[PARTS * e])) return false;
+      if (task_.goals[e].level == level &&
+          !search_.is_within_tolerance(&best().errors[COMPONENTS * e]))
+        return false;
     return true;
   }
 
-  // `was_unreached`: the hard goals alone were not reached in the previous frame either.
+  // Solves the levels one by one. `was_unreached`: the hard goals were not reached in the previous
+  // frame either.
   Status separate_levels(bool was_unreached);
 
-  // Shifts the residuals of held levels that drifted; returns false if none did.
-  bool shift();
+  // Offsets the residuals of constrained levels that drifted; returns false if none did.
+  bool update_offsets();
 
-  // Levels that shifts did not hold within the tolerance are restored by smallest steps.
-  void restore();
+  // Restores levels that drifted from the tolerance, by smallest steps.
+  void restore_levels();
 
-  // Determines why goals are missed: they are out of reach, or yield to other goals of their level,
-  // to harder ones, or to the rest preference.
+  // Determines why goals are missed: they cannot be reached, or yield to other goals of their
+  // level, to harder ones, or to the rest preference.
   Status diagnose();
 
-  int requested_count() const;
+  int count_active_goals() const;
 
-  // The goals that are not reached, the farthest first, so that one out of reach is found soon.
-  std::vector<std::size_t> missed_goals() const;
+  // The goals that are not reached, the farthest first, so that a goal that cannot be reached is
+  // tested early.
+  std::vector<std::size_t> find_missed_goals() const;
 
   Task& task_;
   const double rest_weight_;
   Search search_;
-  std::vector<double> scaled_, shift_;
-  std::vector<char> constrained_;
-  const double ratio_;
-  bool last_unreached_ = false;  // the hard goals were not reached in the last run
+  std::vector<double> scaled_targets_, residual_offsets_;
+  std::vector<char> is_constrained_;
+  const double weight_ratio_;
+  bool was_hard_unreached_ = false;  // the hard goals were not reached in the last run
   const double* targets_ = nullptr;
 };
 

@@ -1,8 +1,8 @@
-// The inverse of a path's time band for joints on a limit, over the steps the limit allows.
+// The inverse of a path's time band for joints at a limit, over the steps that the limit allows.
 //
 // Where limits fix directions of a joint in some frames, its degrees of freedom are coupled over
-// time: blocks (W, W) two frames off the diagonal, factored L D L^T. A pivot has an inverse over
-// the directions that are free in its frame alone.
+// time: blocks (W, W), up to two frames off the diagonal, factored as L D L^T. A pivot is inverted
+// only over the directions that are free in its frame.
 #pragma once
 
 #include <algorithm>
@@ -18,48 +18,51 @@ namespace animtool::ik {
 template <int W>
 class LimitBand {
  public:
-  // The joints, by their first degree of freedom, that a limit fixes in a frame from `first` to
-  // `end`; `fixed_of(t)` are the fixed directions of a frame.
+  // Factors the blocks of joints, by their first degree of freedom, that a limit fixes in a frame
+  // from `first` to `end`; `fixed_of(t)` are the fixed directions of a frame.
   template <class FixedOf>
   void factor(const TimeBand& band, int first, int end, FixedOf&& fixed_of) {
     first_ = first, count_ = std::max(end - first, 0);
     dofs_.clear();
     for (int t = first; t < end; ++t)
-      for (const Fixed& one : fixed_of(t))
-        if (one.width == W) dofs_.push_back(one.dof);
+      for (const FixedDirection& fixed : fixed_of(t))
+        if (fixed.width == W) dofs_.push_back(fixed.dof);
     std::sort(dofs_.begin(), dofs_.end());
     dofs_.erase(std::unique(dofs_.begin(), dofs_.end()), dofs_.end());
     recent_.resize(dofs_.size());
     factors_.resize(dofs_.size() * static_cast<std::size_t>(count_));
-    kept_.resize(dofs_.size());
+    right_hand_sides_.resize(dofs_.size());
     for (int i = 0; i < count_; ++i) {
-      for (Recent& joint : recent_) joint.free[i % 3] = identity();
-      for (const Fixed& one : fixed_of(first + i)) {
-        if (one.width != W) continue;
-        Square& free = recent_[index_of(one.dof)].free[i % 3];
+      for (RecentFrames& joint : recent_) joint.free_projections[i % 3] = identity();
+      for (const FixedDirection& fixed : fixed_of(first + i)) {
+        if (fixed.width != W) continue;
+        Square& free_projection = recent_[index_of(fixed.dof)].free_projections[i % 3];
         for (int r = 0; r < W; ++r)
-          for (int c = 0; c < W; ++c) free[r * W + c] -= one.direction[r] * one.direction[c];
+          for (int c = 0; c < W; ++c)
+            free_projection[r * W + c] -= fixed.direction[r] * fixed.direction[c];
       }
       for (std::size_t j = 0; j < dofs_.size(); ++j) factor(band, i, recent_[j], factors(i, j));
     }
   }
 
-  // As of TimeBand: `forward` for each frame, with the right-hand side, then `backward` from the
-  // last to the first; `keep` before that of TimeBand.
+  // Solves as TimeBand does: `forward` for each frame with the right-hand side, then `backward`
+  // from the last to the first frame; `store_row` before the `backward` of TimeBand.
   void forward(const double* right, double* x, int i, int width) const {
     const std::size_t row = static_cast<std::size_t>(first_ + i) * width;
     for (std::size_t j = 0; j < dofs_.size(); ++j) {
-      const Factors& own = factors(i, j);
-      const std::size_t at = row + dofs_[j];
-      std::copy(right + at, right + at + W, x + at);
-      if (i > 0) subtract(own.near, x + at - width, x + at);
-      if (i > 1) subtract(own.far, x + at - 2 * static_cast<std::size_t>(width), x + at);
+      const Factors& frame_factors = factors(i, j);
+      const std::size_t index = row + dofs_[j];
+      std::copy(right + index, right + index + W, x + index);
+      if (i > 0) subtract(frame_factors.previous, x + index - width, x + index);
+      if (i > 1)
+        subtract(frame_factors.second_previous, x + index - 2 * static_cast<std::size_t>(width),
+                 x + index);
     }
   }
-  void keep(const double* x, int i, int width) {
+  void store_row(const double* x, int i, int width) {
     const std::size_t row = static_cast<std::size_t>(first_ + i) * width;
     for (std::size_t j = 0; j < dofs_.size(); ++j)
-      std::copy_n(x + row + dofs_[j], W, kept_[j].begin());
+      std::copy_n(x + row + dofs_[j], W, right_hand_sides_[j].begin());
   }
   void backward(double* x, int i, int width) const {
     const std::size_t row = static_cast<std::size_t>(first_ + i) * width;
@@ -68,24 +71,26 @@ class LimitBand {
       std::fill(out, out + W, 0.0);
       const Rounded& inverse = factors(i, j).inverse;
       for (int r = 0; r < W; ++r)
-        for (int c = 0; c < W; ++c) out[r] += inverse[r * W + c] * kept_[j][c];
-      if (i + 1 < count_) subtract_transposed(factors(i + 1, j).near, out + width, out);
+        for (int c = 0; c < W; ++c) out[r] += inverse[r * W + c] * right_hand_sides_[j][c];
+      if (i + 1 < count_) subtract_transposed(factors(i + 1, j).previous, out + width, out);
       if (i + 2 < count_)
-        subtract_transposed(factors(i + 2, j).far, out + 2 * static_cast<std::size_t>(width), out);
+        subtract_transposed(factors(i + 2, j).second_previous,
+                            out + 2 * static_cast<std::size_t>(width), out);
     }
   }
 
  private:
   using Square = std::array<double, W * W>;
 
-  // L(t, t-1), L(t, t-2) and the inverse of D(t), rounded: the memory that they take counts.
+  // L(t, t-1), L(t, t-2) and the inverse of D(t), as floats to save memory.
   using Rounded = std::array<float, W * W>;
   struct Factors {
-    Rounded near, far, inverse;
+    Rounded previous, second_previous, inverse;
   };
-  // Of a joint, by frame modulo 3: projections onto the free directions, L(t, t-1), inverses.
-  struct Recent {
-    std::array<Square, 3> free, near, inverse;
+  // Of a joint, by frame modulo 3: projections onto the free directions, L(t, t-1), and inverses of
+  // D(t).
+  struct RecentFrames {
+    std::array<Square, 3> free_projections, previous, inverses;
   };
 
   static Square identity() {
@@ -130,11 +135,11 @@ class LimitBand {
       for (int c = 0; c < W; ++c) out[r] -= a[c * W + r] * v[c];
   }
 
-  // The inverse of a symmetric matrix over the free directions: those that are fixed count with a
-  // pivot of their own, which is taken out again.
-  static Square inverse_of(Square a, const Square& free, double pivot) {
+  // The inverse of a symmetric matrix over the free directions. Fixed directions get a pivot, which
+  // is subtracted again from the result.
+  static Square inverse_of(Square a, const Square& free_projection, double pivot) {
     for (int r = 0; r < W; ++r)
-      for (int c = 0; c < W; ++c) a[r * W + c] += pivot * ((r == c) - free[r * W + c]);
+      for (int c = 0; c < W; ++c) a[r * W + c] += pivot * ((r == c) - free_projection[r * W + c]);
     Square out;
     if constexpr (W == 1) {
       out[0] = 1 / a[0];
@@ -149,7 +154,7 @@ class LimitBand {
       for (double& x : out) x /= det;
     }
     for (int r = 0; r < W; ++r)
-      for (int c = 0; c < W; ++c) out[r * W + c] -= ((r == c) - free[r * W + c]) / pivot;
+      for (int c = 0; c < W; ++c) out[r * W + c] -= ((r == c) - free_projection[r * W + c]) / pivot;
     return out;
   }
 
@@ -160,38 +165,40 @@ class LimitBand {
   Factors& factors(int i, std::size_t j) { return factors_[i * dofs_.size() + j]; }
   const Factors& factors(int i, std::size_t j) const { return factors_[i * dofs_.size() + j]; }
 
-  void factor(const TimeBand& band, int i, Recent& joint, Factors& out) const {
+  void factor(const TimeBand& band, int i, RecentFrames& recent, Factors& out) const {
     const int t = first_ + i;
-    const std::array<Square, 3>& free = joint.free;
-    const int now = i % 3, before = (i + 2) % 3, earlier = (i + 1) % 3;
-    Square pivot = scaled(band.entry(t, 0), free[now]);
-    Square far{}, near{};
+    const std::array<Square, 3>& free_projections = recent.free_projections;
+    const int current = i % 3, previous = (i + 2) % 3, second_previous = (i + 1) % 3;
+    Square pivot = scaled(band.entry(t, 0), free_projections[current]);
+    Square far_block{}, near_block{};
     if (i > 1) {
-      far = scaled(band.entry(t, -2), product(free[now], free[earlier]));
-      const Square factor = product(far, joint.inverse[earlier]);
-      subtract_product(factor, far, pivot);
-      out.far = rounded(factor);
+      far_block = scaled(band.entry(t, -2),
+                         product(free_projections[current], free_projections[second_previous]));
+      const Square factor = product(far_block, recent.inverses[second_previous]);
+      subtract_product(factor, far_block, pivot);
+      out.second_previous = rounded(factor);
     }
     if (i > 0) {
-      near = scaled(band.entry(t, -1), product(free[now], free[before]));
-      if (i > 1) subtract_product(far, joint.near[before], near);
-      joint.near[now] = product(near, joint.inverse[before]);
-      subtract_product(joint.near[now], near, pivot);
-      out.near = rounded(joint.near[now]);
+      near_block =
+          scaled(band.entry(t, -1), product(free_projections[current], free_projections[previous]));
+      if (i > 1) subtract_product(far_block, recent.previous[previous], near_block);
+      recent.previous[current] = product(near_block, recent.inverses[previous]);
+      subtract_product(recent.previous[current], near_block, pivot);
+      out.previous = rounded(recent.previous[current]);
     }
-    // What rounding leaves unsymmetric would grow from frame to frame.
+    // Symmetrises the pivot: rounding errors would grow from frame to frame.
     for (int r = 0; r < W; ++r)
       for (int c = 0; c < r; ++c)
         pivot[r * W + c] = pivot[c * W + r] = (pivot[r * W + c] + pivot[c * W + r]) / 2;
-    joint.inverse[now] = inverse_of(pivot, free[now], band.entry(t, 0));
-    out.inverse = rounded(joint.inverse[now]);
+    recent.inverses[current] = inverse_of(pivot, free_projections[current], band.entry(t, 0));
+    out.inverse = rounded(recent.inverses[current]);
   }
 
   int first_ = 0, count_ = 0;
   std::vector<int> dofs_;
-  std::vector<Recent> recent_;
+  std::vector<RecentFrames> recent_;
   std::vector<Factors> factors_;  // (frames, joints)
-  std::vector<std::array<double, W>> kept_;
+  std::vector<std::array<double, W>> right_hand_sides_;
 };
 
 }  // namespace animtool::ik

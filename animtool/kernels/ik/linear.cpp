@@ -7,7 +7,7 @@ namespace animtool::ik {
 
 bool factor_cholesky(double* a, double* column, int m) {
   using namespace cholesky;
-  return factor<Inverses, Small::FAIL>(a, m, m, column, [](std::size_t) { return 0.0; });
+  return factor<Inverses, SmallPivot::FAIL>(a, m, m, column, [](std::size_t) { return 0.0; });
 }
 
 void solve_factored(const double* a, double* b, int m) {
@@ -16,26 +16,26 @@ void solve_factored(const double* a, double* b, int m) {
   cholesky::solve_backward<cholesky::Inverses>(rows, m, b);
 }
 
-double rest_pull(const Task& task, const double* q, const double* rest, double weight,
-                 double* pull) {
+double evaluate_rest(const Task& task, const double* q, const double* rest, double weight,
+                     double* rest_downhill) {
   double cost = 0;
-  std::fill(pull, pull + task.chain.dofs, 0.0);
+  std::fill(rest_downhill, rest_downhill + task.chain.dofs, 0.0);
   if (!(weight > 0)) return 0;
   for (const Node& node : task.chain.nodes) {
-    if (node.follows) continue;
-    const double *now = q + node.coordinate, *home = rest + node.coordinate;
-    double away[3];
+    if (node.is_driven) continue;
+    const double *values = q + node.coordinate, *rest_values = rest + node.coordinate;
+    double offset[3];
     if (node.kind == Kind::BALL) {
-      const double back[4] = {-now[0], -now[1], -now[2], now[3]};
+      const double inverse[4] = {-values[0], -values[1], -values[2], values[3]};
       double rotation[4];
-      product(home, back, rotation);
-      logarithm(rotation, away);
+      product(rest_values, inverse, rotation);
+      logarithm(rotation, offset);
     } else {
-      away[0] = home[0] - now[0];
+      offset[0] = rest_values[0] - values[0];
     }
     for (int k = 0; k < node.width(); ++k) {
-      cost += weight * away[k] * away[k] / 2;
-      pull[node.dof + k] = weight * away[k];
+      cost += weight * offset[k] * offset[k] / 2;
+      rest_downhill[node.dof + k] = weight * offset[k];
     }
   }
   return cost;
@@ -44,12 +44,12 @@ double rest_pull(const Task& task, const double* q, const double* rest, double w
 void multiply_columns(const Task& task, const Linearized& linear, double* normal) {
   const int dofs = task.chain.dofs;
   for (int d = 0; d < dofs; ++d) {
-    const double* first_column = linear.columns.data() + static_cast<std::size_t>(d) * task.rows;
+    const double* column = linear.columns.data() + static_cast<std::size_t>(d) * task.rows;
     for (int k = 0; k <= d; ++k) {
-      const double* other = linear.columns.data() + static_cast<std::size_t>(k) * task.rows;
-      const int first = std::max(linear.first[d], linear.first[k]);
-      const int last = std::min(linear.last[d], linear.last[k]);
-      normal[static_cast<std::size_t>(d) * dofs + k] = inner(first_column, other, first, last);
+      const double* other_column = linear.columns.data() + static_cast<std::size_t>(k) * task.rows;
+      const int first = std::max(linear.first_rows[d], linear.first_rows[k]);
+      const int last = std::min(linear.last_rows[d], linear.last_rows[k]);
+      normal[static_cast<std::size_t>(d) * dofs + k] = inner(column, other_column, first, last);
     }
   }
 }
@@ -58,21 +58,21 @@ void linearize(const Task& task, const double* targets, const double* rest, cons
                Linearized& out) {
   const int m = task.rows;
   differentiate(task, targets, state, out.columns);
-  rest_pull(task, state.q.data(), rest, task.rest_weight, out.pull.data());
+  evaluate_rest(task, state.q.data(), rest, task.rest_weight, out.rest_downhill.data());
   std::fill(out.gram.begin(), out.gram.end(), 0.0);
   for (int d = 0; d < task.chain.dofs; ++d) {
     const double* column = out.columns.data() + static_cast<std::size_t>(d) * m;
-    double sum = out.pull[d];
-    for (int i = out.first[d]; i < out.last[d]; ++i) {
-      const double at = column[i];
-      sum += at * state.residuals[i];
-      if (at == 0 || out.primal) continue;
+    double sum = out.rest_downhill[d];
+    for (int i = out.first_rows[d]; i < out.last_rows[d]; ++i) {
+      const double entry = column[i];
+      sum += entry * state.residuals[i];
+      if (entry == 0 || out.is_primal) continue;
       double* row = &out.gram[static_cast<std::size_t>(i) * m];
-      for (int j = out.first[d]; j <= i; ++j) row[j] += at * column[j];
+      for (int j = out.first_rows[d]; j <= i; ++j) row[j] += entry * column[j];
     }
     out.downhill[d] = sum;
   }
-  if (out.primal) multiply_columns(task, out, out.normal.data());
+  if (out.is_primal) multiply_columns(task, out, out.normal.data());
 }
 
 }  // namespace animtool::ik

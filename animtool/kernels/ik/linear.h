@@ -7,14 +7,14 @@
 
 namespace animtool::ik {
 
-// Factors a symmetric positive definite A (m, m), see base/cholesky.h; `column` is a buffer for m
-// numbers. Returns false if A is not positive definite.
+// Factors a symmetric positive definite A (m, m) in place, see base/cholesky.h; `column` is a
+// buffer for m numbers. Returns false if A is not positive definite.
 bool factor_cholesky(double* a, double* column, int m);
 
 // Solves A x = b in place with the factor of A.
 void solve_factored(const double* a, double* b, int m);
 
-// In four partial sums, which are added in parallel.
+// The dot product of a range, in four partial sums that are added in parallel.
 inline double inner(const double* a, const double* b, int first, int last) {
   double sums[4] = {0, 0, 0, 0};
   int i = first;
@@ -27,41 +27,42 @@ inline double inner(const double* a, const double* b, int first, int last) {
 // The cost around a pose: columns of the Jacobian, the smaller of its two Gram matrices, and the
 // gradient.
 struct Linearized {
-  // More residuals than degrees of freedom: systems have the size of the chain.
-  const bool primal;
-  std::vector<double> columns;   // (D, M)
-  std::vector<double> gram;      // (M, M), lower triangle: J J^T; unless primal
-  std::vector<double> normal;    // (D, D), lower triangle: J^T J; if primal
-  std::vector<double> downhill;  // (D,): minus the gradient, rest preference included
-  std::vector<double> pull;      // (D,): the part of the rest preference
-  std::vector<int> first, last;  // (D,): rows that a degree of freedom moves
+  // If there are more residuals than degrees of freedom, systems have the size of the chain.
+  const bool is_primal;
+  std::vector<double> columns;             // (D, M)
+  std::vector<double> gram;                // (M, M), lower triangle: J J^T; unless is_primal
+  std::vector<double> normal;              // (D, D), lower triangle: J^T J; if is_primal
+  std::vector<double> downhill;            // (D,): negative gradient, with the rest preference
+  std::vector<double> rest_downhill;       // (D,): negative gradient of the rest preference
+  std::vector<int> first_rows, last_rows;  // (D,): range of rows that a degree of freedom moves
 
   explicit Linearized(const Task& task)
-      : primal(task.rows > task.chain.dofs),
+      : is_primal(task.rows > task.chain.dofs),
         columns(static_cast<std::size_t>(task.chain.dofs) * task.rows),
-        gram(primal ? 0 : static_cast<std::size_t>(task.rows) * task.rows),
-        normal(primal ? static_cast<std::size_t>(task.chain.dofs) * task.chain.dofs : 0),
+        gram(is_primal ? 0 : static_cast<std::size_t>(task.rows) * task.rows),
+        normal(is_primal ? static_cast<std::size_t>(task.chain.dofs) * task.chain.dofs : 0),
         downhill(task.chain.dofs),
-        pull(task.chain.dofs),
-        first(task.chain.dofs, task.rows),
-        last(task.chain.dofs, 0) {
+        rest_downhill(task.chain.dofs),
+        first_rows(task.chain.dofs, task.rows),
+        last_rows(task.chain.dofs, 0) {
     for (const Goal& goal : task.goals)
       for (const int n : goal.path) {
-        each_dof(task.chain, task.chain.nodes[n], [&](int d) {
-          first[d] = std::min(first[d], goal.row);
-          last[d] = std::max(last[d], goal.row + rows_of(goal));
+        for_each_dof(task.chain, task.chain.nodes[n], [&](int d) {
+          first_rows[d] = std::min(first_rows[d], goal.row);
+          last_rows[d] = std::max(last_rows[d], goal.row + count_rows(goal));
         });
       }
   }
 };
 
-// Pull of the rest preference on each degree of freedom, and its cost.
-double rest_pull(const Task& task, const double* q, const double* rest, double weight,
-                 double* pull);
+// Computes the negative gradient of the rest preference (D,); returns its cost.
+double evaluate_rest(const Task& task, const double* q, const double* rest, double weight,
+                     double* rest_downhill);
 
-// The lower triangle of J^T J (D, D).
+// Computes the lower triangle of J^T J (D, D).
 void multiply_columns(const Task& task, const Linearized& linear, double* normal);
 
+// Linearises the residuals at a pose.
 void linearize(const Task& task, const double* targets, const double* rest, const State& state,
                Linearized& out);
 

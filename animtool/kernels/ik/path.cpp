@@ -1,5 +1,5 @@
-// The cheapest sequence of poses along several paths, with changes from one to another (A. Viterbi,
-// Error bounds for convolutional codes and an asymptotically optimum decoding algorithm, 1967).
+// The cheapest sequence of poses along several paths, with changes between paths (A. Viterbi, Error
+// bounds for convolutional codes and an asymptotically optimum decoding algorithm, 1967).
 #include "ik/solve.h"
 
 #include <cstdint>
@@ -15,60 +15,62 @@ namespace ik {
 
 namespace {
 
-// Factor of the cost of motion beyond an easy step.
+// Factor of the cost of motion beyond a free step.
 constexpr double EXCESS_COST = 100;
 
-// Cost of a step (D,): its squared distance from a drift, with unlimited pins the short way round,
-// and more if a joint moves farther than is easy.
+// Cost of a step (D,): its squared distance from a drift, for unlimited pins in the shorter
+// direction. A joint that moves farther than the free step costs more.
 double step_cost(const Chain& chain, const double* step, const double* drift, double free_step) {
   double sum = 0;
   for (const Node& node : chain.nodes) {
-    if (node.follows) continue;
+    if (node.is_driven) continue;
     for (int d = node.dof; d < node.dof + node.width(); ++d) {
-      double by = step[d] - drift[d];
-      if (node.kind == Kind::PIN && !limited(node)) by -= REVOLUTION * std::round(by / REVOLUTION);
-      const double excess = std::max(std::fabs(by) - free_step, 0.0);
-      sum += by * by + EXCESS_COST * excess * excess;
+      double difference = step[d] - drift[d];
+      if (node.kind == Kind::PIN && !has_limit(node))
+        difference -= REVOLUTION * std::round(difference / REVOLUTION);
+      const double excess = std::max(std::fabs(difference) - free_step, 0.0);
+      sum += difference * difference + EXCESS_COST * excess * excess;
     }
   }
   return sum;
 }
 
-// Chooses one of `count` paths (K, L, C) for each of L frames, starting on the first, or, if
-// `open`, on any.
+// Chooses one of `count` paths (K, L, C) for each of L frames. The first frame is on the first
+// path, or on any if `open`; with `closed`, the last frame is on the first path.
 void find_cheapest(const Chain& chain, const double* paths, const double* costs,
                    const double* drifts, const double* free_step, std::size_t count,
-                   std::size_t length, bool open, bool closed, std::int64_t* chosen) {
+                   std::size_t length, bool open, bool closed, std::int64_t* chosen_paths) {
   const std::size_t width = chain.coordinates;
-  std::vector<double> total(count, std::numeric_limits<double>::infinity()), next(count);
+  std::vector<double> total_costs(count, std::numeric_limits<double>::infinity()),
+      next_costs(count);
   std::vector<double> step(chain.dofs);
-  std::vector<std::int64_t> origins(count * length);
+  std::vector<std::int64_t> predecessors(count * length);
   const auto pose = [&](std::size_t k, std::size_t t) { return paths + (k * length + t) * width; };
-  if (count > 0) total[0] = 0;
-  for (std::size_t k = 0; open && length > 0 && k < count; ++k) total[k] = costs[k * length];
+  if (count > 0) total_costs[0] = 0;
+  for (std::size_t k = 0; open && length > 0 && k < count; ++k) total_costs[k] = costs[k * length];
   for (std::size_t t = 1; t < length; ++t) {
     for (std::size_t to = 0; to < count; ++to) {
-      double least = std::numeric_limits<double>::infinity();
-      std::int64_t origin = 0;
+      double min_cost = std::numeric_limits<double>::infinity();
+      std::int64_t predecessor = 0;
       for (std::size_t from = 0; from < count; ++from) {
-        if (!(total[from] < least)) continue;
+        if (!(total_costs[from] < min_cost)) continue;
         difference(chain, pose(from, t - 1), pose(to, t), step.data());
         const double cost =
-            total[from] +
+            total_costs[from] +
             step_cost(chain, step.data(), drifts + (t - 1) * chain.dofs, free_step[t - 1]);
-        if (cost < least) least = cost, origin = static_cast<std::int64_t>(from);
+        if (cost < min_cost) min_cost = cost, predecessor = static_cast<std::int64_t>(from);
       }
-      next[to] = least + costs[to * length + t];
-      origins[t * count + to] = origin;
+      next_costs[to] = min_cost + costs[to * length + t];
+      predecessors[t * count + to] = predecessor;
     }
-    total.swap(next);
+    total_costs.swap(next_costs);
   }
-  std::size_t last = 0;
+  std::size_t path = 0;
   for (std::size_t k = 1; k < count && !closed; ++k)
-    if (total[k] < total[last]) last = k;
+    if (total_costs[k] < total_costs[path]) path = k;
   for (std::size_t t = length; t-- > 0;) {
-    chosen[t] = static_cast<std::int64_t>(last);
-    last = static_cast<std::size_t>(origins[t * count + last]);
+    chosen_paths[t] = static_cast<std::int64_t>(path);
+    path = static_cast<std::size_t>(predecessors[t * count + path]);
   }
 }
 
@@ -91,10 +93,10 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
   check_steps("drifts", drifts, length, chain.dofs);
   check::shape("easy", free_step,
                {std::max<std::size_t>(free_step.shape(0), length ? length - 1 : 0)});
-  Out<std::int64_t, 1> chosen(length);
+  Out<std::int64_t, 1> chosen_paths(length);
   find_cheapest(chain, paths.data(), costs.data(), drifts.data(), free_step.data(), count, length,
-                open, closed, chosen.get());
-  return chosen;
+                open, closed, chosen_paths.get());
+  return chosen_paths;
 }
 
 }  // namespace animtool

@@ -1,4 +1,5 @@
-// The matrix of the quadratic cost of a path over time, the same for each degree of freedom.
+// The quadratic cost of a path over time, and its matrix, which is the same for each degree of
+// freedom.
 #pragma once
 
 #include <algorithm>
@@ -10,110 +11,117 @@
 
 namespace animtool::ik {
 
+// Weights of the distance from an anchor path, of the speed, and of the acceleration.
 struct PathWeights {
   double anchor, speed, acceleration;
 };
 
-// The matrix of the weights over time, factored: L D L^T with two diagonals below.
+// The matrix of the cost over time, factored as L D L^T with two diagonals below the main one.
 class TimeBand {
  public:
   TimeBand(int frames, int first, int end, const PathWeights& weights)
       : first_(first),
         count_(std::max(end - first, 0)),
         rows_(5 * std::max(frames, 1)),
-        inverses_(count_),
-        below_(2 * count_) {
+        inverse_pivots_(count_),
+        lower_(2 * count_) {
     for (int t = 0; t < frames; ++t) row(t)[2] += weights.anchor;
-    for (int t = 0; t + 1 < frames; ++t) add(t, {-1, 1}, weights.speed);
-    for (int t = 0; t + 2 < frames; ++t) add(t, {1, -2, 1}, weights.acceleration);
-    damp(0);
+    for (int t = 0; t + 1 < frames; ++t) add_stencil(t, {-1, 1}, weights.speed);
+    for (int t = 0; t + 2 < frames; ++t) add_stencil(t, {1, -2, 1}, weights.acceleration);
+    set_damping(0);
   }
 
-  // Adds a multiple of the identity, replacing an earlier one.
-  void damp(double damping) {
+  // Adds a multiple of the identity; replaces an earlier one.
+  void set_damping(double damping) {
     for (int t = 0; t < static_cast<int>(rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
     damping_ = damping;
     for (int i = 0; i < count_; ++i) {
       const double* row_i = row(first_ + i);
-      double far = i > 1 ? row_i[0] : 0, near = i > 0 ? row_i[1] : 0, pivot = row_i[2];
+      double second_lower = i > 1 ? row_i[0] : 0, first_lower = i > 0 ? row_i[1] : 0,
+             pivot = row_i[2];
       if (i > 1) {
-        near -= far * below_[2 * (i - 1)];
-        pivot -= far * far * inverses_[i - 2];
-        far *= inverses_[i - 2];
+        first_lower -= second_lower * lower_[2 * (i - 1)];
+        pivot -= second_lower * second_lower * inverse_pivots_[i - 2];
+        second_lower *= inverse_pivots_[i - 2];
       }
       if (i > 0) {
-        pivot -= near * near * inverses_[i - 1];
-        near *= inverses_[i - 1];
+        pivot -= first_lower * first_lower * inverse_pivots_[i - 1];
+        first_lower *= inverse_pivots_[i - 1];
       }
-      below_[2 * i] = near, below_[2 * i + 1] = far;
-      inverses_[i] = 1 / pivot;
+      lower_[2 * i] = first_lower, lower_[2 * i + 1] = second_lower;
+      inverse_pivots_[i] = 1 / pivot;
     }
   }
 
-  // Entry of the matrix: row t, and a column at most two frames off.
-  double entry(int t, int off) const { return rows_[5 * t + 2 + off]; }
+  // Entry of the matrix in row t, in the column `offset` frames from t, at most two.
+  double entry(int t, int offset) const { return rows_[5 * t + 2 + offset]; }
 
-  // out = P x for frames of `width` numbers, all of them.
+  // out = P x, for frames of `width` numbers; x has all frames.
   void multiply(const std::vector<double>& x, int width, std::vector<double>& out) const {
     const int frames = static_cast<int>(x.size()) / std::max(width, 1);
     for (int i = 0; i < count_; ++i) {
       const int t = first_ + i;
-      double* o = out.data() + static_cast<std::size_t>(t) * width;
-      const double* near = x.data() + static_cast<std::size_t>(t) * width;
-      const double* factors = &rows_[5 * t];
+      double* product = out.data() + static_cast<std::size_t>(t) * width;
+      const double* row_t = x.data() + static_cast<std::size_t>(t) * width;
+      const double* entries = &rows_[5 * t];
       if (t > 1 && t + 2 < frames) {
-        const double *a = near - 2 * width, *b = near - width, *c = near + width;
-        const double* e = near + 2 * width;
+        const double *second_previous = row_t - 2 * width, *previous = row_t - width,
+                     *next = row_t + width;
+        const double* second_next = row_t + 2 * width;
         for (int d = 0; d < width; ++d)
-          o[d] = factors[0] * a[d] + factors[1] * b[d] + factors[2] * near[d] + factors[3] * c[d] +
-                 factors[4] * e[d];
+          product[d] = entries[0] * second_previous[d] + entries[1] * previous[d] +
+                       entries[2] * row_t[d] + entries[3] * next[d] + entries[4] * second_next[d];
         continue;
       }
-      std::fill(o, o + width, 0.0);
+      std::fill(product, product + width, 0.0);
       for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k)
-        add(factors[2 + k - t], x.data() + static_cast<std::size_t>(k) * width, width, o);
+        add_scaled(entries[2 + k - t], x.data() + static_cast<std::size_t>(k) * width, width,
+                   product);
     }
   }
 
-  // The i-th of the frames that may move, of a vector of all.
+  // Row of the i-th frame that may change, in an array of all frames.
   template <class Number>
-  Number* of(Number* x, int i, int width) const {
+  Number* row_of(Number* x, int i, int width) const {
     return x + static_cast<std::size_t>(first_ + i) * width;
   }
 
-  // Solves P x = b in place over the frames that may move: `forward` for each of these, then
+  // Solves P x = b in place over the frames that may change: `forward` for each frame, then
   // `backward` from the last to the first.
   void forward(double* x, int i, int width) const {
-    double* row_i = of(x, i, width);
-    const double near = below_[2 * i], far = below_[2 * i + 1];
+    double* row_i = row_of(x, i, width);
+    const double first_lower = lower_[2 * i], second_lower = lower_[2 * i + 1];
     if (i < 2) {
-      if (i > 0) add(-near, of(x, 0, width), width, row_i);
+      if (i > 0) add_scaled(-first_lower, row_of(x, 0, width), width, row_i);
       return;
     }
-    const double *a = row_i - width, *b = a - width;
-    for (int d = 0; d < width; ++d) row_i[d] = row_i[d] - near * a[d] - far * b[d];
+    const double *previous = row_i - width, *second_previous = previous - width;
+    for (int d = 0; d < width; ++d)
+      row_i[d] = row_i[d] - first_lower * previous[d] - second_lower * second_previous[d];
   }
   void backward(double* x, int i, int width) const {
-    double* row_i = of(x, i, width);
-    const double inverse = inverses_[i];
+    double* row_i = row_of(x, i, width);
+    const double inverse = inverse_pivots_[i];
     if (i + 2 >= count_) {
       for (int d = 0; d < width; ++d) row_i[d] *= inverse;
-      if (i + 1 < count_) add(-below_[2 * i + 2], of(x, i + 1, width), width, row_i);
+      if (i + 1 < count_) add_scaled(-lower_[2 * i + 2], row_of(x, i + 1, width), width, row_i);
       return;
     }
-    const double near = below_[2 * i + 2], far = below_[2 * i + 5];
-    const double *a = row_i + width, *b = a + width;
-    for (int d = 0; d < width; ++d) row_i[d] = row_i[d] * inverse - near * a[d] - far * b[d];
+    const double first_lower = lower_[2 * i + 2], second_lower = lower_[2 * i + 5];
+    const double *next = row_i + width, *second_next = next + width;
+    for (int d = 0; d < width; ++d)
+      row_i[d] = row_i[d] * inverse - first_lower * next[d] - second_lower * second_next[d];
   }
 
  private:
-  static void add(double factor, const double* from, int width, double* to) {
+  static void add_scaled(double factor, const double* from, int width, double* to) {
     for (int d = 0; d < width; ++d) to[d] += factor * from[d];
   }
 
   double* row(int t) { return &rows_[5 * t]; }
 
-  void add(int t, std::initializer_list<double> stencil, double weight) {
+  // Adds the square of a finite difference, with a weight.
+  void add_stencil(int t, std::initializer_list<double> stencil, double weight) {
     int i = 0;
     for (const double a : stencil) {
       int j = 0;
@@ -125,97 +133,98 @@ class TimeBand {
   int first_, count_;
   double damping_ = 0;
   std::vector<double> rows_;
-  std::vector<double> inverses_, below_;  // one over the pivots, and what is below them
+  std::vector<double> inverse_pivots_, lower_;  // reciprocal pivots, and the two diagonals below
 };
 
-// The cost of a path: its distance from another path, its speed and its acceleration.
-
-// Sums anchor |q - anchor|^2 + speed |v|^2 + acceleration |a|^2, halved, over the frames. Of
-// balls, differences are rotation vectors.
+// Half the sum over the frames of anchor |q - anchor|^2 + speed |v|^2 + acceleration |a|^2.
+// Differences of balls are rotation vectors.
 class PathCost {
  public:
-  // Weight of the acceleration at each frame.
+  // Cost of the acceleration at each frame.
   std::vector<double> frame_costs;
 
-  // `drifts` (F - 1, D) is the motion from frame to frame without cost; null for none.
+  // `drifts` (F - 1, D) is the motion between frames that costs nothing; null for none.
   PathCost(const Chain& chain, int frames, const PathWeights& weights, const double* drifts)
       : chain_(chain),
         frames_(frames),
         width_(chain.dofs),
         weights_(weights),
         drifts_(drifts),
-        away_(chain.dofs),
+        difference_(chain.dofs),
         zero_(chain.dofs, 0.0) {}
 
-  // Returns the cost of a path (F, Q), and writes its gradient (F, D) if requested.
-  double evaluate(const double* anchors, const double* q, std::vector<double>* slope = nullptr) {
-    return evaluate(anchors, q, slope, 0, frames_);
+  // Returns the cost of a path (F, Q), and computes its gradient (F, D) if requested.
+  double evaluate(const double* anchors, const double* q, std::vector<double>* gradient = nullptr) {
+    return evaluate(anchors, q, gradient, 0, frames_);
   }
 
-  // Likewise of what changes with the frames from `first` to `end`, and the gradient by these.
-  double evaluate(const double* anchors, const double* q, std::vector<double>* slope, int first,
+  // The same, for the terms that depend on the frames from `first` to `end`, and the gradient by
+  // these frames.
+  double evaluate(const double* anchors, const double* q, std::vector<double>* gradient, int first,
                   int end) {
     const std::size_t size = static_cast<std::size_t>(frames_) * width_;
-    speeds_.resize(size), forces_.resize(size), frame_costs.resize(frames_);
-    const int before = std::max(first - 1, 0), last = std::min(end, frames_ - 2);
-    if (slope) {
-      slope->resize(size);
-      std::fill(slope->begin() + row(before), slope->begin() + row(std::min(end + 1, frames_)),
-                0.0);
+    velocities_.resize(size), forces_.resize(size), frame_costs.resize(frames_);
+    const int first_affected = std::max(first - 1, 0), last_affected = std::min(end, frames_ - 2);
+    if (gradient) {
+      gradient->resize(size);
+      std::fill(gradient->begin() + row(first_affected),
+                gradient->begin() + row(std::min(end + 1, frames_)), 0.0);
     }
     double cost = 0;
     for (int t = first; t < end && weights_.anchor > 0; ++t) {
-      difference(chain_, anchors + at(t), q + at(t), away_.data());
+      difference(chain_, anchors + pose_offset(t), q + pose_offset(t), difference_.data());
       for (int d = 0; d < width_; ++d) {
-        cost += weights_.anchor * away_[d] * away_[d] / 2;
-        if (slope) (*slope)[row(t) + d] += weights_.anchor * away_[d];
+        cost += weights_.anchor * difference_[d] * difference_[d] / 2;
+        if (gradient) (*gradient)[row(t) + d] += weights_.anchor * difference_[d];
       }
     }
-    std::fill(frame_costs.begin() + before, frame_costs.begin() + std::min(end + 1, frames_), 0.0);
-    for (int t = std::max(first - 2, 0); t <= last; ++t) {
-      double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
-      difference(chain_, q + at(t), q + at(t + 1), speed);
+    std::fill(frame_costs.begin() + first_affected,
+              frame_costs.begin() + std::min(end + 1, frames_), 0.0);
+    for (int t = std::max(first - 2, 0); t <= last_affected; ++t) {
+      double *velocity = velocities_.data() + row(t), *force = forces_.data() + row(t);
+      difference(chain_, q + pose_offset(t), q + pose_offset(t + 1), velocity);
       std::fill(force, force + width_, 0.0);
       if (t < first - 1) continue;
       const double* drift = drift_of(t);
       const double* drift_before = t > 0 ? drift_of(t - 1) : nullptr;
       const double speed_weight = t < end ? weights_.speed : 0;
       for (int d = 0; d < width_; ++d) {
-        const double u = speed[d] - drift[d];
-        cost += speed_weight * u * u / 2;
-        force[d] += speed_weight * u;
+        const double excess = velocity[d] - drift[d];
+        cost += speed_weight * excess * excess / 2;
+        force[d] += speed_weight * excess;
         if (t == 0) continue;
-        const double a = u - (speed[d - width_] - drift_before[d]);
-        frame_costs[t] += weights_.acceleration * a * a / 2;
-        force[d] += weights_.acceleration * a;
-        force[d - width_] -= weights_.acceleration * a;
+        const double acceleration = excess - (velocity[d - width_] - drift_before[d]);
+        frame_costs[t] += weights_.acceleration * acceleration * acceleration / 2;
+        force[d] += weights_.acceleration * acceleration;
+        force[d - width_] -= weights_.acceleration * acceleration;
       }
     }
-    for (int t = before; t <= last; ++t) cost += frame_costs[t];
-    if (slope)
-      for (int t = before; t < std::min(end, frames_ - 1); ++t) spread(t, *slope);
+    for (int t = first_affected; t <= last_affected; ++t) cost += frame_costs[t];
+    if (gradient)
+      for (int t = first_affected; t < std::min(end, frames_ - 1); ++t) add_gradient(t, *gradient);
     return cost;
   }
 
  private:
-  std::size_t at(int t) const { return static_cast<std::size_t>(t) * chain_.coordinates; }
+  std::size_t pose_offset(int t) const { return static_cast<std::size_t>(t) * chain_.coordinates; }
   std::size_t row(int t) const { return static_cast<std::size_t>(t) * width_; }
   const double* drift_of(int t) const { return drifts_ ? drifts_ + row(t) : zero_.data(); }
 
-  // The gradient by a motion between two frames contributes to both poses.
-  void spread(int t, std::vector<double>& slope) const {
-    const double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
-    double *now = slope.data() + row(t), *next = slope.data() + row(t + 1);
+  // Adds the gradient by a motion between two frames to the gradients of both poses.
+  void add_gradient(int t, std::vector<double>& gradient) const {
+    const double *velocity = velocities_.data() + row(t), *force = forces_.data() + row(t);
+    double *start_gradient = gradient.data() + row(t), *end_gradient = gradient.data() + row(t + 1);
     for (const Node& node : chain_.nodes) {
-      if (node.follows) continue;
+      if (node.is_driven) continue;
       const int d = node.dof;
-      double back[3] = {-force[d]}, on[3] = {force[d]};
+      double start_force[3] = {-force[d]}, end_force[3] = {force[d]};
       if (node.kind == Kind::BALL) {
-        pull_back(speed + d, force + d, 1, on);
-        pull_back(speed + d, force + d, -1, back);
-        for (double& x : back) x = -x;
+        pull_back(velocity + d, force + d, 1, end_force);
+        pull_back(velocity + d, force + d, -1, start_force);
+        for (double& x : start_force) x = -x;
       }
-      for (int k = 0; k < node.width(); ++k) now[d + k] += back[k], next[d + k] += on[k];
+      for (int k = 0; k < node.width(); ++k)
+        start_gradient[d + k] += start_force[k], end_gradient[d + k] += end_force[k];
     }
   }
 
@@ -223,7 +232,7 @@ class PathCost {
   const int frames_, width_;
   const PathWeights weights_;
   const double* drifts_;
-  std::vector<double> speeds_, forces_, away_, zero_;
+  std::vector<double> velocities_, forces_, difference_, zero_;
 };
 
 }  // namespace animtool::ik

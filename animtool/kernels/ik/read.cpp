@@ -13,36 +13,40 @@ namespace {
 // Matrices over the rows are indexed with int.
 constexpr std::size_t MAX_GOALS = 46340 / MAX_GOAL_ROWS;
 // Numbers of a goal: both parts of its offset, its aim axis, and its weights.
-constexpr std::size_t GOAL_NUMBERS = 9 + PARTS;
+constexpr std::size_t GOAL_NUMBERS = 9 + COMPONENTS;
 
-// Frames and gains are finite; limits, which may be infinite, are in order.
-void check_numbers(const Node& node, const double* values) {
+// Checks that frames and gains are finite; limits, which may be infinite, must be in order.
+void check_node_numbers(const Node& node, const double* values) {
   check::finite("numbers", values, 14);
-  const double* l = values + 14;
-  const bool ball = node.kind == Kind::BALL;
-  const bool good = ball ? l[0] >= 0 && l[1] >= 0 && l[2] <= l[3] : l[0] <= l[1];
-  if (!good) check::refuse("numbers", "limits are not in order");
+  const double* limit = values + 14;
+  const bool is_ball = node.kind == Kind::BALL;
+  const bool is_ordered =
+      is_ball ? limit[0] >= 0 && limit[1] >= 0 && limit[2] <= limit[3] : limit[0] <= limit[1];
+  if (!is_ordered) check::refuse("numbers", "limits are not in order");
 }
 
-// Rows behind those of the nodes hold programs: 3, its number, operation, and 1 more than
-// the coordinate, program or count that this needs, these too counted from 1.
+// Rows after those of the nodes contain the instructions of programs: 3, index of the program,
+// operation, and 1 plus the index of the coordinate or program, or plus the count, that the
+// operation needs.
 constexpr std::int64_t INSTRUCTION = 3;
-// Value of a node's `follows` column if its coordinate is a program.
+// Value of a node's `follows` column if its value is that of a program.
 constexpr std::int64_t FOLLOWS_PROGRAM = 2;
-// Degrees of freedom that are gathered before doubles are taken out.
-constexpr std::size_t MAX_ROWS_READ = 4 * MAX_SLOPES;
+// Number of collected degrees of freedom above which duplicates are removed.
+constexpr std::size_t MAX_COLLECTED_DOFS = 4 * MAX_SLOPES;
 
-// Degrees of freedom that a program depends on: of its coordinates, and of other programs.
-void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& program) {
-  for (const Instruction& one : program.instructions) {
-    if (one.op == Op::COORDINATE) program.dofs.push_back(dof_of[one.which]);
-    if (one.op == Op::BALL)
-      for (int k = 0; k < 3; ++k) program.dofs.push_back(dof_of[one.which] + k);
-    if (one.op == Op::RESULT) {
-      const std::vector<int>& others = chain.programs[one.which].dofs;
-      program.dofs.insert(program.dofs.end(), others.begin(), others.end());
+// Collects the degrees of freedom that a program depends on, by its coordinates and by other
+// programs.
+void add_dofs(const Chain& chain, const std::vector<int>& dof_by_coordinate, Program& program) {
+  for (const Instruction& instruction : program.instructions) {
+    if (instruction.op == Op::COORDINATE)
+      program.dofs.push_back(dof_by_coordinate[instruction.index]);
+    if (instruction.op == Op::BALL)
+      for (int k = 0; k < 3; ++k) program.dofs.push_back(dof_by_coordinate[instruction.index] + k);
+    if (instruction.op == Op::RESULT) {
+      const std::vector<int>& other_dofs = chain.programs[instruction.index].dofs;
+      program.dofs.insert(program.dofs.end(), other_dofs.begin(), other_dofs.end());
     }
-    if (program.dofs.size() > MAX_ROWS_READ) {
+    if (program.dofs.size() > MAX_COLLECTED_DOFS) {
       std::sort(program.dofs.begin(), program.dofs.end());
       program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()), program.dofs.end());
       if (program.dofs.size() > MAX_SLOPES) check::refuse("nodes", "a program reads too much");
@@ -50,68 +54,75 @@ void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& progr
   }
   std::sort(program.dofs.begin(), program.dofs.end());
   program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()), program.dofs.end());
-  for (Instruction& one : program.instructions)
-    if (one.op == Op::COORDINATE || one.op == Op::BALL) {
-      const auto position =
-          std::lower_bound(program.dofs.begin(), program.dofs.end(), dof_of[one.which]);
-      one.slot = static_cast<int>(position - program.dofs.begin());
+  for (Instruction& instruction : program.instructions)
+    if (instruction.op == Op::COORDINATE || instruction.op == Op::BALL) {
+      const auto entry = std::lower_bound(program.dofs.begin(), program.dofs.end(),
+                                          dof_by_coordinate[instruction.index]);
+      instruction.first_slot = static_cast<int>(entry - program.dofs.begin());
     }
 }
 
-// Simulates the stack: one value remains, and no instruction lacks operands.
+// Simulates the stack of a program: one value must remain, and no instruction may lack operands.
 void check_stack(Program& program) {
-  std::size_t stacked = 0;
-  int points = 0;
-  for (const Instruction& one : program.instructions) {
-    if (one.op == Op::POINT) {
-      ++points;
+  std::size_t stack_size = 0;
+  int point_count = 0;
+  for (const Instruction& instruction : program.instructions) {
+    if (instruction.op == Op::POINT) {
+      ++point_count;
       continue;
     }
-    if (points != (one.op == Op::CURVE ? one.which : 0) || (one.op == Op::CURVE && !points))
+    if (point_count != (instruction.op == Op::CURVE ? instruction.index : 0) ||
+        (instruction.op == Op::CURVE && !point_count))
       check::refuse("nodes", "a curve of a program has other points");
-    points = 0;
-    const std::size_t operand_count = arguments(one.op);
-    if (stacked < operand_count) check::refuse("nodes", "a program takes what is not there");
-    stacked += 1 - operand_count;
-    program.depth = std::max(program.depth, stacked);
+    point_count = 0;
+    const std::size_t operand_count = count_operands(instruction.op);
+    if (stack_size < operand_count) check::refuse("nodes", "a program takes what is not there");
+    stack_size += 1 - operand_count;
+    program.depth = std::max(program.depth, stack_size);
   }
-  if (stacked != 1 || points || program.depth > MAX_STACKED)
+  if (stack_size != 1 || point_count || program.depth > MAX_STACK_DEPTH)
     check::refuse("nodes", "a program does not come to one value");
 }
 
-// `balls`: for each coordinate, whether it is the first of a ball.
+// Reads the programs from the rows from `first`. `is_ball` tells for each coordinate whether it is
+// the first of a ball.
 void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
-                   std::size_t first, const std::vector<int>& dof_of,
-                   const std::vector<bool>& balls, Chain& chain) {
+                   std::size_t first_row, const std::vector<int>& dof_by_coordinate,
+                   const std::vector<bool>& is_ball, Chain& chain) {
   const std::int64_t coordinates = chain.coordinates;
-  std::size_t slopes = 0;
-  for (std::size_t n = first; n < nodes.shape(0);) {
+  std::size_t slope_count = 0;
+  for (std::size_t n = first_row; n < nodes.shape(0);) {
     Program program;
-    const auto number = static_cast<std::int64_t>(chain.programs.size());
-    for (; n < nodes.shape(0) && nodes.data()[4 * n + 1] == number; ++n) {
+    const auto program_index = static_cast<std::int64_t>(chain.programs.size());
+    for (; n < nodes.shape(0) && nodes.data()[4 * n + 1] == program_index; ++n) {
       const std::int64_t* row = nodes.data() + 4 * n;
       check::between("nodes", row[0], INSTRUCTION, INSTRUCTION);
       check::between("nodes", row[2], 0, static_cast<std::int64_t>(Op::COUNT) - 1);
       check::finite("numbers", numbers.data() + 18 * n, MAX_NUMBERS);
       check::between("nodes", row[3], 1, static_cast<std::int64_t>(check::MAX_ROWS));
-      const std::int64_t which = row[3] - 1;
-      Instruction one{static_cast<Op>(row[2]), 0, {}, 0};
-      std::copy(numbers.data() + 18 * n, numbers.data() + 18 * n + MAX_NUMBERS, one.numbers);
-      if (one.op == Op::COORDINATE || one.op == Op::BALL) {
-        check::indices("nodes", &which, 1, 1, coordinates + 1);
-        if (balls[which - 1] != (one.op == Op::BALL) || dof_of[which - 1] < 0)
+      const std::int64_t index_plus_one = row[3] - 1;
+      Instruction instruction{static_cast<Op>(row[2]), 0, {}, 0};
+      std::copy(numbers.data() + 18 * n, numbers.data() + 18 * n + MAX_NUMBERS,
+                instruction.numbers);
+      if (instruction.op == Op::COORDINATE || instruction.op == Op::BALL) {
+        check::indices("nodes", &index_plus_one, 1, 1, coordinates + 1);
+        if (is_ball[index_plus_one - 1] != (instruction.op == Op::BALL) ||
+            dof_by_coordinate[index_plus_one - 1] < 0)
           check::refuse("nodes", "a program reads no such coordinate");
       }
-      if (one.op == Op::RESULT) check::indices("nodes", &which, 1, 1, number + 1);
-      if (one.op == Op::CURVE) check::indices("nodes", &which, 1, 1, check::MAX_ROWS);
-      one.which = static_cast<int>(one.op == Op::CURVE ? which : which - 1);
-      program.instructions.push_back(one);
+      if (instruction.op == Op::RESULT)
+        check::indices("nodes", &index_plus_one, 1, 1, program_index + 1);
+      if (instruction.op == Op::CURVE)
+        check::indices("nodes", &index_plus_one, 1, 1, check::MAX_ROWS);
+      instruction.index =
+          static_cast<int>(instruction.op == Op::CURVE ? index_plus_one : index_plus_one - 1);
+      program.instructions.push_back(instruction);
     }
     if (program.instructions.empty()) check::refuse("nodes", "programs are out of order");
     check_stack(program);
-    add_dofs(chain, dof_of, program);
-    program.first = slopes;
-    slopes += program.dofs.size();
+    add_dofs(chain, dof_by_coordinate, program);
+    program.first_slope = slope_count;
+    slope_count += program.dofs.size();
     chain.programs.push_back(std::move(program));
   }
 }
@@ -124,11 +135,11 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
   check::at_most("nodes", nodes.shape(0), check::MAX_ROWS);
   Chain chain;
   int coordinates = 0, dofs = 0;
-  std::vector<int> dof_of;
-  std::vector<bool> balls;
-  std::size_t joints = 0;
-  while (joints < nodes.shape(0) && nodes.data()[4 * joints] != INSTRUCTION) ++joints;
-  for (std::size_t n = 0; n < joints; ++n) {
+  std::vector<int> dof_by_coordinate;
+  std::vector<bool> is_ball;
+  std::size_t node_count = 0;
+  while (node_count < nodes.shape(0) && nodes.data()[4 * node_count] != INSTRUCTION) ++node_count;
+  for (std::size_t n = 0; n < node_count; ++n) {
     const std::int64_t* row = nodes.data() + 4 * n;
     const double* values = numbers.data() + 18 * n;
     Node node{};
@@ -136,9 +147,9 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     check::between("nodes", row[0], 0, static_cast<std::int64_t>(Kind::BALL));
     check::between("nodes", row[1], -1, static_cast<std::int64_t>(n) - 1);
     node.kind = static_cast<Kind>(row[0]);
-    check_numbers(node, values);
+    check_node_numbers(node, values);
     node.parent = static_cast<int>(row[1]);
-    node.follows = row[3] != 0;
+    node.is_driven = row[3] != 0;
     std::copy(values, values + 9, node.rest);
     std::copy(values + 9, values + 12, node.offset);
     node.gain = values[12], node.shift = values[13];
@@ -152,27 +163,27 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
       continue;
     }
     node.coordinate = static_cast<int>(row[2]);
-    if (node.follows) {
+    if (node.is_driven) {
       check::indices("nodes", row + 2, 1, 0, coordinates);
-      if (node.kind == Kind::BALL || balls[row[2]] || dof_of[row[2]] < 0)
+      if (node.kind == Kind::BALL || is_ball[row[2]] || dof_by_coordinate[row[2]] < 0)
         check::refuse("nodes", "coordinate " + check::text(row[2]) + " is none to follow");
-      node.dof = dof_of[row[2]];
+      node.dof = dof_by_coordinate[row[2]];
     } else {
       check::between("nodes", row[2], coordinates, coordinates);
-      const int size = node.kind == Kind::BALL ? 4 : 1;
+      const int coordinate_count = node.kind == Kind::BALL ? 4 : 1;
       node.dof = dofs;
-      dof_of.insert(dof_of.end(), size, -1);
-      balls.insert(balls.end(), size, false);
-      dof_of[coordinates] = dofs;
-      balls[coordinates] = node.kind == Kind::BALL;
-      coordinates += size;
+      dof_by_coordinate.insert(dof_by_coordinate.end(), coordinate_count, -1);
+      is_ball.insert(is_ball.end(), coordinate_count, false);
+      dof_by_coordinate[coordinates] = dofs;
+      is_ball[coordinates] = node.kind == Kind::BALL;
+      coordinates += coordinate_count;
       dofs += node.width();
     }
     chain.nodes.push_back(node);
   }
   chain.coordinates = coordinates;
   chain.dofs = dofs;
-  read_programs(nodes, numbers, joints, dof_of, balls, chain);
+  read_programs(nodes, numbers, node_count, dof_by_coordinate, is_ball, chain);
   for (const Node& node : chain.nodes)
     if (node.program >= static_cast<int>(chain.programs.size()))
       check::refuse("nodes", "a joint follows no program");
@@ -197,7 +208,8 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     check::indices("goals", row, 1, 0, count);
     check::indices("goals", row + 1, 2, -1, count);
     check::indices("goals", row + 3, 1, 0, static_cast<std::int64_t>(goals.shape(0)));
-    for (int part = 0; part < PARTS; ++part) check::not_negative("goal_numbers", values[9 + part]);
+    for (int component = 0; component < COMPONENTS; ++component)
+      check::not_negative("goal_numbers", values[9 + component]);
     Goal goal;
     goal.node = static_cast<int>(row[0]);
     goal.root = static_cast<int>(row[1]);
@@ -209,14 +221,14 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     std::copy(values + 9, values + GOAL_NUMBERS, goal.weights);
     goal.level = static_cast<int>(row[3]);
     task.levels = std::max(task.levels, goal.level + 1);
-    each_kind([&]<class Kind>(int part) {
-      if (Kind::LIMB && goal.weights[part] > 0 && (row[1] < 0 || row[2] < 0))
+    for_each_kind([&]<class Kind>(int component) {
+      if (Kind::LIMB && goal.weights[component] > 0 && (row[1] < 0 || row[2] < 0))
         check::refuse("goals", "goal " + check::text(e) + " has a " + Kind::NAME + " and no limb");
     });
     goal.row = task.rows;
     for (int n = goal.node; n >= 0; n = task.chain.nodes[n].parent) goal.path.push_back(n);
     std::reverse(goal.path.begin(), goal.path.end());
-    task.rows += rows_of(goal);
+    task.rows += count_rows(goal);
     task.goals.push_back(goal);
   }
   return task;
@@ -231,9 +243,10 @@ void check_targets(const char* name, const Task& task, std::size_t batch,
                    const In<double, 3>& targets) {
   check::shape(name, targets, {batch, task.goals.size(), TARGET_WIDTH});
   for (std::size_t row = 0; row < batch * task.goals.size(); ++row)
-    for (int part = 0; part < PARTS; ++part) {
-      const double by = targets.data()[TARGET_WIDTH * row + WEIGHTS + part];
-      if (!(by >= 0)) check::refuse(name, "the share " + check::text(by) + " is not 0 or more");
+    for (int component = 0; component < COMPONENTS; ++component) {
+      const double factor = targets.data()[TARGET_WIDTH * row + WEIGHTS + component];
+      if (!(factor >= 0))
+        check::refuse(name, "the share " + check::text(factor) + " is not 0 or more");
     }
 }
 

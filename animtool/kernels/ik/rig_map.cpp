@@ -32,13 +32,13 @@ RigMap::RigMap(const RigMapArrays& arrays, const Chain& chain, std::size_t width
     check::between("balls", first, 0, static_cast<std::int64_t>(count) - 4);
     Ball ball{static_cast<std::size_t>(first), {}, {}};
     std::copy(arrays.ball_frames.data() + 4 * i, arrays.ball_frames.data() + 4 * i + 4, ball.frame);
-    for (int k = 0; k < 4; ++k) ball.back[k] = k < 3 ? -ball.frame[k] : ball.frame[k];
+    for (int k = 0; k < 4; ++k) ball.inverse_frame[k] = k < 3 ? -ball.frame[k] : ball.frame[k];
     balls_.push_back(ball);
   }
   for (std::size_t i = 0; i < mimics; ++i) {
-    const std::int64_t* pair = arrays.mimics.data() + 2 * i;
+    const std::int64_t* columns = arrays.mimics.data() + 2 * i;
     const double* numbers = arrays.mimic_numbers.data() + 2 * i;
-    mimics_.push_back({static_cast<std::size_t>(pair[0]), static_cast<std::size_t>(pair[1]),
+    mimics_.push_back({static_cast<std::size_t>(columns[0]), static_cast<std::size_t>(columns[1]),
                        numbers[0], numbers[1]});
   }
 }
@@ -48,10 +48,10 @@ void RigMap::to_chain(const double* rig, double* q) const {
     q[c] = rig[coordinates_[c].column] / coordinates_[c].scale;
   for (const Ball& ball : balls_) {
     double* values = q + ball.first;
-    double turned[3];
+    double rotated[3];
     make_unit(values);
-    rotate_vector(ball.frame, values, turned);
-    std::copy(turned, turned + 3, values);
+    rotate_vector(ball.frame, values, rotated);
+    std::copy(rotated, rotated + 3, values);
   }
 }
 
@@ -67,10 +67,10 @@ void RigMap::to_rig(const double* q, double* rig) const {
   }
   for (const Ball& ball : balls_) {
     const double* values = q + ball.first;
-    double turned[3];
-    rotate_vector(ball.back, values, turned);
+    double rotated[3];
+    rotate_vector(ball.inverse_frame, values, rotated);
     for (int i = 0; i < 3; ++i)
-      rig[coordinates_[ball.first + i].column] = turned[i] * coordinates_[ball.first + i].scale;
+      rig[coordinates_[ball.first + i].column] = rotated[i] * coordinates_[ball.first + i].scale;
   }
   for (const Mimic& mimic : mimics_)
     rig[mimic.column] = mimic.gain * rig[mimic.leader] + mimic.offset;

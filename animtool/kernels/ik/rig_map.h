@@ -1,4 +1,4 @@
-// Maps coordinates of a rig to those of a chain, and back.
+// Converts the coordinates of a rig to those of a chain, and back.
 #pragma once
 
 #include <cstdint>
@@ -9,10 +9,10 @@
 
 namespace animtool::ik {
 
-// As Python has it: of each coordinate of the chain its column in the rig, what it is divided
-// by, and least and largest of one that turns all the way round, else infinite; of each ball
-// its first coordinate and ball_from_joint; of each joint that mimics another its column, that
-// of its leader, gain and offset, as often as a row of followers is long.
+// As in Python: for each coordinate of the chain, its column in the rig, its scale, and its period,
+// infinite for coordinates that are not periodic; for each ball, its first coordinate and
+// ball_from_joint; for each mimic joint, its column and that of its leader, and its gain and
+// offset.
 struct RigMapArrays {
   In<std::int64_t, 1> columns;
   In<double, 1> scales;
@@ -25,12 +25,12 @@ struct RigMapArrays {
 
 class RigMap {
  public:
-  // `width`: coordinates of the rig.
+  // `width` is the number of coordinates of the rig.
   RigMap(const RigMapArrays& arrays, const Chain& chain, std::size_t width);
 
   void to_chain(const double* rig, double* q) const;
 
-  // Writes into a row of the rig's coordinates; coordinates that are not in the chain stay.
+  // Converts to a row of the rig's coordinates; coordinates that are not in the chain stay.
   void to_rig(const double* q, double* rig) const;
 
  private:
@@ -40,7 +40,7 @@ class RigMap {
   };
   struct Ball {
     std::size_t first;
-    double frame[4], back[4];
+    double frame[4], inverse_frame[4];
   };
   struct Mimic {
     std::size_t column, leader;

@@ -20,26 +20,27 @@ using namespace ik;
 
 namespace {
 
-// Larger direction targets overflow when squared.
-constexpr double FARTHEST = 1e100;
+// Largest direction target; larger ones overflow when squared.
+constexpr double MAX_DIRECTION = 1e100;
 
-// Closed forms, as Python numbers them.
-enum class Closed { NONE = 0, LIMB = 1, ARM = 2 };
+// Kinds of closed forms, numbered as in Python.
+enum class ClosedKind { NONE = 0, LIMB = 1, ARM = 2 };
 
 template <typename T, std::size_t N>
-std::vector<T> copied(const In<T, N>& values) {
+// Copies an array.
+std::vector<T> to_vector(const In<T, N>& values) {
   return {values.data(), values.data() + values.size()};
 }
 
-// Arrays of the rig's joints that outlive a call.
-struct JointMemory {
-  explicit JointMemory(const RigSolverArrays& inputs)
-      : parents(copied(inputs.parents)),
-        types(copied(inputs.types)),
-        columns(copied(inputs.joint_columns)),
-        axes(copied(inputs.axes)),
-        translations(copied(inputs.rest_translations)),
-        rotations(copied(inputs.rest_rotations)) {
+// Copies of the rig's joint arrays, which outlive a call.
+struct JointCopies {
+  explicit JointCopies(const RigSolverArrays& inputs)
+      : parents(to_vector(inputs.parents)),
+        types(to_vector(inputs.types)),
+        columns(to_vector(inputs.joint_columns)),
+        axes(to_vector(inputs.axes)),
+        translations(to_vector(inputs.rest_translations)),
+        rotations(to_vector(inputs.rest_rotations)) {
     const JointArrays joints{inputs.types, inputs.joint_columns, inputs.axes,
                              inputs.rest_translations, inputs.rest_rotations};
     width = joints.check();
@@ -60,12 +61,12 @@ struct JointMemory {
   std::size_t width;
 };
 
-RigMapArrays map_of(const RigSolverArrays& inputs) {
+RigMapArrays map_arrays(const RigSolverArrays& inputs) {
   return {inputs.columns,     inputs.scales, inputs.periods,      inputs.balls,
           inputs.ball_frames, inputs.mimics, inputs.mimic_numbers};
 }
 
-Settings settings_of(const RigSolverArrays& inputs) {
+Settings solver_settings(const RigSolverArrays& inputs) {
   return {inputs.length_tolerance, inputs.angle_tolerance,
           inputs.damping,          inputs.iterations,
           inputs.restarts,         inputs.seed,
@@ -74,20 +75,20 @@ Settings settings_of(const RigSolverArrays& inputs) {
 
 }  // namespace
 
-struct RigSolver::Parts {
-  explicit Parts(const RigSolverArrays& inputs)
+struct RigSolver::Problem {
+  explicit Problem(const RigSolverArrays& inputs)
       : task(read_task(inputs.nodes, inputs.numbers, inputs.goals, inputs.goal_numbers,
                        inputs.rest_weight)),
-        plain(task.chain),
-        settings(checked_settings(settings_of(inputs))),
+        unstretched(task.chain),
+        settings(checked_settings(solver_settings(inputs))),
         solver(make_solver(inputs.method, task, settings)),
         joints(inputs),
-        map(map_of(inputs), plain, joints.width),
+        map(map_arrays(inputs), unstretched, joints.width),
         limbs(read_limbs(inputs.limbs, inputs.limb_numbers, task.goals.size())),
-        goal_frames(copied(inputs.goal_frames)),
+        goal_frames(to_vector(inputs.goal_frames)),
         length(inputs.length),
-        ordered(inputs.ordered || inputs.warm),
-        warm(inputs.warm) {
+        is_ordered(inputs.ordered || inputs.warm),
+        is_warm(inputs.warm) {
     const std::size_t goals = task.goals.size();
     check::shape("goal_frames", inputs.goal_frames, {goals, 4});
     check::positive("length", length);
@@ -98,20 +99,22 @@ struct RigSolver::Parts {
       check::indices("limb_joints", row + 1, 1, 0, static_cast<std::int64_t>(goals));
       limb_joints.emplace_back(row[0], row[1]);
     }
-    make_closed(inputs.closed);
+    build_closed_form(inputs.closed);
   }
 
-  void make_closed(int kind) {
-    check::between("closed", kind, 0, static_cast<int>(Closed::ARM));
-    if (kind == static_cast<int>(Closed::LIMB)) {
-      const bool fits = plain.nodes.size() == 2 && task.goals.size() == 1 &&
-                        plain.nodes[0].kind == Kind::BALL && plain.nodes[0].parent < 0 &&
-                        plain.nodes[1].parent == 0 && plain.nodes[1].kind != Kind::SLIDE &&
-                        plain.nodes[1].coordinate == 4 && plain.programs.empty();
-      if (!fits) check::refuse("closed", "the chain is no limb of two bones");
+  // Builds the closed form of a kind; checks that it fits the chain.
+  void build_closed_form(int kind) {
+    check::between("closed", kind, 0, static_cast<int>(ClosedKind::ARM));
+    if (kind == static_cast<int>(ClosedKind::LIMB)) {
+      const bool is_limb = unstretched.nodes.size() == 2 && task.goals.size() == 1 &&
+                           unstretched.nodes[0].kind == Kind::BALL &&
+                           unstretched.nodes[0].parent < 0 && unstretched.nodes[1].parent == 0 &&
+                           unstretched.nodes[1].kind != Kind::SLIDE &&
+                           unstretched.nodes[1].coordinate == 4 && unstretched.programs.empty();
+      if (!is_limb) check::refuse("closed", "the chain is no limb of two bones");
       closed = make_limb(task);
     }
-    if (kind == static_cast<int>(Closed::ARM)) {
+    if (kind == static_cast<int>(ClosedKind::ARM)) {
       std::unique_ptr<Arm> six_pin_arm =
           make_arm(task, settings.length_tolerance, settings.angle_tolerance);
       if (!six_pin_arm) check::refuse("closed", "the chain is no arm of six pins");
@@ -120,39 +123,43 @@ struct RigSolver::Parts {
     }
   }
 
-  void pack_targets(const double* inputs, double* targets) const {
-    std::copy(inputs, inputs + task.goals.size() * TARGET_WIDTH, targets);
+  // Converts targets of the rig to those of the chain.
+  void pack_targets(const double* rig_targets, double* targets) const {
+    std::copy(rig_targets, rig_targets + task.goals.size() * TARGET_WIDTH, targets);
     for (std::size_t e = 0; e < task.goals.size(); ++e) {
       const double* frame = goal_frames.data() + 4 * e;
-      each_kind([&]<class Kind>(int part) {
-        Kind::to_chain(targets + TARGET_WIDTH * e + COLUMNS[part], frame, length);
+      for_each_kind([&]<class Kind>(int component) {
+        Kind::convert_target(targets + TARGET_WIDTH * e + COLUMNS[component], frame, length);
       });
     }
   }
 
-  // Checks that callers make first, so that errors are reported in one place.
-  void check_world(const char* name, std::size_t batch, const In<double, 3>& targets) const {
+  // Checks targets in the world. Callers check them first, so that errors are reported in one
+  // place.
+  void check_world_targets(const char* name, std::size_t batch,
+                           const In<double, 3>& targets) const {
     check_targets(name, task, batch, targets);
     check::finite(name, targets);
     for (std::size_t row = 0; row < batch * task.goals.size(); ++row)
-      each_kind([&]<class Kind>(int part) {
-        const double* values = targets.data() + TARGET_WIDTH * row + COLUMNS[part];
+      for_each_kind([&]<class Kind>(int component) {
+        const double* values = targets.data() + TARGET_WIDTH * row + COLUMNS[component];
         if (std::is_same_v<Kind, Position>) return;
-        double most = 0;
-        for (int i = 0; i < Kind::WIDTH; ++i) most = std::max(most, std::fabs(values[i]));
-        if (!(most <= FARTHEST)) check::refuse(name, "a direction is beyond squares");
-        if (Kind::WIDTH == 4 && !(most > 0)) check::refuse(name, "a rotation has no length");
+        double largest = 0;
+        for (int i = 0; i < Kind::WIDTH; ++i) largest = std::max(largest, std::fabs(values[i]));
+        if (!(largest <= MAX_DIRECTION)) check::refuse(name, "a direction is beyond squares");
+        if (Kind::WIDTH == 4 && !(largest > 0)) check::refuse(name, "a rotation has no length");
       });
   }
 
-  bool reaches(const double* errors) const {
-    for (int part = 0; part < PARTS; ++part)
-      if (!(errors[part] <= settings.tolerance(part))) return false;
+  // Whether the errors of a goal are within the tolerances.
+  bool is_reached(const double* errors) const {
+    for (int component = 0; component < COMPONENTS; ++component)
+      if (!(errors[component] <= settings.tolerance(component))) return false;
     return true;
   }
 
-  // Positions of the joints, with stretched bones.
-  void pose(const double* rig, const double* scales, double* positions, double* linear) {
+  // Computes the positions and linear frames of the rig's joints, with stretched bones.
+  void compute_pose(const double* rig, const double* scales, double* positions, double* linear) {
     const std::size_t count = joints.types.size();
     translations.resize(3 * count), rotations.resize(4 * count);
     local_frame(joints.arrays(), rig, translations.data(), rotations.data());
@@ -164,131 +171,137 @@ struct RigSolver::Parts {
   }
 
   Task task;
-  const Chain plain;
+  const Chain unstretched;
   const Settings settings;
   std::unique_ptr<Solver> solver;
-  JointMemory joints;
+  JointCopies joints;
   RigMap map;
   std::vector<Limb> limbs;
   std::vector<std::pair<std::size_t, std::size_t>> limb_joints;
   std::vector<double> goal_frames;
   const double length;
-  const bool ordered, warm;
+  const bool is_ordered, is_warm;
   std::unique_ptr<ClosedForm> closed;
   Arm* arm = nullptr;
   std::vector<double> translations, rotations;
 };
 
-RigSolver::RigSolver(const RigSolverArrays& inputs) : parts_(std::make_unique<Parts>(inputs)) {}
+RigSolver::RigSolver(const RigSolverArrays& inputs) : problem_(std::make_unique<Problem>(inputs)) {}
 
 RigSolver::~RigSolver() = default;
 
-RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
-                           std::optional<In<double, 2>> preferred, bool placed) {
-  const std::lock_guard<std::mutex> lock(busy_);
-  Parts& parts = *parts_;
-  const std::size_t batch = starts.shape(0), width = parts.joints.width;
-  const std::size_t goals = parts.task.goals.size(), chain = parts.plain.coordinates;
-  const std::size_t joints = parts.joints.types.size();
+RigSolveResult RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
+                                std::optional<In<double, 2>> preferred, bool placed) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  Problem& problem = *problem_;
+  const std::size_t batch = starts.shape(0), width = problem.joints.width;
+  const std::size_t goals = problem.task.goals.size(),
+                    chain_width = problem.unstretched.coordinates;
+  const std::size_t joints = problem.joints.types.size();
   check::shape("starts", starts, {batch, width});
   check::finite("starts", starts);
   if (preferred) {
     check::shape("preferred", *preferred, {batch, width});
     check::finite("preferred", *preferred);
   }
-  parts.check_world("targets", batch, targets);
+  problem.check_world_targets("targets", batch, targets);
   Out<double, 2> coordinates(batch, width), scales(batch, goals);
-  Out<double, 3> errors(batch, goals, PARTS);
+  Out<double, 3> errors(batch, goals, COMPONENTS);
   Out<std::int64_t, 2> reports(batch, 3);
   Out<double, 1> seconds(batch);
   Out<bool, 2> reached(batch, goals);
   Out<double, 3> positions(placed ? batch : 0, joints, 3);
   Out<double, 4> linear(placed ? batch : 0, joints, 3, 3);
-  std::vector<double> start(chain), rest(chain), solved(chain), last(chain), searched(chain);
+  std::vector<double> start(chain_width), rest(chain_width), solution(chain_width),
+      previous(chain_width), previous_search(chain_width);
   std::vector<double> target(goals * TARGET_WIDTH), reachable(goals * TARGET_WIDTH);
   const std::unique_ptr<bool[]> softened(new bool[std::max<std::size_t>(goals, 1)]);
-  bool has_last = false;      // there was a frame with goals, whose pose is in `last`
-  bool has_searched = false;  // and a frame with a search, whose pose is in `searched`
+  bool has_previous = false;  // an earlier frame had goals; its pose is in `previous`
+  bool has_search = false;    // an earlier frame needed a search; its pose is in `previous_search`
   for (std::size_t b = 0; b < batch; ++b) {
-    double* error = errors.get() + b * goals * PARTS;
+    double* error = errors.get() + b * goals * COMPONENTS;
     double* scale = scales.get() + b * goals;
     std::int64_t* report = reports.get() + 3 * b;
     double* rig = coordinates.get() + b * width;
     std::copy(starts.data() + b * width, starts.data() + (b + 1) * width, rig);
-    parts.map.to_chain(rig, start.data());
+    problem.map.to_chain(rig, start.data());
     if (preferred)
-      parts.map.to_chain(preferred->data() + b * width, rest.data());
+      problem.map.to_chain(preferred->data() + b * width, rest.data());
     else
       rest = start;
-    parts.pack_targets(targets.data() + b * goals * TARGET_WIDTH, target.data());
-    extend(parts.limbs, goals, target.data(), reachable.data(), scale, softened.get());
-    const bool continues = parts.warm && parts.closed && parts.closed->follows() && has_last;
-    const double* from = continues ? last.data() : start.data();
+    problem.pack_targets(targets.data() + b * goals * TARGET_WIDTH, target.data());
+    extend_limbs(problem.limbs, goals, target.data(), reachable.data(), scale, softened.get());
+    const bool is_continued =
+        problem.is_warm && problem.closed && problem.closed->depends_on_start() && has_previous;
+    const double* from = is_continued ? previous.data() : start.data();
     std::fill(report, report + 3, 0);
     seconds.get()[b] = 0;
-    const bool closed = parts.closed && parts.closed->solve(from, target.data(), reachable.data(),
-                                                            scale[0], solved.data(), error);
-    if (!closed) {
-      const bool next = parts.ordered && has_searched;
-      if (parts.warm && has_searched && !continues) from = searched.data();
-      Ran ran = run_one(*parts.solver, parts.plain, parts.task, from, target.data(),
-                        reachable.data(), scale, rest.data(), next);
-      seconds.get()[b] = ran.seconds;
-      report[0] = static_cast<std::int64_t>(ran.outcome.status);
-      report[1] = ran.outcome.iterations;
-      report[2] = ran.outcome.descents;
-      const State& best = parts.solver->best();
-      std::copy_n(ran.outcome.status == Status::BROKEN ? from : best.q.data(), chain,
-                  solved.data());
+    const bool is_closed_form =
+        problem.closed && problem.closed->solve(from, target.data(), reachable.data(), scale[0],
+                                                solution.data(), error);
+    if (!is_closed_form) {
+      const bool is_next_frame = problem.is_ordered && has_search;
+      if (problem.is_warm && has_search && !is_continued) from = previous_search.data();
+      RunResult run = run_one(*problem.solver, problem.unstretched, problem.task, from,
+                              target.data(), reachable.data(), scale, rest.data(), is_next_frame);
+      seconds.get()[b] = run.seconds;
+      report[0] = static_cast<std::int64_t>(run.outcome.status);
+      report[1] = run.outcome.iterations;
+      report[2] = run.outcome.descents;
+      const State& best = problem.solver->best();
+      std::copy_n(run.outcome.status == Status::BROKEN ? from : best.q.data(), chain_width,
+                  solution.data());
       std::copy(best.errors.begin(), best.errors.end(), error);
-      searched = solved;
-      has_searched = true;
+      previous_search = solution;
+      has_search = true;
     }
     // A limb without goals in a frame keeps its last pose.
-    const bool idle = parts.closed && parts.warm && !rows_asked(parts.task, target.data());
-    if (!idle)
-      last = solved, has_last = true;
-    else if (has_last)
-      solved = last;
-    parts.map.to_rig(solved.data(), rig);
-    bool all = true, all_softened = true;
+    const bool is_idle =
+        problem.closed && problem.is_warm && !count_active_rows(problem.task, target.data());
+    if (!is_idle)
+      previous = solution, has_previous = true;
+    else if (has_previous)
+      solution = previous;
+    problem.map.to_rig(solution.data(), rig);
+    bool all_reached = true, all_softened = true;
     for (std::size_t e = 0; e < goals; ++e) {
-      const bool reaches = parts.reaches(error + PARTS * e);
-      reached.get()[b * goals + e] = reaches;
-      all = all && reaches;
-      all_softened = all_softened && (reaches || softened[e]);
-      for (int part = 0; part < PARTS; ++part)
-        if (METRIC[part]) error[PARTS * e + part] *= parts.length;
+      const bool is_goal_reached = problem.is_reached(error + COMPONENTS * e);
+      reached.get()[b * goals + e] = is_goal_reached;
+      all_reached = all_reached && is_goal_reached;
+      all_softened = all_softened && (is_goal_reached || softened[e]);
+      for (int component = 0; component < COMPONENTS; ++component)
+        if (METRIC[component]) error[COMPONENTS * e + component] *= problem.length;
     }
-    // A target that was moved into reach may have been out of reach before.
-    if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all)
+    // A target that was softened may have been too far away.
+    if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all_reached)
       report[0] = static_cast<std::int64_t>(all_softened ? Status::SOFTENED : Status::NEAREST);
     if (placed)
-      parts.pose(rig, scale, positions.get() + 3 * b * joints, linear.get() + 9 * b * joints);
+      problem.compute_pose(rig, scale, positions.get() + 3 * b * joints,
+                           linear.get() + 9 * b * joints);
   }
   return {std::move(coordinates), std::move(errors), std::move(reports),   std::move(seconds),
           std::move(reached),     std::move(scales), std::move(positions), std::move(linear)};
 }
 
 Out<double, 2> RigSolver::branches(In<double, 1> start, In<double, 2> targets) {
-  const std::lock_guard<std::mutex> lock(busy_);
-  Parts& parts = *parts_;
-  if (!parts.arm) check::refuse("closed", "the chain is no arm of six pins");
-  const std::size_t width = parts.joints.width, goals = parts.task.goals.size();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  Problem& problem = *problem_;
+  if (!problem.arm) check::refuse("closed", "the chain is no arm of six pins");
+  const std::size_t width = problem.joints.width, goals = problem.task.goals.size();
   check::shape("start", start, {width});
   check::shape("targets", targets, {goals, TARGET_WIDTH});
   check::finite("start", start);
-  parts.check_world("targets", 1, {targets.data(), {1, goals, TARGET_WIDTH}});
-  std::vector<double> from(parts.plain.coordinates), target(goals * TARGET_WIDTH);
+  problem.check_world_targets("targets", 1, {targets.data(), {1, goals, TARGET_WIDTH}});
+  std::vector<double> from(problem.unstretched.coordinates), target(goals * TARGET_WIDTH);
   double poses[MAX_BRANCHES * ARM_PINS];
-  parts.map.to_chain(start.data(), from.data());
-  parts.pack_targets(targets.data(), target.data());
-  const std::size_t count = parts.arm->branches(from.data(), target.data(), poses);
+  problem.map.to_chain(start.data(), from.data());
+  problem.pack_targets(targets.data(), target.data());
+  const std::size_t count = problem.arm->branches(from.data(), target.data(), poses);
   Out<double, 2> coordinates(count, width);
   for (std::size_t i = 0; i < count; ++i) {
     double* rig = coordinates.get() + i * width;
     std::copy(start.data(), start.data() + width, rig);
-    parts.map.to_rig(poses + ARM_PINS * i, rig);
+    problem.map.to_rig(poses + ARM_PINS * i, rig);
   }
   return coordinates;
 }

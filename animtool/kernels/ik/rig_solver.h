@@ -1,4 +1,4 @@
-// Problems of one rig: from its coordinates and targets in the world to its poses.
+// IK problems of one rig: from its coordinates and targets in the world to its poses.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@
 
 namespace animtool {
 
-// The arguments of the solver: arrays of a problem, and its settings.
+// Arguments of the solver: the arrays of a problem, and its settings.
 struct RigSolverArrays {
   // The chain and its goals, as for `solve_ik`.
   In<std::int64_t, 2> nodes;
@@ -20,7 +20,7 @@ struct RigSolverArrays {
   In<std::int64_t, 2> goals;
   In<double, 2> goal_numbers;
   double rest_weight;
-  // Scale of the targets.
+  // node_from_joint of each goal, and the length of the chain, which scales targets.
   In<double, 2> goal_frames;
   double length;
   // See `RigMapArrays`.
@@ -31,7 +31,8 @@ struct RigSolverArrays {
   In<double, 2> ball_frames;
   In<std::int64_t, 2> mimics;
   In<double, 2> mimic_numbers;
-  // Limbs that ease out or stretch: goal, numbers; joints of their bones, and whose they are.
+  // Limbs that extend softly or stretch: goals and numbers; joints of their bones, with the goal of
+  // each.
   In<std::int64_t, 1> limbs;
   In<double, 2> limb_numbers;
   In<std::int64_t, 2> limb_joints;
@@ -47,28 +48,31 @@ struct RigSolverArrays {
   int method;
 };
 
-// coordinates, misses, reports, seconds, reached, scales, positions, linear
-using RigSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>,
-                             Out<bool, 2>, Out<double, 2>, Out<double, 3>, Out<double, 4>>;
+// coordinates, errors, reports, seconds, reached, scales, positions, linear
+using RigSolveResult =
+    std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>, Out<bool, 2>,
+               Out<double, 2>, Out<double, 3>, Out<double, 4>>;
 
+// Solves IK problems in the coordinates of a rig.
 class RigSolver {
  public:
   explicit RigSolver(const RigSolverArrays& arrays);
   ~RigSolver();
 
-  RigSolved solve(In<double, 2> starts, In<double, 3> targets,
-                  std::optional<In<double, 2>> preferred, bool placed);
+  RigSolveResult solve(In<double, 2> starts, In<double, 3> targets,
+                       std::optional<In<double, 2>> preferred, bool placed);
 
+  // All poses of an arm of six pins that reach targets.
   Out<double, 2> branches(In<double, 1> start, In<double, 2> targets);
 
  private:
-  struct Parts;
+  struct Problem;
 
-  std::unique_ptr<Parts> parts_;
-  std::mutex busy_;
+  std::unique_ptr<Problem> problem_;
+  std::mutex mutex_;
 };
 
-// Type of closed form of an arm of six pins: 0 none, 1 spherical wrist, 2 parallel axes.
+// Kind of closed form of a six-pin arm: 0 none, 1 spherical wrist, 2 parallel axes.
 int arm_kind(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
              In<double, 2> goal_numbers, double rest_weight);
 

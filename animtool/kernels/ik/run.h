@@ -13,15 +13,16 @@ std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& sett
 // Raises an error for numbers out of range.
 Settings checked_settings(const Settings& settings);
 
-struct Ran {
+struct RunResult {
   Outcome outcome;
   double seconds;
 };
 
-// Targets that errors refer to, those within reach, factors of bone lengths (E,), and the
-// preferred pose; `next` is the frame after the last run.
-Ran run_one(Solver& solver, const Chain& plain, Task& task, const double* start,
-            const double* targets, const double* reachable, const double* stretches,
-            const double* rest, bool next);
+// Solves one problem: `targets` are those that errors refer to, `reachable` those that the limbs
+// can reach, `stretch_factors` (E,) those of bone lengths, `rest` the preferred pose;
+// `is_next_frame` if it is the frame after the last run.
+RunResult run_one(Solver& solver, const Chain& unstretched, Task& task, const double* start,
+                  const double* targets, const double* reachable, const double* stretch_factors,
+                  const double* rest, bool is_next_frame);
 
 }  // namespace animtool::ik

@@ -9,14 +9,17 @@
 
 namespace animtool {
 
-// Name, rows, width of a target, whether it misses lengths, whether CCD heeds it, of each.
+// For each kind: name, number of residuals, width of a target, whether its error is a length, and
+// whether cyclic coordinate descent supports it.
 using IkGoalKind = std::tuple<const char*, int, int, bool, bool>;
 std::vector<IkGoalKind> ik_goal_kinds();
 
+// Converts targets of a rig to those of a chain, in place.
 void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double length);
 
-// coordinates, misses, reports, seconds
-using IkSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>>;
+// coordinates, errors, reports, seconds
+using IkSolveResult =
+    std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>>;
 struct IkProblems {
   In<std::int64_t, 2> nodes;
   In<double, 2> numbers;
@@ -31,22 +34,22 @@ struct IkProblems {
   bool ordered, warm;
   int method;
 };
-IkSolved solve_ik(const IkProblems& problems);
+IkSolveResult solve_ik(const IkProblems& problems);
 
-// sought, scales, eased
-using IkExtended = std::tuple<Out<double, 3>, Out<double, 2>, Out<bool, 2>>;
-IkExtended extend_ik_limbs(In<std::int64_t, 1> limbs, In<double, 2> limb_numbers,
-                           In<double, 3> targets);
+// reachable targets, scales, softened
+using IkExtension = std::tuple<Out<double, 3>, Out<double, 2>, Out<bool, 2>>;
+IkExtension extend_ik_limbs(In<std::int64_t, 1> limbs, In<double, 2> limb_numbers,
+                            In<double, 3> targets);
 
 // coordinates, residuals, Jacobians, curvatures
-using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, Out<double, 2>>;
-IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
-                          In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
-                          In<double, 2> starts, In<double, 3> targets, In<double, 2> steps);
+using IkLinearization = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, Out<double, 2>>;
+IkLinearization linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                             In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
+                             In<double, 2> starts, In<double, 3> targets, In<double, 2> steps);
 
-// coordinates, misses, rounds, cost before and after
-using IkSmoothed = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
-struct IkSmoothing {
+// coordinates, errors, iterations, cost before and after
+using IkSmoothResult = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
+struct IkSmoothArguments {
   In<std::int64_t, 2> nodes;
   In<double, 2> numbers;
   In<std::int64_t, 2> goals;
@@ -58,12 +61,12 @@ struct IkSmoothing {
   double length_tolerance, angle_tolerance, damping;
   int rounds;
 };
-IkSmoothed smooth_ik(const IkSmoothing& problems);
+IkSmoothResult smooth_ik(const IkSmoothArguments& problems);
 
-// coordinates, misses, searched, taken, rounds, cost before and after
-using IkFitted = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>,
-                            Out<std::int64_t, 2>, int, double, double>;
-struct IkFitting {
+// coordinates, errors, searched, target sources, iterations, cost before and after
+using IkFitResult = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>,
+                               Out<std::int64_t, 2>, int, double, double>;
+struct IkFitArguments {
   In<std::int64_t, 2> nodes;
   In<double, 2> numbers;
   In<std::int64_t, 2> goals;
@@ -75,8 +78,9 @@ struct IkFitting {
   int iterations, rounds;
   bool tracked;
 };
-IkFitted fit_ik(const IkFitting& problems);
+IkFitResult fit_ik(const IkFitArguments& problems);
 
+// Index of the cheapest path in each frame.
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,
                                       In<double, 2> drifts, In<double, 1> easy, bool open,

@@ -1,7 +1,7 @@
 // Null space of the goals and fixed limits of one frame of a path.
 //
-// A goal feels the joints above it alone. So its Jacobian J is kept as blocks that are not
-// zero, and x loses J^T (J J^T)^-1 J x: orthonormal rows would be full.
+// A goal depends only on the joints above it. So its Jacobian J is stored as blocks of nonzero
+// entries, and x is projected by subtracting J^T (J J^T)^-1 J x; orthonormal rows would be dense.
 #pragma once
 
 #include <cmath>
@@ -13,79 +13,86 @@
 
 namespace animtool::ik {
 
+// Projects steps of one frame onto the null space of its goals and fixed limits.
 class GoalSpace {
  public:
   // Buffers for the computation, one frame at a time.
   struct Work {
-    std::vector<double> gram, missing, coupled, served;
+    std::vector<double> gram, residual, product, solution;
   };
 
-  // Directions that limits fix, and the least step that serves these.
-  std::vector<Fixed> fixed;
+  // Directions that limits fix, and the smallest step that satisfies these.
+  std::vector<FixedDirection> fixed;
   std::vector<Stepper::AtLimit> at_limit;
   std::vector<double> step;
 
-  // From the goals' Jacobian by columns (D, M), which is changed.
-  void update_null_space(int rows_asked, int width, std::vector<double>& jacobian, Work& work) {
-    const int m = rows_ = rows_asked;
+  // Computes the null space from the goals' Jacobian by columns (D, M), which is modified.
+  void update_null_space(int row_count, int width, std::vector<double>& jacobian, Work& work) {
+    const int m = rows_ = row_count;
     work.gram.assign(static_cast<std::size_t>(m) * m, 0.0);
-    work.missing.assign(m, 0.0);
+    work.residual.assign(m, 0.0);
     step.assign(width, 0.0);
-    for (const Fixed& one : fixed) {
-      double* columns = jacobian.data() + static_cast<std::size_t>(one.dof) * m;
+    for (const FixedDirection& direction_fixed : fixed) {
+      double* columns = jacobian.data() + static_cast<std::size_t>(direction_fixed.dof) * m;
       for (int i = 0; i < m; ++i) {
-        double along = 0;
-        for (int k = 0; k < one.width; ++k) along += columns[k * m + i] * one.direction[k];
-        for (int k = 0; k < one.width; ++k) columns[k * m + i] -= along * one.direction[k];
-        work.missing[i] -= along * one.value;
+        double component = 0;
+        for (int k = 0; k < direction_fixed.width; ++k)
+          component += columns[k * m + i] * direction_fixed.direction[k];
+        for (int k = 0; k < direction_fixed.width; ++k)
+          columns[k * m + i] -= component * direction_fixed.direction[k];
+        work.residual[i] -= component * direction_fixed.value;
       }
-      for (int k = 0; k < one.width; ++k) step[one.dof + k] += one.value * one.direction[k];
+      for (int k = 0; k < direction_fixed.width; ++k)
+        step[direction_fixed.dof + k] += direction_fixed.value * direction_fixed.direction[k];
     }
-    keep(jacobian, width);
+    store_blocks(jacobian, width);
     for (const Block& block : blocks_) {
-      const float* line = values_.data() + block.begin;
-      const auto entry = [&](int i, int j) -> double& {
+      const float* block_row = values_.data() + block.begin;
+      const auto gram_entry = [&](int i, int j) -> double& {
         return work.gram[static_cast<std::size_t>(block.row + i) * m + block.row + j];
       };
-      if (block.tall())
-        for (int d = 0; d < block.columns; ++d, line += block.rows)
+      if (block.is_tall())
+        for (int d = 0; d < block.columns; ++d, block_row += block.rows)
           for (int i = 0; i < block.rows; ++i)
-            for (int j = 0; j <= i; ++j) entry(i, j) += double{line[i]} * line[j];
+            for (int j = 0; j <= i; ++j) gram_entry(i, j) += double{block_row[i]} * block_row[j];
       else
         for (int i = 0; i < block.rows; ++i)
           for (int j = 0; j <= i; ++j)
-            entry(i, j) += inner(line + i * block.columns, line + j * block.columns, block.columns);
+            gram_entry(i, j) +=
+                inner(block_row + i * block.columns, block_row + j * block.columns, block.columns);
     }
     for (int i = 0; i < m; ++i) work.gram[i * m + i] += DAMPING;
-    work.coupled.resize(m);
-    cholesky::factor<cholesky::Inverses, cholesky::Small::IGNORE>(
-        work.gram.data(), m, m, work.coupled.data(), [](std::size_t) { return DAMPING / 2; });
+    work.product.resize(m);
+    cholesky::factor<cholesky::Inverses, cholesky::SmallPivot::IGNORE>(
+        work.gram.data(), m, m, work.product.data(), [](std::size_t) { return DAMPING / 2; });
     invert(work);
-    solve(work.missing, work);
-    spread(work.missing, 1, step.data());
+    solve(work.residual, work);
+    add_transposed(work.residual, 1, step.data());
   }
 
   // Projects x (D,) onto the null space of goals and limits.
   void project(double* x, Work& work) const {
-    for (const Fixed& one : fixed) {
-      double along = 0;
-      for (int k = 0; k < one.width; ++k) along += x[one.dof + k] * one.direction[k];
-      for (int k = 0; k < one.width; ++k) x[one.dof + k] -= along * one.direction[k];
+    for (const FixedDirection& fixed_direction : fixed) {
+      double component = 0;
+      for (int k = 0; k < fixed_direction.width; ++k)
+        component += x[fixed_direction.dof + k] * fixed_direction.direction[k];
+      for (int k = 0; k < fixed_direction.width; ++k)
+        x[fixed_direction.dof + k] -= component * fixed_direction.direction[k];
     }
-    work.coupled.assign(rows_, 0.0);
+    work.product.assign(rows_, 0.0);
     for (const Block& block : blocks_) {
-      double* coupled = work.coupled.data() + block.row;
-      const double* from = x + block.dof;
-      const float* line = values_.data() + block.begin;
-      if (block.tall())
-        for (int d = 0; d < block.columns; ++d, line += block.rows)
-          for (int i = 0; i < block.rows; ++i) coupled[i] += line[i] * from[d];
+      double* block_product = work.product.data() + block.row;
+      const double* block_x = x + block.dof;
+      const float* block_row = values_.data() + block.begin;
+      if (block.is_tall())
+        for (int d = 0; d < block.columns; ++d, block_row += block.rows)
+          for (int i = 0; i < block.rows; ++i) block_product[i] += block_row[i] * block_x[d];
       else
-        for (int i = 0; i < block.rows; ++i, line += block.columns)
-          coupled[i] += inner(line, from, block.columns);
+        for (int i = 0; i < block.rows; ++i, block_row += block.columns)
+          block_product[i] += inner(block_row, block_x, block.columns);
     }
-    solve(work.coupled, work);
-    spread(work.coupled, -1, x);
+    solve(work.product, work);
+    add_transposed(work.product, -1, x);
   }
 
  private:
@@ -95,9 +102,9 @@ class GoalSpace {
   // Columns of the Jacobian, from `dof` on, that are 0 outside the same rows.
   struct Block {
     int dof, columns, row, rows;
-    std::size_t begin;  // of their values, along the longer side
+    std::size_t begin;  // index of its values, which are contiguous along the longer side
 
-    bool tall() const { return rows > columns; }
+    bool is_tall() const { return rows > columns; }
   };
 
   template <class Number>
@@ -110,9 +117,9 @@ class GoalSpace {
     return (sums[0] + sums[1]) + (sums[2] + sums[3]);
   }
 
-  // blocks_ and their values_ <- the Jacobian, rounded: the memory that is read counts, and points
-  // are brought back to their goals anyway.
-  void keep(const std::vector<double>& jacobian, int width) {
+  // Stores the blocks of the Jacobian and their values, as floats: memory bandwidth counts, and
+  // points are restored to their goals anyway.
+  void store_blocks(const std::vector<double>& jacobian, int width) {
     blocks_.clear();
     std::size_t count = 0;
     for (int d = 0; d < width; ++d) {
@@ -121,29 +128,29 @@ class GoalSpace {
       while (row < end && column[row] == 0) ++row;
       while (end > row && column[end - 1] == 0) --end;
       if (row == end) continue;
-      const bool goes_on = !blocks_.empty() && blocks_.back().row == row &&
-                           blocks_.back().rows == end - row &&
-                           blocks_.back().dof + blocks_.back().columns == d;
-      if (!goes_on) blocks_.push_back({d, 0, row, end - row, count});
+      const bool is_continued = !blocks_.empty() && blocks_.back().row == row &&
+                                blocks_.back().rows == end - row &&
+                                blocks_.back().dof + blocks_.back().columns == d;
+      if (!is_continued) blocks_.push_back({d, 0, row, end - row, count});
       ++blocks_.back().columns;
       count += end - row;
     }
     values_.resize(count);
     float* value = values_.data();
     for (const Block& block : blocks_) {
-      const auto at = [&](int i, int d) {
+      const auto entry = [&](int i, int d) {
         return jacobian[static_cast<std::size_t>(block.dof + d) * rows_ + block.row + i];
       };
-      if (block.tall())
+      if (block.is_tall())
         for (int d = 0; d < block.columns; ++d)
-          for (int i = 0; i < block.rows; ++i) *value++ = static_cast<float>(at(i, d));
+          for (int i = 0; i < block.rows; ++i) *value++ = static_cast<float>(entry(i, d));
       else
         for (int i = 0; i < block.rows; ++i)
-          for (int d = 0; d < block.columns; ++d) *value++ = static_cast<float>(at(i, d));
+          for (int d = 0; d < block.columns; ++d) *value++ = static_cast<float>(entry(i, d));
     }
   }
 
-  // inverse_ <- L^-1 of the factor in work.gram, row by row: 0 for rows that count for nothing.
+  // Computes inverse_, L^-1 of the factor in work.gram, row by row; 0 for rows that are ignored.
   void invert(Work& work) {
     const int m = rows_;
     inverse_.resize(static_cast<std::size_t>(m) * (m + 1) / 2);
@@ -152,38 +159,38 @@ class GoalSpace {
       const double* factor = &work.gram[static_cast<std::size_t>(i) * m];
       std::fill(row, row + i, 0.0);
       row[i] = 1;
-      const double* other = inverse_.data();
-      for (int k = 0; k < i; other += ++k)
-        for (int j = 0; j <= k; ++j) row[j] -= factor[k] * other[j];
+      const double* other_row = inverse_.data();
+      for (int k = 0; k < i; other_row += ++k)
+        for (int j = 0; j <= k; ++j) row[j] -= factor[k] * other_row[j];
       for (int j = 0; j <= i; ++j) row[j] *= factor[i];
     }
   }
 
   // y (M,) <- (L L^T)^-1 y.
   void solve(std::vector<double>& y, Work& work) const {
-    work.served.assign(rows_, 0.0);
+    work.solution.assign(rows_, 0.0);
     const double* row = inverse_.data();
     for (int i = 0; i < rows_; row += ++i) {
       const double value = ik::inner(row, y.data(), 0, i + 1);
-      for (int j = 0; j <= i; ++j) work.served[j] += value * row[j];
+      for (int j = 0; j <= i; ++j) work.solution[j] += value * row[j];
     }
-    y.swap(work.served);
+    y.swap(work.solution);
   }
 
-  // x (D,) gains `times` J^T y.
-  void spread(const std::vector<double>& y, double times, double* x) const {
+  // Adds `scale` J^T y to x (D,).
+  void add_transposed(const std::vector<double>& y, double scale, double* x) const {
     for (const Block& block : blocks_) {
-      const double* from = y.data() + block.row;
-      const float* line = values_.data() + block.begin;
-      double* to = x + block.dof;
-      if (block.tall()) {
-        for (int d = 0; d < block.columns; ++d, line += block.rows)
-          to[d] += times * inner(line, from, block.rows);
+      const double* block_y = y.data() + block.row;
+      const float* block_row = values_.data() + block.begin;
+      double* block_x = x + block.dof;
+      if (block.is_tall()) {
+        for (int d = 0; d < block.columns; ++d, block_row += block.rows)
+          block_x[d] += scale * inner(block_row, block_y, block.rows);
         continue;
       }
-      for (int i = 0; i < block.rows; ++i, line += block.columns) {
-        const double factor = times * from[i];
-        for (int d = 0; d < block.columns; ++d) to[d] += factor * line[d];
+      for (int i = 0; i < block.rows; ++i, block_row += block.columns) {
+        const double factor = scale * block_y[i];
+        for (int d = 0; d < block.columns; ++d) block_x[d] += factor * block_row[d];
       }
     }
   }
@@ -191,7 +198,7 @@ class GoalSpace {
   int rows_ = 0;
   std::vector<Block> blocks_;
   std::vector<float> values_;    // of the blocks
-  std::vector<double> inverse_;  // L^-1 of J J^T = L L^T, damped, its rows one after another
+  std::vector<double> inverse_;  // L^-1 of the damped J J^T = L L^T, row by row
 };
 
 }  // namespace animtool::ik

@@ -1,4 +1,4 @@
-// Coordinates of joints to local transforms.
+// Converts coordinates of joints to local transforms.
 #include "kinematics/coordinates.h"
 
 #include <cmath>
@@ -11,7 +11,7 @@ namespace animtool {
 
 namespace {
 
-constexpr std::size_t WIDTHS[] = {0, 1, 1, 4, 7};
+constexpr std::size_t COORDINATE_COUNTS[] = {0, 1, 1, 4, 7};
 
 }  // namespace
 
@@ -27,26 +27,26 @@ std::size_t JointArrays::check() const {
     check::between("types", types.data()[j], 0, static_cast<std::int64_t>(Freedom::FREE));
     check::between("columns", columns.data()[j], static_cast<std::int64_t>(width),
                    static_cast<std::int64_t>(width));
-    width += WIDTHS[types.data()[j]];
+    width += COORDINATE_COUNTS[types.data()[j]];
   }
   return width;
 }
 
-void local_frame(const JointArrays& joints, const double* q, double* translations,
+void local_frame(const JointArrays& joints, const double* coordinates, double* translations,
                  double* rotations) {
   for (std::size_t j = 0; j < joints.size(); ++j) {
-    const double* values = q + joints.columns.data()[j];
+    const double* values = coordinates + joints.columns.data()[j];
     const double* rest = joints.rest_rotations.data() + 4 * j;
     const double* axis = joints.axes.data() + 3 * j;
-    double* t = translations + 3 * j;
-    double* r = rotations + 4 * j;
+    double* translation = translations + 3 * j;
+    double* local_rotation = rotations + 4 * j;
     std::copy(joints.rest_translations.data() + 3 * j, joints.rest_translations.data() + 3 * j + 3,
-              t);
-    double rotation[4] = {0, 0, 0, 1}, moved[3], shift[3];
+              translation);
+    double rotation[4] = {0, 0, 0, 1}, offset[3], slide[3];
     switch (static_cast<Freedom>(joints.types.data()[j])) {
       case Freedom::FREE:
-        ik::rotate_vector(rest, values, moved);
-        for (int i = 0; i < 3; ++i) t[i] += moved[i];
+        ik::rotate_vector(rest, values, offset);
+        for (int i = 0; i < 3; ++i) translation[i] += offset[i];
         std::copy(values + 3, values + 7, rotation);
         ik::make_unit(rotation);
         break;
@@ -61,15 +61,15 @@ void local_frame(const JointArrays& joints, const double* q, double* translation
         break;
       }
       case Freedom::SLIDE:
-        for (int i = 0; i < 3; ++i) shift[i] = values[0] * axis[i];
-        ik::rotate_vector(rest, shift, moved);
-        for (int i = 0; i < 3; ++i) t[i] += moved[i];
+        for (int i = 0; i < 3; ++i) slide[i] = values[0] * axis[i];
+        ik::rotate_vector(rest, slide, offset);
+        for (int i = 0; i < 3; ++i) translation[i] += offset[i];
         [[fallthrough]];
       case Freedom::FIXED:
-        std::copy(rest, rest + 4, r);
+        std::copy(rest, rest + 4, local_rotation);
         continue;
     }
-    ik::product(rest, rotation, r);
+    ik::product(rest, rotation, local_rotation);
   }
 }
 

@@ -18,23 +18,25 @@ Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
   check::shape("positions", positions, {frames, joints, 3});
   check::shape("linear", linear, {frames, joints, 3, 3});
   Out<double, 2> result(frames, joints);
-  const double *p = positions.data(), *q = true_positions.data();
-  const double *a = linear.data(), *b = true_linear.data();
+  const double *position = positions.data(), *true_position = true_positions.data();
+  const double *linear_part = linear.data(), *true_linear_part = true_linear.data();
   double* out = result.get();
-  for (std::size_t i = 0; i < frames * joints; ++i, p += 3, q += 3, a += 9, b += 9) {
+  for (std::size_t i = 0; i < frames * joints;
+       ++i, position += 3, true_position += 3, linear_part += 9, true_linear_part += 9) {
     const double* point = points.data() + (i % joints) * count * 3;
-    double turned[9], worst = 0;
-    for (int k = 0; k < 9; ++k) turned[k] = a[k] - b[k];
+    double linear_difference[9], max_squared = 0;
+    for (int k = 0; k < 9; ++k) linear_difference[k] = linear_part[k] - true_linear_part[k];
     for (std::size_t n = 0; n < count; ++n, point += 3) {
-      double sum = 0;
+      double squared = 0;
       for (int r = 0; r < 3; ++r) {
-        const double off = (p[r] - q[r]) + turned[3 * r] * point[0] + turned[3 * r + 1] * point[1] +
-                           turned[3 * r + 2] * point[2];
-        sum += off * off;
+        const double difference =
+            (position[r] - true_position[r]) + linear_difference[3 * r] * point[0] +
+            linear_difference[3 * r + 1] * point[1] + linear_difference[3 * r + 2] * point[2];
+        squared += difference * difference;
       }
-      worst = std::max(worst, sum);
+      max_squared = std::max(max_squared, squared);
     }
-    out[i] = std::sqrt(worst);
+    out[i] = std::sqrt(max_squared);
   }
   return result;
 }

@@ -15,7 +15,7 @@ Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> col
 
 Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes);
 
-// translations, rotations
+// Translations and rotations.
 using LocalTransforms = std::tuple<Out<double, 3>, Out<double, 3>>;
 LocalTransforms coordinates_to_local(In<std::int64_t, 1> types, In<std::int64_t, 1> columns,
                                      In<double, 2> axes, In<double, 2> rest_translations,
@@ -25,7 +25,7 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                         In<double, 3> rotations, std::optional<In<double, 3>> scales,
                         Filled<double, 3> positions, Filled<double, 4> linear);
 
-// Values of joints at rest (J, K), which of them move (A,), and their values (F, A, K).
+// Values of joints at rest (J, K), the indices of animated joints (A,), and their values (F, A, K).
 struct MotionChannel {
   In<double, 2> rest;
   In<std::int64_t, 1> animated;
@@ -41,32 +41,32 @@ struct MotionArrays {
 };
 void forward_motion(const MotionArrays& arrays);
 
-// extents, error, frame, joint
+// Extents, error, frame and joint.
 using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
 RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
                                 In<double, 3> rotations, std::optional<In<double, 3>> scales,
                                 In<float, 3> written_translations, In<float, 3> written_rotations,
                                 std::optional<In<float, 3>> written_scales);
 
-// rounded, error, frame, vertex
+// Rounded points, error, frame and vertex.
 using RoundedPoints = std::tuple<Out<float, 3>, double, std::size_t, std::size_t>;
 RoundedPoints round_points(In<double, 3> points, double unit);
 
-// Nothing where every sign continues as it is.
+// Returns nothing if every sign already continues the previous one.
 std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations, In<float, 2> previous);
 
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,
                             In<double, 4> linear);
 
-// The least and the largest.
+// The smallest and the largest squared length.
 std::tuple<double, double> squared_lengths(In<float, 2> quaternions);
 
 Out<double, 3> unpack_rotations(const std::vector<In<float, 2>>& tracks,
                                 std::optional<In<double, 2>> previous);
 
-// rotations, stretches
-using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;
-Stretched split_stretch(In<double, 4> linear);
+// Rotations and stretches.
+using StretchSplit = std::tuple<Out<double, 3>, Out<double, 4>>;
+StretchSplit split_stretch(In<double, 4> linear);
 
 }  // namespace animtool

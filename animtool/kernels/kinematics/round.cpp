@@ -1,4 +1,4 @@
-// Rounds points to float32 and measures the error; continues signs of quaternions.
+// Rounds points to float32 and measures the error, and continues the signs of quaternions.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,46 +12,47 @@ namespace animtool {
 
 namespace {
 
-// Vertices rounded at once: what is known of them stays next to the processor.
-constexpr std::size_t STRIP = 256;
+// Number of vertices that are rounded at once, so that their data stay in the cache.
+constexpr std::size_t BLOCK_SIZE = 256;
 
-// Rounds values divided by the unit, and finds how far each moved, squared.
-template <bool Divided>
-void round_strip(const double* __restrict p, std::size_t count, double unit, float* __restrict out,
-                 double* __restrict squares) {
+// Rounds values divided by the unit, and computes the square of each change.
+template <bool is_divided>
+void round_block(const double* __restrict values, std::size_t count, double unit,
+                 float* __restrict out, double* __restrict squares) {
   for (std::size_t i = 0; i < count; ++i) {
-    const double value = Divided ? p[i] / unit : p[i];
+    const double value = is_divided ? values[i] / unit : values[i];
     const float rounded = static_cast<float>(value);
-    const double off = rounded - value;
+    const double error = rounded - value;
     out[i] = rounded;
-    squares[i] = off * off;
+    squares[i] = error * error;
   }
 }
 
-// Brings back values that are beyond what float32 holds.
-void clamp_strip(const double* p, std::size_t count, double unit, float* out, double* squares) {
+// Clamps values that exceed the range of float32.
+void clamp_block(const double* values, std::size_t count, double unit, float* out,
+                 double* squares) {
   constexpr double limit = std::numeric_limits<float>::max();
   for (std::size_t i = 0; i < count; ++i) {
-    const double value = p[i] / unit, inside = std::clamp(value, -limit, limit);
-    if (inside == value) continue;
-    out[i] = static_cast<float>(inside);
-    const double off = inside - value;
-    squares[i] = off * off;
+    const double value = values[i] / unit, clamped = std::clamp(value, -limit, limit);
+    if (clamped == value) continue;
+    out[i] = static_cast<float>(clamped);
+    const double error = clamped - value;
+    squares[i] = error * error;
   }
 }
 
 constexpr double UNBOUNDED = std::numeric_limits<double>::infinity();
 
-// The largest sum of three squares in a row; infinite where one is no finite number.
-double largest_sum(const double* s, std::size_t vertices) {
-  double worst[2] = {0, 0};
-  bool finite = true;
-  for (std::size_t i = 0; i < vertices; ++i, s += 3) {
-    const double sum = s[0] + s[1] + s[2];
-    worst[i % 2] = sum > worst[i % 2] ? sum : worst[i % 2];
-    finite &= sum < UNBOUNDED;
+// The largest sum of three consecutive squares. Infinite if a sum is not finite.
+double largest_sum(const double* squares, std::size_t vertices) {
+  double max_sum[2] = {0, 0};
+  bool is_finite = true;
+  for (std::size_t i = 0; i < vertices; ++i, squares += 3) {
+    const double sum = squares[0] + squares[1] + squares[2];
+    max_sum[i % 2] = sum > max_sum[i % 2] ? sum : max_sum[i % 2];
+    is_finite &= sum < UNBOUNDED;
   }
-  return finite ? std::max(worst[0], worst[1]) : UNBOUNDED;
+  return is_finite ? std::max(max_sum[0], max_sum[1]) : UNBOUNDED;
 }
 
 }  // namespace
@@ -61,62 +62,66 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
   check::shape("points", points, {check::ANY, check::ANY, 3});
   check::positive("unit", unit);
   Out<float, 3> rounded(frames, vertices, 3);
-  double largest = 0;
-  std::size_t at = 0;
-  const auto round = unit == 1.0 ? round_strip<false> : round_strip<true>;
-  const std::size_t total = frames * vertices;
-  double squares[STRIP * 3];
-  for (std::size_t v = 0; v < total; v += STRIP) {
-    const double* p = points.data() + 3 * v;
-    float* out = rounded.get() + 3 * v;
-    const std::size_t count = std::min(STRIP, total - v);
-    round(p, count * 3, unit, out, squares);
-    double worst = largest_sum(squares, count);
-    if (worst == UNBOUNDED) {
-      clamp_strip(p, count * 3, unit, out, squares);
-      worst = largest_sum(squares, count);
+  double max_squared = 0;
+  std::size_t worst_vertex = 0;
+  const auto round = unit == 1.0 ? round_block<false> : round_block<true>;
+  const std::size_t total_count = frames * vertices;
+  double squares[BLOCK_SIZE * 3];
+  for (std::size_t first = 0; first < total_count; first += BLOCK_SIZE) {
+    const double* values = points.data() + 3 * first;
+    float* out = rounded.get() + 3 * first;
+    const std::size_t count = std::min(BLOCK_SIZE, total_count - first);
+    round(values, count * 3, unit, out, squares);
+    double block_max = largest_sum(squares, count);
+    if (block_max == UNBOUNDED) {
+      clamp_block(values, count * 3, unit, out, squares);
+      block_max = largest_sum(squares, count);
     }
-    // Few strips hold a new largest error.
-    if (worst > largest) {
-      largest = worst;
-      const double* s = squares;
-      for (at = v; s[0] + s[1] + s[2] < worst; ++at) s += 3;
+    // Few blocks contain a new largest error.
+    if (block_max > max_squared) {
+      max_squared = block_max;
+      const double* row_squares = squares;
+      for (worst_vertex = first; row_squares[0] + row_squares[1] + row_squares[2] < block_max;
+           ++worst_vertex)
+        row_squares += 3;
     }
   }
-  const std::size_t row = std::max<std::size_t>(vertices, 1);
-  return {std::move(rounded), std::sqrt(largest) * unit, at / row, at % row};
+  const std::size_t row_size = std::max<std::size_t>(vertices, 1);
+  return {std::move(rounded), std::sqrt(max_squared) * unit, worst_vertex / row_size,
+          worst_vertex % row_size};
 }
 
-// By whether a product is negative: without a branch, which nothing could predict.
-constexpr float SIGN[] = {1.0f, -1.0f};
+// Indexed by whether a product is negative. A branch would be unpredictable here.
+constexpr float SIGN_FACTORS[] = {1.0f, -1.0f};
 
 std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations, In<float, 2> previous) {
   const std::size_t frames = rotations.shape(0), joints = rotations.shape(1);
   check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
   check::shape("previous", previous, {joints, 4});
   std::optional<Out<float, 3>> continued;
-  const std::size_t row = joints * 4;
-  const float* q = rotations.data();
-  const float* before = previous.data();
+  const std::size_t row_size = joints * 4;
+  const float* frame_rotations = rotations.data();
+  const float* previous_frame = previous.data();
   std::vector<float> signs(joints, 1.0f);
-  for (std::size_t f = 0; f < frames; ++f, before = q, q += row) {
-    bool negated = false;
+  for (std::size_t f = 0; f < frames;
+       ++f, previous_frame = frame_rotations, frame_rotations += row_size) {
+    bool is_negated = false;
     for (std::size_t j = 0; j < joints; ++j) {
       double product = 0;
       for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) {
-        product += static_cast<double>(q[k]) * before[k];
+        product += static_cast<double>(frame_rotations[k]) * previous_frame[k];
       }
-      signs[j] *= SIGN[product < 0];
-      negated |= signs[j] < 0;
+      signs[j] *= SIGN_FACTORS[product < 0];
+      is_negated |= signs[j] < 0;
     }
-    if (negated && !continued) {
+    if (is_negated && !continued) {
       continued.emplace(frames, joints, 4);
-      std::copy_n(rotations.data(), f * row, continued->get());
+      std::copy_n(rotations.data(), f * row_size, continued->get());
     }
     if (!continued) continue;
-    float* out = continued->get() + f * row;
+    float* out = continued->get() + f * row_size;
     for (std::size_t j = 0; j < joints; ++j) {
-      for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) out[k] = q[k] * signs[j];
+      for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) out[k] = frame_rotations[k] * signs[j];
     }
   }
   return continued;

@@ -1,4 +1,4 @@
-// Polar decomposition of linear maps: a rotation after a stretch.
+// Polar decomposition of linear maps into a rotation after a stretch.
 #include <cmath>
 
 #include "base/checks.h"
@@ -8,45 +8,46 @@ namespace animtool {
 
 namespace {
 
-// UsdSkel calls a matrix singular below this determinant.
-constexpr double SINGULAR = 1e-10;
+// UsdSkel treats a matrix as singular below this determinant.
+constexpr double SINGULAR_DETERMINANT = 1e-10;
 constexpr int MAX_STEPS = 60;
 
-// Cofactors: the inverse transposed, times the determinant, which is returned.
-double cofactors(const double* a, double* c) {
+// Computes the cofactors: the transposed inverse times the determinant. Returns the determinant.
+double cofactors(const double* matrix, double* out) {
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) {
       const int i1 = (i + 1) % 3, i2 = (i + 2) % 3, j1 = (j + 1) % 3, j2 = (j + 2) % 3;
-      c[3 * i + j] = a[3 * i1 + j1] * a[3 * i2 + j2] - a[3 * i1 + j2] * a[3 * i2 + j1];
+      out[3 * i + j] =
+          matrix[3 * i1 + j1] * matrix[3 * i2 + j2] - matrix[3 * i1 + j2] * matrix[3 * i2 + j1];
     }
-  return a[0] * c[0] + a[1] * c[1] + a[2] * c[2];
+  return matrix[0] * out[0] + matrix[1] * out[1] + matrix[2] * out[2];
 }
 
-double squared_norm(const double* a) {
+double squared_norm(const double* matrix) {
   double sum = 0;
-  for (int i = 0; i < 9; ++i) sum += a[i] * a[i];
+  for (int i = 0; i < 9; ++i) sum += matrix[i] * matrix[i];
   return sum;
 }
 
-// The orthogonal factor nearest to a regular matrix: Newton's iteration with the
-// scaling of Higham (1986), "Computing the polar decomposition".
-void polar(double* x) {
+// Replaces a regular matrix by its nearest orthogonal factor. Newton's iteration with the scaling
+// of N. J. Higham, Computing the polar decomposition with applications, 1986.
+void make_orthogonal(double* matrix) {
   for (int step = 0; step < MAX_STEPS; ++step) {
-    double c[9], moved = 0;
-    const double det = cofactors(x, c);
-    const double inverse_norm = std::sqrt(squared_norm(c)) / std::fabs(det);
-    const double scale = std::sqrt(inverse_norm / std::sqrt(squared_norm(x)));
+    double cofactor_matrix[9], squared_change = 0;
+    const double determinant = cofactors(matrix, cofactor_matrix);
+    const double inverse_norm = std::sqrt(squared_norm(cofactor_matrix)) / std::fabs(determinant);
+    const double scale = std::sqrt(inverse_norm / std::sqrt(squared_norm(matrix)));
     for (int i = 0; i < 9; ++i) {
-      const double next = 0.5 * (scale * x[i] + c[i] / (det * scale));
-      moved += (next - x[i]) * (next - x[i]);
-      x[i] = next;
+      const double next = 0.5 * (scale * matrix[i] + cofactor_matrix[i] / (determinant * scale));
+      squared_change += (next - matrix[i]) * (next - matrix[i]);
+      matrix[i] = next;
     }
-    // Steps shrink quadratically: the next one would be below rounding.
-    if (!(moved > 1e-18)) return;
+    // Steps shrink quadratically, so the next one would be below the rounding error.
+    if (!(squared_change > 1e-18)) return;
   }
 }
 
-void quaternion(const double* r, double* q) {
+void to_quaternion(const double* r, double* q) {
   int i = 0;
   if (r[4] > r[0]) i = 1;
   if (r[8] > r[4 * i]) i = 2;
@@ -66,39 +67,39 @@ void quaternion(const double* r, double* q) {
   }
 }
 
-void split(const double* a, double* q, double* s) {
-  double x[9], c[9];
-  for (int i = 0; i < 9; ++i) x[i] = a[i];
-  const double det = cofactors(a, c);
-  if (std::fabs(det) < SINGULAR) {
-    for (int i = 0; i < 4; ++i) q[i] = 0;
-    for (int i = 0; i < 9; ++i) s[i] = i % 4 == 0;
+void split_map(const double* linear, double* rotation, double* stretch) {
+  double orthogonal[9], cofactor_matrix[9];
+  for (int i = 0; i < 9; ++i) orthogonal[i] = linear[i];
+  const double determinant = cofactors(linear, cofactor_matrix);
+  if (std::fabs(determinant) < SINGULAR_DETERMINANT) {
+    for (int i = 0; i < 4; ++i) rotation[i] = 0;
+    for (int i = 0; i < 9; ++i) stretch[i] = i % 4 == 0;
     return;
   }
-  polar(x);
-  if (det < 0)
-    for (double& value : x) value = -value;
-  quaternion(x, q);
+  make_orthogonal(orthogonal);
+  if (determinant < 0)
+    for (double& value : orthogonal) value = -value;
+  to_quaternion(orthogonal, rotation);
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j) {
-      double ij = 0, ji = 0;
+      double upper = 0, lower = 0;
       for (int k = 0; k < 3; ++k) {
-        ij += x[3 * k + i] * a[3 * k + j];
-        ji += x[3 * k + j] * a[3 * k + i];
+        upper += orthogonal[3 * k + i] * linear[3 * k + j];
+        lower += orthogonal[3 * k + j] * linear[3 * k + i];
       }
-      s[3 * i + j] = s[3 * j + i] = 0.5 * (ij + ji);
+      stretch[3 * i + j] = stretch[3 * j + i] = 0.5 * (upper + lower);
     }
 }
 
 }  // namespace
 
-Stretched split_stretch(In<double, 4> linear) {
+StretchSplit split_stretch(In<double, 4> linear) {
   const std::size_t frames = linear.shape(0), joints = linear.shape(1);
   check::shape("linear", linear, {check::ANY, check::ANY, 3, 3});
   Out<double, 3> rotations(frames, joints, 4);
   Out<double, 4> stretches(frames, joints, 3, 3);
   for (std::size_t i = 0; i < frames * joints; ++i)
-    split(linear.data() + 9 * i, rotations.get() + 4 * i, stretches.get() + 9 * i);
+    split_map(linear.data() + 9 * i, rotations.get() + 4 * i, stretches.get() + 9 * i);
   return {std::move(rotations), std::move(stretches)};
 }
 

@@ -1,4 +1,4 @@
-// N-body gravity: direct sums, or an octree.
+// N-body gravity: direct sums, or a tree of cells.
 //
 // References:
 //     J. Barnes, P. Hut, A hierarchical O(N log N) force-calculation algorithm, Nature 324,
@@ -20,64 +20,67 @@ namespace animtool {
 
 namespace {
 
-// Bodies in a leaf cell, and in a group that walks the tree together.
-constexpr std::size_t LEAF = 16, GROUP = 128;
-// Levels of the tree: three such coordinates fit a key of 63 bits.
+// Largest number of bodies in a leaf cell, and in a group that traverses the tree together.
+constexpr std::size_t MAX_LEAF = 16, MAX_GROUP = 128;
+// Levels of the tree: three coordinates of this many bits fit a key of 63 bits.
 constexpr unsigned LEVELS = 21;
-// Opening ratio of a coarse sum that estimates accelerations: distance over radius.
-constexpr double COARSE = 1.4;
+// Opening ratio of the coarse sum that estimates accelerations: distance over radius.
+constexpr double COARSE_RATIO = 1.4;
 // Error budget of one cell: hundreds of errors partly cancel, and bounds are rarely reached.
 // Calibrated on discs, spheres and pairs of both.
 constexpr double CELL_ERROR = 0.3;
 
+// A cell of the tree: its bodies in sorted order, their moments, and the next cell after its
+// subtree.
 struct Cell {
   double centre[3];
   double mass;
   double moments[6];
   double squared_radius;  // square of the largest distance from the centre
-  double largest;         // largest mass of one body
+  double max_mass;        // largest mass of one body
   double error_moment;    // sum of mass times cubed distance, to the power of 2/5
   std::size_t begin, end, next;
-  bool leaf;
+  bool is_leaf;
 };
 
-// Bodies scaled to lengths and masses of order 1: float32 keeps its range.
+// Bodies in units in which lengths and masses are of order 1, to stay in the range of float32.
 class Bodies {
  public:
   Bodies(const double* points, const double* masses, std::size_t count, double softening)
       : count_(count) {
-    double low[3], high[3], total = 0;
+    double low[3], high[3], total_mass = 0;
     for (std::size_t k = 0; k < 3; ++k) low[k] = high[k] = points[k];
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t k = 0; k < 3; ++k) {
         low[k] = std::min(low[k], points[3 * i + k]);
         high[k] = std::max(high[k], points[3 * i + k]);
       }
-      total += masses[i];
+      total_mass += masses[i];
     }
     double size = 0;
     for (std::size_t k = 0; k < 3; ++k) {
-      middle_[k] = low[k] + (high[k] - low[k]) / 2;
+      centre_[k] = low[k] + (high[k] - low[k]) / 2;
       size = std::max(size, (high[k] - low[k]) / 2);
     }
-    // By powers of two, which are exact.
+    // Scales by powers of two, which is exact.
     length_ = std::exp2(std::ceil(std::log2(size > 0 ? size : 1)));
-    mass_ = std::exp2(std::ceil(std::log2(total > 0 ? total : 1)));
-    const double soft = softening / length_;
-    squared_softening_ = soft * soft;
+    mass_ = std::exp2(std::ceil(std::log2(total_mass > 0 ? total_mass : 1)));
+    const double scaled_softening = softening / length_;
+    squared_softening_ = scaled_softening * scaled_softening;
     for (auto& column : columns_) column = block<double>(count);
   }
 
-  void fill(const double* points, const double* masses, const std::int32_t* order) {
+  void fill_columns(const double* points, const double* masses, const std::int32_t* order) {
     for (std::size_t i = 0; i < count_; ++i) {
-      const std::size_t from = order ? static_cast<std::size_t>(order[i]) : i;
-      for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = scaled(points + 3 * from, k);
-      columns_[3][i] = masses[from] / mass_;
+      const std::size_t body = order ? static_cast<std::size_t>(order[i]) : i;
+      for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = scale(points + 3 * body, k);
+      columns_[3][i] = masses[body] / mass_;
     }
   }
 
-  double scaled(const double* point, std::size_t k) const {
-    return (point[k] - middle_[k]) / length_;
+  // Component k of a point in scaled units.
+  double scale(const double* point, std::size_t k) const {
+    return (point[k] - centre_[k]) / length_;
   }
   GravityBodies bodies() const {
     return {columns_[0].get(), columns_[1].get(), columns_[2].get(), columns_[3].get()};
@@ -86,59 +89,61 @@ class Bodies {
   std::size_t size() const { return count_; }
   double squared_softening() const { return squared_softening_; }
 
-  // Padded targets: the last one is repeated.
-  GravityTargets targets(std::size_t first, std::size_t end, const double* middle) const {
-    GravityTargets to;
+  // Targets from `first`, padded with the last one.
+  GravityTargets targets(std::size_t first, std::size_t end, const double* centre) const {
+    GravityTargets targets;
     for (std::size_t k = 0; k < GRAVITY_WIDTH; ++k) {
       const std::size_t i = std::min(first + k, end - 1);
-      to.x[k] = columns_[0][i], to.y[k] = columns_[1][i], to.z[k] = columns_[2][i];
-      to.mass[k] = columns_[3][i];
+      targets.x[k] = columns_[0][i], targets.y[k] = columns_[1][i], targets.z[k] = columns_[2][i];
+      targets.mass[k] = columns_[3][i];
       for (std::size_t axis = 0; axis < 3; ++axis)
-        to.from_middle[axis][k] = static_cast<float>(columns_[axis][i] - middle[axis]);
+        targets.from_centre[axis][k] = static_cast<float>(columns_[axis][i] - centre[axis]);
     }
-    return to;
+    return targets;
   }
 
   double* acceleration;
   double* potential;
   double* rate;
 
+  // Writes sums in the original units and order.
   void write(const GravitySums& sums, std::size_t first, std::size_t end, const std::int32_t* order,
              double constant) const {
-    const double pull = constant * mass_ / length_ / length_;
+    const double acceleration_scale = constant * mass_ / length_ / length_;
     for (std::size_t i = first; i < std::min(first + GRAVITY_WIDTH, end); ++i) {
-      const std::size_t k = i - first, to = order ? static_cast<std::size_t>(order[i]) : i;
-      acceleration[3 * to] = pull * sums.x[k];
-      acceleration[3 * to + 1] = pull * sums.y[k];
-      acceleration[3 * to + 2] = pull * sums.z[k];
-      potential[to] = -pull * length_ * sums.potential[k];
-      rate[to] = pull / length_ * sums.rate[k];
+      const std::size_t k = i - first, body = order ? static_cast<std::size_t>(order[i]) : i;
+      acceleration[3 * body] = acceleration_scale * sums.x[k];
+      acceleration[3 * body + 1] = acceleration_scale * sums.y[k];
+      acceleration[3 * body + 2] = acceleration_scale * sums.z[k];
+      potential[body] = -acceleration_scale * length_ * sums.potential[k];
+      rate[body] = acceleration_scale / length_ * sums.rate[k];
     }
   }
 
  private:
   std::size_t count_;
-  double middle_[3], length_, mass_, squared_softening_;
+  double centre_[3], length_, mass_, squared_softening_;
   Block<double> columns_[4];
 };
 
-class Tree {
+// An octree over bodies sorted by Morton keys; cells are in depth-first order.
+class Octree {
  public:
-  Tree(Bodies& bodies, const double* points, const double* masses)
+  Octree(Bodies& bodies, const double* points, const double* masses)
       : bodies_(bodies), sorted_(bodies.size()) {
     const std::size_t count = bodies.size();
     constexpr double CELLS = 1 << LEVELS;
     for (std::size_t i = 0; i < count; ++i) {
       std::uint64_t key = 0;
       for (std::size_t k = 0; k < 3; ++k) {
-        const double cell = (bodies.scaled(points + 3 * i, k) + 1) * (CELLS / 2);
+        const double cell = (bodies.scale(points + 3 * i, k) + 1) * (CELLS / 2);
         key |= spread_bits(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS - 1))) << k;
       }
       sorted_.keys[i] = key;
       sorted_.indices[i] = static_cast<std::int32_t>(i);
     }
     sort_keys(sorted_, count);
-    bodies.fill(points, masses, sorted_.indices.get());
+    bodies.fill_columns(points, masses, sorted_.indices.get());
     cells_.reserve(count / 4 + 64);
     build(0, count, 0);
   }
@@ -146,83 +151,88 @@ class Tree {
   const std::int32_t* order() const { return sorted_.indices.get(); }
 
   template <class Function>
-  void each_group(Function function) const {
+  void for_each_group(Function function) const {
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
-      const bool group = cell.leaf || cell.end - cell.begin <= GROUP;
-      if (group) function(cell);
-      i = group ? cell.next : i + 1;
+      const bool is_group = cell.is_leaf || cell.end - cell.begin <= MAX_GROUP;
+      if (is_group) function(cell);
+      i = is_group ? cell.next : i + 1;
     }
   }
 
   // The bounds and centre of a group.
   struct Bounds {
-    double low[3], high[3], middle[3];
+    double low[3], high[3], centre[3];
 
-    double squared_from(const double* point) const {
-      double squared = 0;
+    double squared_distance(const double* point) const {
+      double sum = 0;
       for (std::size_t k = 0; k < 3; ++k) {
-        const double off = std::max({low[k] - point[k], point[k] - high[k], 0.0});
-        squared += off * off;
+        const double distance = std::max({low[k] - point[k], point[k] - high[k], 0.0});
+        sum += distance * distance;
       }
-      return squared;
+      return sum;
     }
   };
   Bounds bounds(const Cell& group) const {
     Bounds bounds;
     for (std::size_t k = 0; k < 3; ++k) {
-      const double* at = bodies_.column(k);
-      const auto [low, high] = std::minmax_element(at + group.begin, at + group.end);
+      const double* coordinates = bodies_.column(k);
+      const auto [low, high] =
+          std::minmax_element(coordinates + group.begin, coordinates + group.end);
       bounds.low[k] = *low, bounds.high[k] = *high;
-      bounds.middle[k] = (*low + *high) / 2;
+      bounds.centre[k] = (*low + *high) / 2;
     }
     return bounds;
   }
 
-  // Estimates the accelerations of a group by a coarse sum at its centre of mass.
-  double estimated_acceleration(const Cell& group) const {
+  // Estimates the acceleration of a group by a coarse sum at its centre of mass.
+  double estimate_acceleration(const Cell& group) const {
     const double soft = bodies_.squared_softening();
     double sum[3] = {0, 0, 0};
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
-      double off[3], squared = 0;
+      double offset[3], squared_distance = 0;
       for (std::size_t k = 0; k < 3; ++k) {
-        off[k] = cell.centre[k] - group.centre[k];
-        squared += off[k] * off[k];
+        offset[k] = cell.centre[k] - group.centre[k];
+        squared_distance += offset[k] * offset[k];
       }
-      const bool inside = cell.begin >= group.begin && cell.end <= group.end;
-      if (!inside && !cell.leaf && squared <= COARSE * COARSE * cell.squared_radius) {
+      const bool is_in_group = cell.begin >= group.begin && cell.end <= group.end;
+      if (!is_in_group && !cell.is_leaf &&
+          squared_distance <= COARSE_RATIO * COARSE_RATIO * cell.squared_radius) {
         ++i;
         continue;
       }
-      if (!inside && squared > 0) {
-        const double reach = squared + soft, pull = cell.mass / (reach * std::sqrt(reach));
-        for (std::size_t k = 0; k < 3; ++k) sum[k] += pull * off[k];
+      if (!is_in_group && squared_distance > 0) {
+        const double softened = squared_distance + soft,
+                     factor = cell.mass / (softened * std::sqrt(softened));
+        for (std::size_t k = 0; k < 3; ++k) sum[k] += factor * offset[k];
       }
       i = cell.next;
     }
-    const double around = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+    const double external = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     const double squared_extent = group.squared_radius + soft;
-    // The heaviest body, which dominates the others, is attracted by the rest alone.
-    return around + (squared_extent > 0 ? (group.mass - group.largest) / squared_extent : 0.0);
+    // The heaviest body, which dominates the others, is attracted only by the rest.
+    return external + (squared_extent > 0 ? (group.mass - group.max_mass) / squared_extent : 0.0);
   }
 
-  void walk(const Bounds& bounds, double threshold, std::vector<float>& far_cells,
-            std::vector<GravityRun>& near_runs) const {
+  // Collects the cells that a group may use as a whole, and the ranges of bodies that it sums
+  // directly.
+  void traverse(const Bounds& bounds, double threshold, std::vector<float>& far_cells,
+                std::vector<GravityRun>& near_runs) const {
     const double soft = bodies_.squared_softening();
     far_cells.clear();
     near_runs.clear();
     for (std::size_t i = 0; i < cells_.size();) {
       const Cell& cell = cells_[i];
-      const double squared = bounds.squared_from(cell.centre);
-      const bool several = cell.end - cell.begin > 1;
-      if (several && squared > cell.squared_radius &&
-          cell.error_moment <= threshold * (squared + soft)) {
+      const double squared_distance = bounds.squared_distance(cell.centre);
+      const bool has_several = cell.end - cell.begin > 1;
+      if (has_several && squared_distance > cell.squared_radius &&
+          cell.error_moment <= threshold * (squared_distance + soft)) {
         for (std::size_t k = 0; k < 3; ++k)
-          far_cells.push_back(static_cast<float>(cell.centre[k] - bounds.middle[k]));
+          far_cells.push_back(static_cast<float>(cell.centre[k] - bounds.centre[k]));
         far_cells.push_back(static_cast<float>(cell.mass));
         for (const double moment : cell.moments) far_cells.push_back(static_cast<float>(moment));
-      } else if (!cell.leaf) {
+      } else if (!cell.is_leaf) {
         ++i;
         continue;
       } else if (!near_runs.empty() && near_runs.back().end == cell.begin) {
@@ -244,10 +254,10 @@ class Tree {
   }
 
   void build(std::size_t begin, std::size_t end, unsigned level) {
-    const std::size_t number = cells_.size();
-    cells_.push_back(cell_of(begin, end));
-    cells_[number].leaf = end - begin <= LEAF || level == LEVELS;
-    if (!cells_[number].leaf) {
+    const std::size_t cell = cells_.size();
+    cells_.push_back(create_cell(begin, end));
+    cells_[cell].is_leaf = end - begin <= MAX_LEAF || level == LEVELS;
+    if (!cells_[cell].is_leaf) {
       const unsigned shift = 3 * (LEVELS - 1 - level);
       const std::uint64_t* keys = sorted_.keys.get();
       for (std::size_t first = begin; first < end;) {
@@ -258,26 +268,26 @@ class Tree {
         first = next;
       }
     }
-    cells_[number].next = cells_.size();
+    cells_[cell].next = cells_.size();
   }
 
-  Cell cell_of(std::size_t begin, std::size_t end) const {
+  Cell create_cell(std::size_t begin, std::size_t end) const {
     const auto [x, y, z, mass] = bodies_.bodies();
     Cell cell{};
     cell.begin = begin, cell.end = end;
-    double middle[3] = {0, 0, 0};
+    double mean[3] = {0, 0, 0};
     for (std::size_t i = begin; i < end; ++i) {
-      const double at[3] = {x[i], y[i], z[i]};
+      const double position[3] = {x[i], y[i], z[i]};
       cell.mass += mass[i];
-      cell.largest = std::max(cell.largest, mass[i]);
+      cell.max_mass = std::max(cell.max_mass, mass[i]);
       for (std::size_t k = 0; k < 3; ++k) {
-        cell.centre[k] += mass[i] * at[k];
-        middle[k] += at[k];
+        cell.centre[k] += mass[i] * position[k];
+        mean[k] += position[k];
       }
     }
     for (std::size_t k = 0; k < 3; ++k)
       cell.centre[k] =
-          cell.mass > 0 ? cell.centre[k] / cell.mass : middle[k] / static_cast<double>(end - begin);
+          cell.mass > 0 ? cell.centre[k] / cell.mass : mean[k] / static_cast<double>(end - begin);
     double error_moment = 0;
     for (std::size_t i = begin; i < end; ++i) {
       const double a = x[i] - cell.centre[0], b = y[i] - cell.centre[1];
@@ -297,23 +307,24 @@ class Tree {
   std::vector<Cell> cells_;
 };
 
+// Sums gravity by the tree, or over all pairs.
 void sum_by_tree(Bodies& bodies, const double* points, const double* masses, double constant,
                  double accuracy, const GravityFunctions& loops) {
-  const Tree tree(bodies, points, masses);
+  const Octree tree(bodies, points, masses);
   std::vector<float> far_cells;
   std::vector<GravityRun> near_runs;
   const float soft = static_cast<float>(bodies.squared_softening());
-  tree.each_group([&](const Cell& group) {
+  tree.for_each_group([&](const Cell& group) {
     const auto bounds = tree.bounds(group);
     const double threshold =
-        std::pow(CELL_ERROR * accuracy * tree.estimated_acceleration(group), 0.4);
-    tree.walk(bounds, threshold, far_cells, near_runs);
+        std::pow(CELL_ERROR * accuracy * tree.estimate_acceleration(group), 0.4);
+    tree.traverse(bounds, threshold, far_cells, near_runs);
     for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
-      const GravityTargets to = bodies.targets(first, group.end, bounds.middle);
+      const GravityTargets targets = bodies.targets(first, group.end, bounds.centre);
       GravitySums sums{};
-      loops.far(far_cells.data(), far_cells.size() / GRAVITY_FAR, soft, to, sums);
+      loops.far(far_cells.data(), far_cells.size() / FAR_CELL_SIZE, soft, targets, sums);
       for (const GravityRun& run : near_runs)
-        loops.near(bodies.bodies(), run, bodies.squared_softening(), to, sums);
+        loops.near(bodies.bodies(), run, bodies.squared_softening(), targets, sums);
       bodies.write(sums, first, group.end, tree.order(), constant);
     }
   });
@@ -323,8 +334,8 @@ void sum_directly(Bodies& bodies, const double* points, const double* masses, do
                   const GravityFunctions& loops) {
   // Blocks of sources that stay in the cache for all targets.
   constexpr std::size_t TILE = 1024;
-  bodies.fill(points, masses, nullptr);
-  const double middle[3] = {0, 0, 0};
+  bodies.fill_columns(points, masses, nullptr);
+  const double centre[3] = {0, 0, 0};
   const std::size_t count = bodies.size();
   const std::size_t blocks = (count + GRAVITY_WIDTH - 1) / GRAVITY_WIDTH;
   const Block<GravitySums> sums = block<GravitySums>(blocks);
@@ -332,7 +343,7 @@ void sum_directly(Bodies& bodies, const double* points, const double* masses, do
   for (std::size_t tile = 0; tile < count; tile += TILE)
     for (std::size_t i = 0; i < blocks; ++i)
       loops.exact(bodies.bodies(), {tile, std::min(count, tile + TILE)}, bodies.squared_softening(),
-                  bodies.targets(i * GRAVITY_WIDTH, count, middle), sums[i]);
+                  bodies.targets(i * GRAVITY_WIDTH, count, centre), sums[i]);
   for (std::size_t i = 0; i < blocks; ++i)
     bodies.write(sums[i], i * GRAVITY_WIDTH, count, nullptr, constant);
 }
@@ -356,7 +367,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(In<double, 2>
   Out<double, 1> potentials(count), rates(count);
   if (count) {
     const GravityFunctions* quads = gravity_in_quads();
-    const GravityFunctions& loops = quads ? *quads : GravityLoops<Plain>::functions;
+    const GravityFunctions& loops = quads ? *quads : GravityLoops<Portable>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
     bodies.acceleration = accelerations.get();
     bodies.potential = potentials.get();

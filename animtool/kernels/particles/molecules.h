@@ -1,4 +1,4 @@
-// Forces between neighbouring molecules: four partners at a time.
+// Forces between neighbouring molecules, four partners at a time.
 #pragma once
 
 #include <cstddef>
@@ -6,27 +6,28 @@
 
 namespace animtool {
 
-// Lennard-Jones coefficients: c12/r¹² - c6/r⁶.
+// Lennard-Jones coefficients of c12/r¹² - c6/r⁶.
 struct MoleculeForce {
   double twelve, six;
 };
-// Rows of four numbers: positions, and forces with half the pair energies; one extra padding row
-// far away. Partner lists are padded to a multiple of four.
+// A system of molecules. Rows of four numbers hold positions, and one extra padding row is far
+// away. Partner lists are padded to a multiple of four.
 struct MoleculeSystem {
   std::size_t count, kinds;
   const double* rows;
   const std::int64_t* starts;
   const std::int32_t* partners;
   const std::int32_t* kind;
-  const MoleculeForce* forces;  // of each pair of kinds
-  const double* charges;        // times the root of Coulomb's constant; null of none
+  const MoleculeForce* forces;  // for each pair of kinds
+  const double* charges;  // multiplied by the root of Coulomb's constant; null without charges
   double box[3];
-  double cutoff, from;  // squared cut-off, and squared start of the switch
+  double squared_cutoff, squared_onset;  // squared cut-off distance, and squared distance at which
+                                         // the switching function begins
   double damping;
 };
 
-// Adds to the rows of forces; returns the virial of all pairs.
+// Adds forces and half the pair energies to rows of four numbers. Returns the virial of all pairs.
 using MoleculeFunction = double (*)(const MoleculeSystem& system, double* out);
-MoleculeFunction molecules_in_quads();  // null where the processor has no such registers
+MoleculeFunction molecules_in_quads();  // null if the processor has no registers of four doubles
 
 }  // namespace animtool

@@ -12,119 +12,131 @@ namespace animtool {
 constexpr double MOLECULE_ROUND = 6755399441055744.0;
 constexpr double ROOT_PI = 1.7724538509055160273;
 
-template <class On>
+template <class Simd>
 struct MoleculeLoops {
-  using D = Four<On>;
+  using D = Four<Simd>;
 
-  // Shared by all pairs.
+  // Quantities that all pairs share.
   struct PairLaw {
-    D cutoff, from, width, box[3], inverse_box[3];
-    double shift, slope, damping, cutoff_distance;
+    D squared_cutoff, squared_onset, width, box[3], inverse_box[3];
+    double energy_shift, force_at_cutoff, damping, cutoff_distance;
 
-    explicit PairLaw(const MoleculeSystem& system) : cutoff(system.cutoff), from(system.from) {
-      const double gap = system.cutoff - system.from;
-      width = gap > 0 ? 1 / (gap * gap * gap) : 0.0;
+    explicit PairLaw(const MoleculeSystem& system)
+        : squared_cutoff(system.squared_cutoff), squared_onset(system.squared_onset) {
+      const double switch_width = system.squared_cutoff - system.squared_onset;
+      width = switch_width > 0 ? 1 / (switch_width * switch_width * switch_width) : 0.0;
       for (std::size_t k = 0; k < 3; ++k)
         box[k] = system.box[k], inverse_box[k] = 1 / system.box[k];
       damping = system.damping;
-      cutoff_distance = std::sqrt(system.cutoff);
-      shift = std::erfc(damping * cutoff_distance) / cutoff_distance;
-      slope = shift / cutoff_distance + 2 * damping / ROOT_PI *
-                                            std::exp(-damping * damping * system.cutoff) /
-                                            cutoff_distance;
+      cutoff_distance = std::sqrt(system.squared_cutoff);
+      energy_shift = std::erfc(damping * cutoff_distance) / cutoff_distance;
+      force_at_cutoff = energy_shift / cutoff_distance +
+                        2 * damping / ROOT_PI *
+                            std::exp(-damping * damping * system.squared_cutoff) / cutoff_distance;
     }
   };
 
-  // Energy of two unit charges, and force over distance: damped, shifted to 0 at the cut-off with
-  // the force. C. J. Fennell, J. D. Gezelter, Journal of Chemical Physics 124, 2006.
-  static void coulomb(const PairLaw& law, double squared, double& energy, double& force) {
-    const double r = std::sqrt(squared), decay = std::erfc(law.damping * r) / r;
-    const double bend = 2 * law.damping / ROOT_PI * std::exp(-law.damping * law.damping * squared);
-    energy = decay - law.shift + law.slope * (r - law.cutoff_distance);
-    force = (decay / r + bend / r - law.slope) / r;
+  // Computes the energy of two unit charges, and their force over their distance. Both are damped,
+  // and shifted so that they are 0 at the cut-off.
+  // C. J. Fennell, J. D. Gezelter, Is the Ewald summation still necessary?, Journal of Chemical
+  // Physics 124, 2006.
+  static void coulomb(const PairLaw& law, double squared_distance, double& energy, double& force) {
+    const double distance = std::sqrt(squared_distance),
+                 damped_energy = std::erfc(law.damping * distance) / distance;
+    const double damping_slope =
+        2 * law.damping / ROOT_PI * std::exp(-law.damping * law.damping * squared_distance);
+    energy =
+        damped_energy - law.energy_shift + law.force_at_cutoff * (distance - law.cutoff_distance);
+    force = (damped_energy / distance + damping_slope / distance - law.force_at_cutoff) / distance;
   }
 
-  template <bool switched, bool several, bool charged>
+  template <bool is_switched, bool has_kinds, bool has_charges>
   static double add_pairs(const MoleculeSystem& system, double* out) {
     const PairLaw law(system);
-    const D round = MOLECULE_ROUND;
+    const D rounding = MOLECULE_ROUND;
     D virial = 0.0;
     D c12 = system.forces[0].twelve, c6 = system.forces[0].six;
     for (std::size_t i = 0; i < system.count; ++i) {
-      const double* at = system.rows + 4 * i;
-      const D here[3] = {at[0], at[1], at[2]};
+      const double* row = system.rows + 4 * i;
+      const D position[3] = {row[0], row[1], row[2]};
       D sum[4] = {0.0, 0.0, 0.0, 0.0};
       const MoleculeForce* forces =
-          several ? system.forces + static_cast<std::size_t>(system.kind[i]) * system.kinds
-                  : system.forces;
+          has_kinds ? system.forces + static_cast<std::size_t>(system.kind[i]) * system.kinds
+                    : system.forces;
       const std::int32_t* end = system.partners + system.starts[i + 1];
-      for (const std::int32_t* j = system.partners + system.starts[i]; j < end; j += WIDE) {
-        D off[4];
-        gather(system.rows, j, off);
-        D squared = 0.0;
+      for (const std::int32_t* partner = system.partners + system.starts[i]; partner < end;
+           partner += SIMD_WIDTH) {
+        D offsets[4];
+        gather(system.rows, partner, offsets);
+        D squared_distance = 0.0;
         for (std::size_t k = 0; k < 3; ++k) {
-          const D displacement = here[k] - off[k];
-          off[k] =
-              displacement - law.box[k] * ((displacement * law.inverse_box[k] + round) - round);
-          squared = squared + off[k] * off[k];
+          const D displacement = position[k] - offsets[k];
+          offsets[k] = displacement -
+                       law.box[k] * ((displacement * law.inverse_box[k] + rounding) - rounding);
+          squared_distance = squared_distance + offsets[k] * offsets[k];
         }
-        const D in_range = less(squared, law.cutoff);
+        const D in_range = less(squared_distance, law.squared_cutoff);
         if (!mask_bits(in_range)) continue;
-        if constexpr (several) {
-          double twelves[WIDE], sixes[WIDE];
-          for (std::size_t k = 0; k < WIDE; ++k) {
-            const MoleculeForce& force = forces[system.kind[j[k]]];
-            twelves[k] = force.twelve, sixes[k] = force.six;
+        if constexpr (has_kinds) {
+          double repulsions[SIMD_WIDTH], attractions[SIMD_WIDTH];
+          for (std::size_t k = 0; k < SIMD_WIDTH; ++k) {
+            const MoleculeForce& force = forces[system.kind[partner[k]]];
+            repulsions[k] = force.twelve, attractions[k] = force.six;
           }
-          c12 = D::of(twelves), c6 = D::of(sixes);
+          c12 = D::load(repulsions), c6 = D::load(attractions);
         }
-        const D inverse = 1.0 / squared, inverse_cubed = inverse * inverse * inverse;
-        const D repels = c12 * inverse_cubed * inverse_cubed, attracts = c6 * inverse_cubed;
+        const D inverse_squared = 1.0 / squared_distance,
+                inverse_sixth = inverse_squared * inverse_squared * inverse_squared;
+        const D repels = c12 * inverse_sixth * inverse_sixth, attracts = c6 * inverse_sixth;
         D energy = repels - attracts;
-        D force = 6.0 * inverse * (repels + energy);
-        if constexpr (switched) {
-          const D far = max(squared, law.from), remaining = law.cutoff - far;
-          const D switching =
-              remaining * remaining * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
-          const D bend = 12.0 * remaining * (far - law.from) * law.width;
-          force = switching * force + bend * energy;
+        D force = 6.0 * inverse_squared * (repels + energy);
+        if constexpr (is_switched) {
+          const D clamped = max(squared_distance, law.squared_onset),
+                  remaining = law.squared_cutoff - clamped;
+          const D switching = remaining * remaining *
+                              (law.squared_cutoff + 2.0 * clamped - 3.0 * law.squared_onset) *
+                              law.width;
+          const D switching_slope = 12.0 * remaining * (clamped - law.squared_onset) * law.width;
+          force = switching * force + switching_slope * energy;
           energy = switching * energy;
         }
-        if constexpr (charged) {
-          double squares[WIDE], energies[WIDE], pulls[WIDE];
-          squared.store(squares);
-          for (std::size_t k = 0; k < WIDE; ++k) {
-            energies[k] = pulls[k] = 0;
-            const double charge_product = system.charges[i] * system.charges[j[k]];
-            if (charge_product == 0 || !(squares[k] < system.cutoff)) continue;
-            coulomb(law, squares[k], energies[k], pulls[k]);
-            energies[k] *= charge_product, pulls[k] *= charge_product;
+        if constexpr (has_charges) {
+          double squared_distances[SIMD_WIDTH], energies[SIMD_WIDTH],
+              forces_over_distance[SIMD_WIDTH];
+          squared_distance.store(squared_distances);
+          for (std::size_t k = 0; k < SIMD_WIDTH; ++k) {
+            energies[k] = forces_over_distance[k] = 0;
+            const double charge_product = system.charges[i] * system.charges[partner[k]];
+            if (charge_product == 0 || !(squared_distances[k] < system.squared_cutoff)) continue;
+            coulomb(law, squared_distances[k], energies[k], forces_over_distance[k]);
+            energies[k] *= charge_product, forces_over_distance[k] *= charge_product;
           }
-          energy = energy + D::of(energies);
-          force = force + D::of(pulls);
+          energy = energy + D::load(energies);
+          force = force + D::load(forces_over_distance);
         }
         force = masked(in_range, force);
         energy = masked(in_range, 0.5 * energy);
-        virial = virial + masked(in_range, force * squared);
-        D parts[4] = {force * masked(in_range, off[0]), force * masked(in_range, off[1]),
-                      force * masked(in_range, off[2]), 0.0 - energy};
-        for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + parts[k];
-        scatter(parts, j, out);
+        virial = virial + masked(in_range, force * squared_distance);
+        D changes[4] = {force * masked(in_range, offsets[0]), force * masked(in_range, offsets[1]),
+                        force * masked(in_range, offsets[2]), 0.0 - energy};
+        for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + changes[k];
+        scatter(changes, partner, out);
       }
       for (std::size_t k = 0; k < 4; ++k) out[4 * i + k] += k < 3 ? total(sum[k]) : -total(sum[k]);
     }
     return total(virial);
   }
 
-  template <bool switched>
-  static double of_kinds(const MoleculeSystem& system, double* out) {
-    if (system.charges) return add_pairs<switched, true, true>(system, out);
-    return system.kinds > 1 ? add_pairs<switched, true, false>(system, out)
-                            : add_pairs<switched, false, false>(system, out);
+  template <bool is_switched>
+  static double add_for_kinds(const MoleculeSystem& system, double* out) {
+    if (system.charges) return add_pairs<is_switched, true, true>(system, out);
+    return system.kinds > 1 ? add_pairs<is_switched, true, false>(system, out)
+                            : add_pairs<is_switched, false, false>(system, out);
   }
 
   static double run(const MoleculeSystem& system, double* out) {
-    return system.from < system.cutoff ? of_kinds<true>(system, out) : of_kinds<false>(system, out);
+    return system.squared_onset < system.squared_cutoff ? add_for_kinds<true>(system, out)
+                                                        : add_for_kinds<false>(system, out);
   }
 };
 

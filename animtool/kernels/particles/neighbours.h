@@ -1,8 +1,7 @@
 // Neighbour search by the cells of a grid.
-//
-// Cells are at least as wide as the search radius. Points are sorted by cell, row by row, so that
-// the neighbours of a point are in nine runs, which move forwards from cell to cell: no cell table
-// is kept, whatever the extent of the points.
+// Cells are at least as wide as the search radius. Points are sorted by cell, row by row. The
+// neighbours of a point are thus in nine runs of points, which move forwards from cell to cell. No
+// table of cells is stored, so the extent of the points does not matter.
 #pragma once
 
 #include <algorithm>
@@ -15,44 +14,46 @@
 
 namespace animtool {
 
-// Grid positions, in the layout of loops built for several processors: up to NEAR_SPARE are read
-// past the end, and written past the last match.
+// Grid positions in the layout of loops that are built for several processors. Up to GRID_PADDING
+// numbers are read past the end, and written past the last match.
 struct GridPoints {
   const double *x, *y, *z;
-  double squared_radius;  // squared radius
+  double squared_radius;  // of the search radius
 };
 struct GridRun {
   std::size_t begin, end;
 };
 constexpr std::size_t GRID_PADDING = 4;
-// Appends the grid indices of runs within the radius of a point.
+// Appends the grid indices of points in runs that are within the radius of a point, and returns the
+// new end.
 using NeighbourFunction = std::int32_t* (*)(const GridPoints& points, const GridRun* run,
-                                            const GridRun* last, const double* at,
+                                            const GridRun* last, const double* point,
                                             std::int32_t* next);
-NeighbourFunction neighbours_in_quads();  // null where the processor has no such registers
+NeighbourFunction neighbours_in_quads();  // null if the processor has no registers of four doubles
 
 class Neighbours {
  public:
-  // Points `subset` of `points` (N, 3), null for all; non-finite ones have no neighbours. A
-  // periodic axis wraps around: it starts at `low`, and is at least two radii long.
+  // Sorts the points `subset` of `points` (N, 3); null means all. Points that are not finite have
+  // no neighbours. A periodic axis starts at `low`, and is at least two radii long.
   Neighbours(const double* points, const std::int32_t* subset, std::size_t count, double radius,
              const double* low, const double* period);
 
-  // Number of grid positions, in grid order.
+  // The number of grid positions, in grid order.
   std::size_t size() const { return index_.size(); }
   const double* x() const { return sorted_points_.x; }
   const double* y() const { return sorted_points_.y; }
   const double* z() const { return sorted_points_.z; }
-  const std::int32_t* index() const { return index_.data(); }  // of `points`
+  const std::int32_t* index() const { return index_.data(); }  // indices into `points`
 
-  // Visits some points, null for all: the number among them, the index in `points`, the wrapped
-  // position, and grid indices within the radius, itself included. Returns the number of tested
-  // distances, and stops above `max_tests`.
+  // Visits some points; null means all. The function receives the number of a visited point, its
+  // index in `points`, its wrapped position, and the grid indices of all points within the radius,
+  // including its own. Returns the number of tested distances, and stops above `max_tests`.
   template <class Function>
-  double visit(const double* points, const std::int32_t* query_keys, std::size_t count,
+  double visit(const double* points, const std::int32_t* subset, std::size_t count,
                double max_tests, Function function) const;
 
-  // The same for each grid position; with `later_only`, only with later ones.
+  // Visits every grid position in the same way. With `later_only`, the function receives only later
+  // neighbours.
   template <bool later_only, class Function>
   double visit_all(double max_tests, Function function) const;
 
@@ -62,28 +63,28 @@ class Neighbours {
     std::size_t begin;
   };
   template <class Function>
-  void each_cell(const std::vector<Cell>& cells, Function function) const;
+  void for_each_cell(const std::vector<Cell>& cells, Function function) const;
   SortedKeys query_keys(const double* points, const std::int32_t* subset, std::size_t count) const;
-  void wrapped(const double* point, double* out) const;
-  bool inside(const double* point) const;
-  std::uint64_t key(const double* point) const;
-  std::vector<double> images(const double* points);
-  static std::vector<Cell> cells_of(const std::uint64_t* keys, std::size_t count);
+  void wrap(const double* point, double* out) const;
+  bool is_near_grid(const double* point) const;
+  std::uint64_t find_key(const double* point) const;
+  std::vector<double> add_images(const double* points);
+  static std::vector<Cell> find_cells(const std::uint64_t* keys, std::size_t count);
 
-  // Rows of adjacent cells: each row is one run. The middle one contains the cell itself; of later
-  // ones in grid order, the first.
+  // Rows of adjacent cells, each of which is one run. The middle run contains the cell itself. It
+  // is the first run that contains later points.
   static constexpr std::size_t RUNS = 9, CENTRE = 4;
-  // Empty cells on each side, so that neighbours of any query cell have keys.
-  static constexpr double PAD = 2;
-  // Wider than the radius by the rounding of cell numbers.
-  static constexpr double SLACK = 1 + 1e-9;
-  // Largest number of cells of an axis: three such keys fit 63 bits.
-  static constexpr double MAX_CELLS = (1 << 21) - 2 * PAD - 1;
+  // Empty cells on each side, so that the neighbours of every queried cell have keys.
+  static constexpr double MARGIN_CELLS = 2;
+  // Cells are wider than the radius by the rounding error of cell numbers.
+  static constexpr double CELL_MARGIN = 1 + 1e-9;
+  // The largest number of cells along an axis. Three such numbers fit into 63 bits.
+  static constexpr double MAX_CELLS = (1 << 21) - 2 * MARGIN_CELLS - 1;
 
   double radius_, low_[3], period_[3], origin_[3] = {0, 0, 0}, inverse_cell_[3] = {1, 1, 1};
-  double last_cell_[3] = {0, 0, 0};  // cells of each axis, less one
-  std::uint64_t row_ = 0, layer_ = 0;
-  std::vector<Cell> cells_;    // non-empty cells, and a sentinel
+  double last_cell_[3] = {0, 0, 0};  // the number of cells along each axis, minus one
+  std::uint64_t row_stride_ = 0, layer_stride_ = 0;
+  std::vector<Cell> cells_;    // cells that contain points, and a sentinel
   Block<double> grid_points_;  // positions along x, then y, then z
   GridPoints sorted_points_{};
   NeighbourFunction find_neighbours_;
@@ -91,14 +92,15 @@ class Neighbours {
 };
 
 template <class Function>
-void Neighbours::each_cell(const std::vector<Cell>& cells, Function function) const {
+void Neighbours::for_each_cell(const std::vector<Cell>& cells, Function function) const {
   const Cell* bounds[RUNS][2];
   for (auto& bound : bounds) bound[0] = bound[1] = cells_.data();
   GridRun runs[RUNS];
   for (std::size_t c = 0; c + 1 < cells.size(); ++c) {
     std::size_t capacity = 0;
     for (std::size_t k = 0; k < RUNS; ++k) {
-      const std::uint64_t middle = cells[c].key + (k / 3) * layer_ + (k % 3) * row_ - layer_ - row_;
+      const std::uint64_t middle = cells[c].key + (k / 3) * layer_stride_ + (k % 3) * row_stride_ -
+                                   layer_stride_ - row_stride_;
       auto& [begin, end] = bounds[k];
       while (begin->key < middle - 1) ++begin;
       end = std::max(end, begin);
@@ -115,45 +117,45 @@ double Neighbours::visit(const double* points, const std::int32_t* subset, std::
                          double max_tests, Function function) const {
   const SortedKeys sorted = query_keys(points, subset, count);
   std::vector<std::int32_t> hits;
-  double tested = 0;
-  each_cell(cells_of(sorted.keys.get(), sorted.count),
-            [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
-              tested += static_cast<double>(last - first) * static_cast<double>(capacity);
-              if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
-              for (std::size_t i = first; i < last && tested <= max_tests; ++i) {
-                const std::size_t number = static_cast<std::size_t>(sorted.indices[i]);
-                const std::size_t which =
-                    subset ? static_cast<std::size_t>(subset[number]) : number;
-                double at[3];
-                wrapped(points + 3 * which, at);
-                function(number, which, at, hits.data(),
-                         find_neighbours_(sorted_points_, runs, runs + RUNS, at, hits.data()));
-              }
-              return tested <= max_tests;
-            });
-  return tested;
+  double test_count = 0;
+  for_each_cell(
+      find_cells(sorted.keys.get(), sorted.count),
+      [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
+        test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
+        if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+        for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
+          const std::size_t query = static_cast<std::size_t>(sorted.indices[i]);
+          const std::size_t point_index = subset ? static_cast<std::size_t>(subset[query]) : query;
+          double position[3];
+          wrap(points + 3 * point_index, position);
+          function(query, point_index, position, hits.data(),
+                   find_neighbours_(sorted_points_, runs, runs + RUNS, position, hits.data()));
+        }
+        return test_count <= max_tests;
+      });
+  return test_count;
 }
 
 template <bool later_only, class Function>
 double Neighbours::visit_all(double max_tests, Function function) const {
   std::vector<std::int32_t> hits;
-  double tested = 0;
-  each_cell(cells_,
-            [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
-              tested += static_cast<double>(last - first) * static_cast<double>(capacity);
-              if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
-              for (std::size_t i = first; i < last && tested <= max_tests; ++i) {
-                const double at[3] = {x()[i], y()[i], z()[i]};
-                GridRun searched[RUNS];
-                std::copy(runs, runs + RUNS, searched);
-                if (later_only) searched[CENTRE].begin = i + 1;
-                function(i, at, hits.data(),
-                         find_neighbours_(sorted_points_, searched + (later_only ? CENTRE : 0),
-                                          searched + RUNS, at, hits.data()));
-              }
-              return tested <= max_tests;
-            });
-  return tested;
+  double test_count = 0;
+  for_each_cell(
+      cells_, [&](std::size_t first, std::size_t last, const GridRun* runs, std::size_t capacity) {
+        test_count += static_cast<double>(last - first) * static_cast<double>(capacity);
+        if (hits.size() < capacity + GRID_PADDING) hits.resize(2 * capacity + GRID_PADDING);
+        for (std::size_t i = first; i < last && test_count <= max_tests; ++i) {
+          const double position[3] = {x()[i], y()[i], z()[i]};
+          GridRun searched_runs[RUNS];
+          std::copy(runs, runs + RUNS, searched_runs);
+          if (later_only) searched_runs[CENTRE].begin = i + 1;
+          function(i, position, hits.data(),
+                   find_neighbours_(sorted_points_, searched_runs + (later_only ? CENTRE : 0),
+                                    searched_runs + RUNS, position, hits.data()));
+        }
+        return test_count <= max_tests;
+      });
+  return test_count;
 }
 
 }  // namespace animtool

@@ -13,7 +13,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     In<double, 2> points, In<double, 1> masses, double constant, double softening, double accuracy);
 
 std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> molecule_pairs(
-    In<double, 2> points, In<double, 1> box, double reach, std::int64_t max_pairs);
+    In<double, 2> points, In<double, 1> box, double radius, std::int64_t max_pairs);
 
 std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
     In<double, 2> points, In<std::int32_t, 1> order, In<std::int64_t, 1> starts,

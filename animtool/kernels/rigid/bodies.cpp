@@ -1,4 +1,4 @@
-// Python interface of rigid bodies.
+// Arrays of rigid bodies, from and to Python.
 #include "rigid/bodies.h"
 
 #include <algorithm>
@@ -15,23 +15,24 @@ using collide::store;
 using rigid::Quaternion;
 using rigid::Vec;
 
-constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
+// Numbers of a body's state, of a joint, of a contact, and of a pose.
+constexpr std::size_t STATE_SIZE = 14, JOINT_SIZE = 27, CONTACT_SIZE = 6, POSE_SIZE = 7;
 
-Quaternion rotation(const double* p) { return unit(Quaternion{p[0], p[1], p[2], p[3]}); }
+Quaternion read_rotation(const double* p) { return unit(Quaternion{p[0], p[1], p[2], p[3]}); }
 
 void check_rotation(const char* name, const double* p) {
   if (!(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3] > 1e-20))
     check::refuse(name, "a rotation has no direction");
 }
 
-// Checks that numbers ascend from 0 to an end.
+// Checks that the starts of rows ascend from 0 to an end.
 void check_starts(const char* name, const In<std::int64_t, 1>& starts, std::size_t count,
                   std::size_t end) {
   check::shape(name, starts, {count + 1});
-  const std::int64_t* at = starts.data();
+  const std::int64_t* values = starts.data();
   for (std::size_t i = 0; i < count; ++i)
-    if (at[i] > at[i + 1]) check::refuse(name, "they do not ascend");
-  if (at[0] != 0 || at[count] != static_cast<std::int64_t>(end))
+    if (values[i] > values[i + 1]) check::refuse(name, "they do not ascend");
+  if (values[0] != 0 || values[count] != static_cast<std::int64_t>(end))
     check::refuse(name, "they are not from 0 to " + check::text(static_cast<std::int64_t>(end)));
 }
 
@@ -55,12 +56,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<
   check_starts("corner_starts", corner_starts, faces, corners.shape(0));
   world_.bodies.resize(count);
   for (std::size_t i = 0; i < count; ++i) {
-    const double* in = inertias.data() + 4 * i;
-    check::positive("inertias", in[0]);
-    world_.bodies[i].inverse_mass = 1 / in[0];
+    const double* inertia = inertias.data() + 4 * i;
+    check::positive("inertias", inertia[0]);
+    world_.bodies[i].inverse_mass = 1 / inertia[0];
     for (int k = 0; k < 3; ++k) {
-      check::not_negative("inertias", in[k + 1]);
-      world_.bodies[i].inverse_inertia.of[k] = in[k + 1] > 0 ? 1 / in[k + 1] : 0;
+      check::not_negative("inertias", inertia[k + 1]);
+      world_.bodies[i].inverse_inertia.entries[k] = inertia[k + 1] > 0 ? 1 / inertia[k + 1] : 0;
     }
   }
   world_.shapes.resize(shapes);
@@ -73,23 +74,24 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<
     check::between("numbers", n[1], 0, 1);
     check::not_negative("numbers", n[2]);
     shape.core.radius = n[0], shape.material = {n[1], n[2]};
-    const std::int64_t from = point_starts.data()[s], to = point_starts.data()[s + 1];
-    if (from == to) check::refuse("point_starts", "a shape has no points");
-    for (std::int64_t p = from; p < to; ++p)
+    const std::int64_t first_point = point_starts.data()[s], end_point = point_starts.data()[s + 1];
+    if (first_point == end_point) check::refuse("point_starts", "a shape has no points");
+    for (std::int64_t p = first_point; p < end_point; ++p)
       shape.core.points.push_back(load(points.data() + 3 * p));
     for (std::int64_t f = face_starts.data()[s]; f < face_starts.data()[s + 1]; ++f) {
       const std::int64_t a = corner_starts.data()[f], b = corner_starts.data()[f + 1];
       if (b - a < 3) check::refuse("corner_starts", "a face has fewer than 3 corners");
-      check::indices("corners", corners.data() + a, static_cast<std::size_t>(b - a), 0, to - from);
+      check::indices("corners", corners.data() + a, static_cast<std::size_t>(b - a), 0,
+                     end_point - first_point);
       for (std::int64_t k = a; k < b; ++k)
         shape.core.loops.push_back(static_cast<int>(corners.data()[k]));
       shape.core.starts.push_back(static_cast<int>(shape.core.loops.size()));
     }
-    if (shape.core.starts.size() == 1 && to - from > 2)
+    if (shape.core.starts.size() == 1 && end_point - first_point > 2)
       check::refuse("face_starts", "a shape of more than two points has no faces");
-    shape.core.finish();
+    shape.core.build_faces();
     rigid::Body& body = world_.bodies[shape.body];
-    body.reach = std::max(body.reach, shape.core.reach);
+    body.bounding_radius = std::max(body.bounding_radius, shape.core.bounding_radius);
   }
   read_joints(joints, joint_numbers);
   check::shape("excluded", excluded, {check::ANY, 2});
@@ -107,22 +109,23 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies, In<
 void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers) {
   const std::size_t count = joints.shape(0);
   check::shape("joints", joints, {check::ANY, 3});
-  check::numbers("joint_numbers", numbers, {count, JOINT});
+  check::numbers("joint_numbers", numbers, {count, JOINT_SIZE});
   const auto bodies = static_cast<std::int64_t>(world_.bodies.size());
   for (std::size_t k = 0; k < count; ++k) {
-    const std::int64_t* in = joints.data() + 3 * k;
-    const double* n = numbers.data() + JOINT * k;
-    check::between("joints", in[0], 0, 3);
-    check::between("joints", in[1], -1, bodies - 1);
-    check::between("joints", in[2], 0, bodies - 1);
-    if (in[1] == in[2]) check::refuse("joints", "a body is joined to itself");
-    for (const int at : {3, 10, 19}) check_rotation("joint_numbers", n + at);
+    const std::int64_t* row = joints.data() + 3 * k;
+    const double* n = numbers.data() + JOINT_SIZE * k;
+    check::between("joints", row[0], 0, 3);
+    check::between("joints", row[1], -1, bodies - 1);
+    check::between("joints", row[2], 0, bodies - 1);
+    if (row[1] == row[2]) check::refuse("joints", "a body is joined to itself");
+    for (const int index : {3, 10, 19}) check_rotation("joint_numbers", n + index);
     rigid::Joint joint;
-    joint.kind = static_cast<rigid::JointKind>(in[0]);
-    joint.a = in[1], joint.b = static_cast<std::size_t>(in[2]);
-    joint.on_a = {load(n), rotation(n + 3)}, joint.on_b = {load(n + 7), rotation(n + 10)};
+    joint.kind = static_cast<rigid::JointKind>(row[0]);
+    joint.a = row[1], joint.b = static_cast<std::size_t>(row[2]);
+    joint.frame_a = {load(n), read_rotation(n + 3)},
+    joint.frame_b = {load(n + 7), read_rotation(n + 10)};
     joint.low = n[14], joint.high = n[15], joint.swing[0] = n[16], joint.swing[1] = n[17];
-    joint.target = n[18], joint.goal = rotation(n + 19);
+    joint.target = n[18], joint.target_rotation = read_rotation(n + 19);
     check::not_negative("joint_numbers", n[23]);
     check::not_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.max_force = n[25];
@@ -131,25 +134,26 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
   }
 }
 
-void RigidBodies::exclude(std::int64_t one, std::int64_t other) {
-  const auto a = static_cast<std::uint64_t>(one), b = static_cast<std::uint64_t>(other);
+void RigidBodies::exclude(std::int64_t first, std::int64_t second) {
+  const auto a = static_cast<std::uint64_t>(first), b = static_cast<std::uint64_t>(second);
   world_.excluded.push_back(std::min(a, b) << 32 | std::max(a, b));
 }
 
-RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
-                        In<double, 2> contacts, In<double, 2> joint_impulses, In<double, 2> forces,
-                        ColliderArrays colliders, In<double, 3> anchors, double step,
-                        std::int64_t method, std::int64_t substeps, std::int64_t iterations,
-                        double tolerance, double sleep_speed, double sleep_time) {
+RigidStepResult step_rigid(const RigidBodies& bodies, In<double, 2> state,
+                           In<std::int64_t, 2> pairs, In<double, 2> contacts,
+                           In<double, 2> joint_impulses, In<double, 2> forces,
+                           ColliderArrays colliders, In<double, 3> anchors, double step,
+                           std::int64_t method, std::int64_t substeps, std::int64_t iterations,
+                           double tolerance, double sleep_speed, double sleep_time) {
   const rigid::World& world = bodies.world();
   const std::size_t count = world.bodies.size(), joints = world.joints.size();
   const std::size_t stored_count = pairs.shape(0);
-  check::numbers("state", state, {count, STATE});
+  check::numbers("state", state, {count, STATE_SIZE});
   check::shape("pairs", pairs, {check::ANY, 2});
-  check::numbers("contacts", contacts, {stored_count, CONTACT});
+  check::numbers("contacts", contacts, {stored_count, CONTACT_SIZE});
   check::numbers("joint_impulses", joint_impulses, {joints, rigid::ROWS});
   check::numbers("forces", forces, {count, 6});
-  check::numbers("anchors", anchors, {joints, 2, POSE});
+  check::numbers("anchors", anchors, {joints, 2, POSE_SIZE});
   check::positive("step", step);
   check::between("method", method, 0, 3);
   check::between("substeps", substeps, 1, 1000);
@@ -157,37 +161,38 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   check::not_negative("tolerance", tolerance);
   check::not_negative("sleep_speed", sleep_speed);
   check::not_negative("sleep_time", sleep_time);
-  const std::vector<collide::Collider> all = read_colliders(colliders);
+  const std::vector<collide::Collider> world_colliders = read_colliders(colliders);
   const auto shapes = static_cast<std::int64_t>(world.shapes.size());
   std::vector<rigid::State> states(count);
   for (std::size_t i = 0; i < count; ++i) {
-    const double* in = state.data() + STATE * i;
-    check_rotation("state", in + 3);
-    states[i] = {load(in), load(in + 7), load(in + 10), rotation(in + 3), in[13]};
+    const double* row = state.data() + STATE_SIZE * i;
+    check_rotation("state", row + 3);
+    states[i] = {load(row), load(row + 7), load(row + 10), read_rotation(row + 3), row[13]};
   }
   std::vector<rigid::StoredContact> stored(stored_count);
   for (std::size_t i = 0; i < stored_count; ++i) {
     const std::int64_t* pair = pairs.data() + 2 * i;
     check::between("pairs", pair[0], 0, shapes - 1);
-    check::between("pairs", pair[1], 0, shapes + static_cast<std::int64_t>(all.size()) - 1);
-    stored[i] = {pair[0], pair[1], load(contacts.data() + CONTACT * i),
-                 load(contacts.data() + CONTACT * i + 3)};
+    check::between("pairs", pair[1], 0,
+                   shapes + static_cast<std::int64_t>(world_colliders.size()) - 1);
+    stored[i] = {pair[0], pair[1], load(contacts.data() + CONTACT_SIZE * i),
+                 load(contacts.data() + CONTACT_SIZE * i + 3)};
     if (i && (stored[i].first != stored[i - 1].first ? stored[i].first < stored[i - 1].first
                                                      : stored[i].second < stored[i - 1].second))
       check::refuse("pairs", "they do not ascend");
   }
   std::vector<std::array<double, rigid::ROWS>> impulses(joints);
-  std::vector<collide::Motion> frames(joints);
+  std::vector<collide::Motion> anchor_motions(joints);
   for (std::size_t k = 0; k < joints; ++k) {
     std::copy_n(joint_impulses.data() + rigid::ROWS * k, rigid::ROWS, impulses[k].begin());
-    const double* pose = anchors.data() + 2 * POSE * k;
-    check_rotation("anchors", pose + 3), check_rotation("anchors", pose + POSE + 3);
-    frames[k] = collide::Motion(pose, pose + POSE);
+    const double* pose = anchors.data() + 2 * POSE_SIZE * k;
+    check_rotation("anchors", pose + 3), check_rotation("anchors", pose + POSE_SIZE + 3);
+    anchor_motions[k] = collide::Motion(pose, pose + POSE_SIZE);
   }
   rigid::Report report;
-  std::vector<Vec> pushes(count), twists(count);
+  std::vector<Vec> body_forces(count), body_torques(count);
   for (std::size_t i = 0; i < count; ++i) {
-    pushes[i] = load(forces.data() + 6 * i), twists[i] = load(forces.data() + 6 * i + 3);
+    body_forces[i] = load(forces.data() + 6 * i), body_torques[i] = load(forces.data() + 6 * i + 3);
   }
   const rigid::Settings settings{static_cast<rigid::Method>(method),
                                  static_cast<int>(substeps),
@@ -195,29 +200,40 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
                                  tolerance,
                                  sleep_speed,
                                  sleep_time};
-  report = rigid::step_world(world, states, stored, impulses, pushes, twists, all, frames, settings,
-                             step);
-  Out<double, 2> moved(count, STATE), touching(stored.size(), CONTACT),
-      holding(joints, rigid::ROWS);
-  Out<std::int64_t, 2> touched(stored.size(), 2);
+  report = rigid::step_world(world, states, stored, impulses, body_forces, body_torques,
+                             world_colliders, anchor_motions, settings, step);
+  Out<double, 2> new_states(count, STATE_SIZE), contact_rows(stored.size(), CONTACT_SIZE),
+      joint_rows(joints, rigid::ROWS);
+  Out<std::int64_t, 2> contact_pairs(stored.size(), 2);
   for (std::size_t i = 0; i < count; ++i) {
-    double* to = moved.get() + STATE * i;
-    const rigid::State& s = states[i];
-    store(s.at, to), store(s.velocity, to + 7), store(s.momentum, to + 10);
-    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w,
-    to[13] = s.slow_time;
+    double* row = new_states.get() + STATE_SIZE * i;
+    const rigid::State& body_state = states[i];
+    store(body_state.position, row), store(body_state.velocity, row + 7),
+        store(body_state.momentum, row + 10);
+    row[3] = body_state.rotation.x, row[4] = body_state.rotation.y, row[5] = body_state.rotation.z,
+    row[6] = body_state.rotation.w, row[13] = body_state.slow_time;
   }
   for (std::size_t i = 0; i < stored.size(); ++i) {
-    touched.get()[2 * i] = stored[i].first, touched.get()[2 * i + 1] = stored[i].second;
-    store(stored[i].at, touching.get() + CONTACT * i),
-        store(stored[i].force, touching.get() + CONTACT * i + 3);
+    contact_pairs.get()[2 * i] = stored[i].first, contact_pairs.get()[2 * i + 1] = stored[i].second;
+    store(stored[i].position, contact_rows.get() + CONTACT_SIZE * i),
+        store(stored[i].force, contact_rows.get() + CONTACT_SIZE * i + 3);
   }
   for (std::size_t k = 0; k < joints; ++k)
-    std::copy_n(impulses[k].begin(), rigid::ROWS, holding.get() + rigid::ROWS * k);
-  return {std::move(moved),  std::move(touched), std::move(touching), std::move(holding),
-          report.deepest,    report.residual,    report.contacts,     report.iterations,
-          report.awake,      report.unsolved,    report.first,        report.second,
-          report.drive_step, report.drive};
+    std::copy_n(impulses[k].begin(), rigid::ROWS, joint_rows.get() + rigid::ROWS * k);
+  return {std::move(new_states),
+          std::move(contact_pairs),
+          std::move(contact_rows),
+          std::move(joint_rows),
+          report.max_depth,
+          report.residual,
+          report.contacts,
+          report.iterations,
+          report.awake_count,
+          report.unsolved_count,
+          report.first,
+          report.second,
+          report.drive_step,
+          report.drive};
 }
 
 }  // namespace animtool

@@ -14,12 +14,14 @@ using collide::length;
 using collide::Pose;
 using collide::Vec;
 
+// An edge between two points, and the faces next to it.
 struct Edge {
   int from, to;     // points
-  int left, right;  // faces on both sides
+  int left, right;  // faces on the left and on the right
 };
 
-// A sphere has one point, a capsule two, both without faces; a triangle has two faces.
+// A convex core. A sphere has one point and a capsule two, both without faces; a triangle has two
+// faces.
 struct Core {
   std::vector<Vec> points;
   std::vector<int> starts{0}, loops;  // corners of each face, counter-clockwise from outside
@@ -27,17 +29,18 @@ struct Core {
   std::vector<double> offsets;
   std::vector<Edge> edges;
   double radius = 0;
-  bool box = false;            // a box: faces in opposite pairs at right angles
-  double half[3] = {0, 0, 0};  // half extents
-  double reach = 0;            // distance of the farthest point from the origin, with the radius
+  bool is_box = false;                 // six faces in opposite pairs at right angles
+  double half_extents[3] = {0, 0, 0};  // of a box
+  double bounding_radius = 0;  // distance of the farthest point from the origin, plus the radius
   Vec centre;
 
   std::size_t faces() const { return normals.size(); }
-  bool flat() const { return normals.size() == 2; }
-  void finish();
+  bool is_flat() const { return normals.size() == 2; }
+  // Computes the normals, edges and bounds from the points and loops.
+  void build_faces();
 
  private:
-  void find_box();
+  void detect_box();
 };
 
 // A posed core: its points and face normals in the world.
@@ -50,62 +53,64 @@ struct PosedCore {
   double offset(std::size_t face) const {
     return dot(normals[face], points[core->loops[static_cast<std::size_t>(core->starts[face])]]);
   }
-  double lowest(Vec n) const {
-    double least = std::numeric_limits<double>::infinity();
+  // Smallest component of a point along a direction.
+  double min_projection(Vec n) const {
+    double smallest = std::numeric_limits<double>::infinity();
     for (std::size_t i = 0; i < core->points.size(); ++i)
-      least = std::min(least, dot(n, points[i]));
-    return least;
+      smallest = std::min(smallest, dot(n, points[i]));
+    return smallest;
   }
 };
 
-// A core placed by a pose, with its buffers.
+// Poses a core, with its buffers.
 class CorePoser {
  public:
-  void set(const Core& core, const Pose& pose) {
+  void set_pose(const Core& core, const Pose& pose) {
     const std::size_t points = core.points.size(), faces = core.faces();
     buffer_.resize(points + faces);
     for (std::size_t i = 0; i < points; ++i) buffer_[i] = pose.to_world(core.points[i]);
-    for (std::size_t i = 0; i < faces; ++i) buffer_[points + i] = pose.rotated(core.normals[i]);
-    placed_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
+    for (std::size_t i = 0; i < faces; ++i) buffer_[points + i] = pose.rotate(core.normals[i]);
+    posed_ = {&core, buffer_.data(), buffer_.data() + points, pose.to_world(core.centre)};
   }
-  const PosedCore& get() const { return placed_; }
+  const PosedCore& get() const { return posed_; }
 
  private:
   std::vector<Vec> buffer_;
-  PosedCore placed_;
+  PosedCore posed_;
 };
 
-// A contact point, halfway between both surfaces, and the gap there.
+// A contact point, halfway between both surfaces, and the gap between them.
 struct ContactPoint {
-  Vec at;
+  Vec position;
   double gap;
 };
 
 constexpr int MAX_POINTS = 4;
 
-// A contact manifold: the normal is from the first to the second.
+// A contact manifold; the normal points from the first to the second body.
 struct Manifold {
   Vec normal;
   int count = 0;
   std::array<ContactPoint, MAX_POINTS> points{};
 };
 
-// The separation along the best axis, negative if they overlap; at most their distance. Stops
-// early, with infinity, beyond a limit.
+// The separation along the best axis, negative if the bodies overlap; a lower bound of their
+// distance. The search stops early once the gap exceeds a limit.
 struct Axis {
   double gap = -std::numeric_limits<double>::infinity();
-  Vec normal;  // from the first to the second
+  Vec normal;  // from the first to the second body
   enum { NONE, FIRST, SECOND, EDGES } kind = NONE;
-  int first = -1, second = -1;  // faces
-  Vec edge_a[2], edge_b[2];     // ends of edges
+  int first = -1, second = -1;  // face of the first or second body
+  Vec edge_a[2], edge_b[2];     // ends of the edges
 };
 
-Axis separating_axis(const PosedCore& a, const PosedCore& b, double reach);
+// The axis along which two cores are separated most.
+Axis separating_axis(const PosedCore& a, const PosedCore& b, double max_gap);
 
-// The contact of two within a distance; no points beyond it.
-Manifold manifold_of(const PosedCore& a, const PosedCore& b, double reach);
+// The contact of two cores; without points if their gap is larger than `max_gap`.
+Manifold find_manifold(const PosedCore& a, const PosedCore& b, double max_gap);
 
-// Reduces contact points to the four that matter most, starting at the deepest.
-void reduce_to_four(std::vector<ContactPoint>& points, Vec normal, Manifold& into);
+// Reduces contact points to the four that matter most; the first is the deepest.
+void reduce_to_four(std::vector<ContactPoint>& points, Vec normal, Manifold& manifold);
 
 }  // namespace animtool::rigid

@@ -10,59 +10,64 @@ namespace animtool::rigid {
 
 namespace {
 
-// Phase of a swing in a substep above which it is damped, not resolved [rad].
+// Phase of an oscillation in a substep above which it is damped, not resolved [rad].
 constexpr double MAX_PHASE = 2;
-// Decay exponent above which a motion is at rest.
-constexpr double DECAYED = 20;
-// Largest number of joint equations solved together, and around one drive in larger islands.
+// Decay exponent above which a motion has come to rest.
+constexpr double MAX_DECAY = 20;
+// Largest number of joint equations that are solved together; the same around one drive in larger
+// islands.
 constexpr std::size_t MAX_EQUATIONS = 96, MAX_NEAR_EQUATIONS = 48;
-// Relative mass below which an equation is redundant; fully constrained bodies are this much
-// heavier.
+// Relative inverse mass below which an equation is redundant; factor by which fully constrained
+// bodies count as heavier.
 constexpr double REDUNDANT = 1e-9, FIXED_MASS = 1e6;
-// Equations with less independent mass than the first converge slowly by iteration; below the
-// second, a drive does not feel the mass behind it.
-constexpr double INDEPENDENT = 0.02, MIN_INDEPENDENCE = 1e-3;
+// If equations have less independent mass than the first value, iterations converge slowly; below
+// the second value, a drive does not move the mass behind it.
+constexpr double WELL_CONDITIONED = 0.02, MIN_INDEPENDENCE = 1e-3;
 
-// Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0 or with a speed.
+// Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0, or with an
+// initial speed.
 struct Response {
-  double by_pull;   // twice the displacement
-  double by_speed;  // displacement
-  double decay;     // of speed
-  double extra;     // 1 / by_pull - 1
-  double lag;       // 1 - by_speed / by_pull
+  double by_pull;      // twice the displacement by a pull
+  double by_speed;     // displacement by an initial speed
+  double decay;        // of the initial speed
+  double mass_excess;  // 1 / by_pull - 1
+  double lag;          // 1 - by_speed / by_pull
 };
 
-Response response_of(double stiffness, double damping) {
+Response compute_response(double stiffness, double damping) {
   Response response{};
   if (stiffness + damping <= 1) {
     // A power series, which keeps small differences exact.
-    double before = 0, term = 0.5, rest = 0, lag = 0, by_speed = 1, decay = 1;
+    double previous_term = 0, term = 0.5, pull_excess = 0, lag = 0, by_speed = 1, decay = 1;
     for (int n = 2; n < 18; ++n) {
-      const double next = -(stiffness * before + damping * n * term) / ((n + 1.0) * n);
+      const double next = -(stiffness * previous_term + damping * n * term) / ((n + 1.0) * n);
       by_speed += (n + 1) * next, decay += (n + 1.0) * n * next;
-      rest += 2 * next, lag -= (n - 1) * next;
-      before = term, term = next;
+      pull_excess += 2 * next, lag -= (n - 1) * next;
+      previous_term = term, term = next;
     }
-    response = {1 + rest, by_speed, decay, -rest / (1 + rest), lag / (1 + rest)};
+    response = {1 + pull_excess, by_speed, decay, -pull_excess / (1 + pull_excess),
+                lag / (1 + pull_excess)};
     return response;
   }
-  const double z = damping / 2, square = stiffness - z * z;
-  if (square < -0.09) {
-    const double r = std::sqrt(-square), fast = z + r, slow = stiffness / fast;
-    const double far = std::exp(-slow), near = std::exp(-fast);
-    const double mean = slow > 1e-8 ? -std::expm1(-slow) / slow : 1 - slow / 2;
-    response.by_pull = (mean + std::expm1(-fast) / fast) / r;
-    response.by_speed = (far - near) / (2 * r);
-    response.decay = (fast * near - slow * far) / (2 * r);
+  const double z = damping / 2, discriminant = stiffness - z * z;
+  if (discriminant < -0.09) {
+    const double r = std::sqrt(-discriminant), fast_rate = z + r, slow_rate = stiffness / fast_rate;
+    const double slow_decay = std::exp(-slow_rate), fast_decay = std::exp(-fast_rate);
+    const double mean = slow_rate > 1e-8 ? -std::expm1(-slow_rate) / slow_rate : 1 - slow_rate / 2;
+    response.by_pull = (mean + std::expm1(-fast_rate) / fast_rate) / r;
+    response.by_speed = (slow_decay - fast_decay) / (2 * r);
+    response.decay = (fast_rate * fast_decay - slow_rate * slow_decay) / (2 * r);
   } else {
-    const double e = std::exp(-z), r = std::sqrt(std::fabs(square));
-    const bool swings = square > 0;
-    const double sine = r < 1e-4 ? 1 - square / 6 : (swings ? std::sin(r) : std::sinh(r)) / r;
-    response.by_speed = e * sine;
-    response.decay = e * (swings ? std::cos(r) : std::cosh(r)) - z * response.by_speed;
+    const double envelope = std::exp(-z), r = std::sqrt(std::fabs(discriminant));
+    const bool is_oscillating = discriminant > 0;
+    const double sine =
+        r < 1e-4 ? 1 - discriminant / 6 : (is_oscillating ? std::sin(r) : std::sinh(r)) / r;
+    response.by_speed = envelope * sine;
+    response.decay =
+        envelope * (is_oscillating ? std::cos(r) : std::cosh(r)) - z * response.by_speed;
     response.by_pull = 2 * (1 - response.decay - damping * response.by_speed) / stiffness;
   }
-  response.extra = 1 / response.by_pull - 1,
+  response.mass_excess = 1 / response.by_pull - 1,
   response.lag = 1 - response.by_speed / response.by_pull;
   return response;
 }
@@ -73,8 +78,10 @@ double damped_frequency(const Joint& joint, double mass) {
   return std::sqrt(std::max(joint.stiffness / mass - z * z, 0.0));
 }
 
+// Whether substeps resolve the oscillation of a drive.
 bool is_resolved(const Joint& joint, const Drive& drive, double h) {
-  return drive.moves_mass && drive.mass > 0 && damped_frequency(joint, drive.mass) * h <= MAX_PHASE;
+  return drive.is_mass_free && drive.mass > 0 &&
+         damped_frequency(joint, drive.mass) * h <= MAX_PHASE;
 }
 
 // Inverse mass matrix of joint equations.
@@ -82,42 +89,42 @@ class InverseMassMatrix {
  public:
   explicit InverseMassMatrix(const std::vector<Speed>& speeds) : speeds_(speeds) {}
 
-  // Returns the fraction of freedom that earlier equations leave it; at least that of a redundant
-  // one.
+  // Adds an equation. Returns its independence: the fraction of its inverse mass that earlier
+  // equations leave; at least that of a redundant equation.
   double add(const Joint& joint, const Row& row) {
-    std::vector<double> line = coupled(joint, row);
+    std::vector<double> factor_row = compute_factor_row(joint, row);
     const double diagonal = coupling(joint, row, joint, row);
     double pivot = diagonal;
-    for (const double value : line) pivot -= value * value;
+    for (const double value : factor_row) pivot -= value * value;
     if (!(pivot > REDUNDANT * diagonal)) return REDUNDANT;
     const double independence = pivot / diagonal;
-    line.push_back(std::sqrt(pivot));
-    lines_.push_back(std::move(line)), rows_.push_back({&joint, &row});
+    factor_row.push_back(std::sqrt(pivot));
+    factor_rows_.push_back(std::move(factor_row)), rows_.push_back({&joint, &row});
     return independence;
   }
 
-  // Speed change of a row by a unit impulse, with all equations constrained.
+  // Speed change of a row by a unit impulse, with all added equations as constraints.
   double inverse_mass(const Joint& joint, const Row& row) const {
     const double diagonal = coupling(joint, row, joint, row);
     double pivot = diagonal;
-    for (const double value : coupled(joint, row)) pivot -= value * value;
+    for (const double value : compute_factor_row(joint, row)) pivot -= value * value;
     return std::max(pivot, diagonal / FIXED_MASS);
   }
 
  private:
-  struct Of {
+  struct Equation {
     const Joint* joint;
     const Row* row;
   };
 
-  // A row of the Cholesky factor, without its diagonal.
-  std::vector<double> coupled(const Joint& joint, const Row& row) const {
-    std::vector<double> line(rows_.size());
+  // Computes a row of the Cholesky factor, without its diagonal.
+  std::vector<double> compute_factor_row(const Joint& joint, const Row& row) const {
+    std::vector<double> factor_row(rows_.size());
     for (std::size_t i = 0; i < rows_.size(); ++i)
-      line[i] = coupling(joint, row, *rows_[i].joint, *rows_[i].row);
-    cholesky::solve_forward<cholesky::Roots>([&](std::size_t i) { return lines_[i].data(); },
-                                             line.size(), line.data());
-    return line;
+      factor_row[i] = coupling(joint, row, *rows_[i].joint, *rows_[i].row);
+    cholesky::solve_forward<cholesky::Roots>([&](std::size_t i) { return factor_rows_[i].data(); },
+                                             factor_row.size(), factor_row.data());
+    return factor_row;
   }
 
   // Speed change of one row by a unit impulse of another.
@@ -137,26 +144,28 @@ class InverseMassMatrix {
   }
 
   const std::vector<Speed>& speeds_;
-  std::vector<std::vector<double>> lines_;
-  std::vector<Of> rows_;
+  std::vector<std::vector<double>> factor_rows_;
+  std::vector<Equation> rows_;
 };
 
-// Independence of joint equations.
-struct Condition {
-  double least = 1;            // smallest of the independent ones
-  bool has_redundant = false;  // whether some are redundant
+// How independent joint equations are.
+struct Conditioning {
+  double min_independence = 1;  // of equations that are not redundant
+  bool has_redundant = false;   // whether some are redundant
 
   void add(double independence) {
     if (independence > REDUNDANT)
-      least = std::min(least, independence);
+      min_independence = std::min(min_independence, independence);
     else
       has_redundant = true;
   }
 };
 
-void add_locks(InverseMassMatrix& to, Condition& condition, const Joint& joint, const Rows& rows) {
+// Adds the equations of a joint that are always active.
+void add_locks(InverseMassMatrix& matrix, Conditioning& condition, const Joint& joint,
+               const Rows& rows) {
   for (std::size_t r = 0; r < rows.count; ++r)
-    if (rows.of[r].kind == Row::LOCK) condition.add(to.add(joint, rows.of[r]));
+    if (rows.entries[r].kind == Row::LOCK) condition.add(matrix.add(joint, rows.entries[r]));
 }
 
 bool have_common_body(const Joint& p, const Joint& q) {
@@ -166,94 +175,100 @@ bool have_common_body(const Joint& p, const Joint& q) {
   return has(p.a) || has(static_cast<std::ptrdiff_t>(p.b));
 }
 
-// The joints nearest to one of an island, itself first, up to a number of equations.
+// The joints nearest to a joint of an island, starting with itself, up to a number of equations.
 std::vector<std::size_t> nearest_joints(const std::vector<Joint>& joints,
                                         const std::vector<std::size_t>& island,
                                         const std::vector<Rows>& rows, std::size_t begin) {
   std::vector<std::size_t> nearest{begin};
-  std::vector<char> known(island.size(), 0);
-  known[begin] = 1;
+  std::vector<char> is_visited(island.size(), 0);
+  is_visited[begin] = 1;
   std::size_t count = rows[begin].count;
   for (std::size_t i = 0; i < nearest.size(); ++i)
     for (std::size_t k = 0; k < island.size() && count < MAX_NEAR_EQUATIONS; ++k) {
-      if (known[k] || !have_common_body(joints[island[nearest[i]]], joints[island[k]])) continue;
-      known[k] = 1, count += rows[k].count;
+      if (is_visited[k] || !have_common_body(joints[island[nearest[i]]], joints[island[k]]))
+        continue;
+      is_visited[k] = 1, count += rows[k].count;
       nearest.push_back(k);
     }
   return nearest;
 }
 
-// Fully constrained bodies are not pushed harder than a hard joint would.
-void limit_push(const Drive& drive, Row& row) {
-  const double max_give = drive.mass < row.mass * FIXED_MASS / 2 ? row.give : row.mass;
-  if (row.give > max_give) row.push *= max_give / row.give, row.give = max_give;
+// Limits the impulse of a drive, so that fully constrained bodies are not pushed harder than by a
+// rigid joint.
+void limit_impulse(const Drive& drive, Row& row) {
+  const double max_gain = drive.mass < row.mass * FIXED_MASS / 2 ? row.speed_gain : row.mass;
+  if (row.speed_gain > max_gain)
+    row.position_impulse *= max_gain / row.speed_gain, row.speed_gain = max_gain;
 }
 
 }  // namespace
 
-double frequency_of(const Joint& joint, double mass, double time) {
-  if (!(mass > 0) || joint.damping / mass * time / 2 > DECAYED) return 0;
+double drive_frequency(const Joint& joint, double mass, double time) {
+  if (!(mass > 0) || joint.damping / mass * time / 2 > MAX_DECAY) return 0;
   return damped_frequency(joint, mass);
 }
 
 void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, double h) {
   drive.speed = speed, drive.error = row.error;
   const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
-  const double m = drive.mass;
+  const double mass = drive.mass;
   if (!is_resolved(joint, drive, h)) {
-    row.give = h / 2 * (joint.damping + h * joint.stiffness), row.push = h / 2 * pull;
-    return limit_push(drive, row);
+    row.speed_gain = h / 2 * (joint.damping + h * joint.stiffness),
+    row.position_impulse = h / 2 * pull;
+    return limit_impulse(drive, row);
   }
-  const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
-  row.give = m * to.extra;
-  row.push = m * to.lag * speed + h / 2 * pull;
-  limit_push(drive, row);
+  const Response response =
+      compute_response(joint.stiffness / mass * h * h, joint.damping / mass * h);
+  row.speed_gain = mass * response.mass_excess;
+  row.position_impulse = mass * response.lag * speed + h / 2 * pull;
+  limit_impulse(drive, row);
 }
 
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h) {
-  const double m = drive.mass;
+  const double mass = drive.mass;
   if (!is_resolved(joint, drive, h)) {
     const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
-    row.give = h * (joint.damping + h * joint.stiffness), row.push = h * pull;
-    return limit_push(drive, row);
+    row.speed_gain = h * (joint.damping + h * joint.stiffness), row.position_impulse = h * pull;
+    return limit_impulse(drive, row);
   }
-  const double pull = (joint.stiffness * drive.error - joint.damping * joint.speed) / m;
-  const Response to = response_of(joint.stiffness / m * h * h, joint.damping / m * h);
-  const double others = speed - drive.speed - drive.first_impulse / m;
-  const double after =
-      to.decay * drive.speed - h * to.by_speed * pull + (2 * to.by_speed - to.by_pull) * others;
-  row.give = m * to.extra;
-  row.push = m * (speed - after / to.by_pull) - drive.first_impulse;
-  limit_push(drive, row);
+  const double pull = (joint.stiffness * drive.error - joint.damping * joint.speed) / mass;
+  const Response response =
+      compute_response(joint.stiffness / mass * h * h, joint.damping / mass * h);
+  const double other_speed = speed - drive.speed - drive.first_impulse / mass;
+  const double end_speed = response.decay * drive.speed - h * response.by_speed * pull +
+                           (2 * response.by_speed - response.by_pull) * other_speed;
+  row.speed_gain = mass * response.mass_excess;
+  row.position_impulse = mass * (speed - end_speed / response.by_pull) - drive.first_impulse;
+  limit_impulse(drive, row);
 }
 
 bool update_drive_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
                          const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
                          std::vector<Drives>& drives) {
   std::size_t count = 0;
-  for (const Rows& each : rows) count += each.count;
-  const bool complete = count <= MAX_EQUATIONS;
-  InverseMassMatrix all(speeds);
-  Condition condition;
-  for (std::size_t k = 0; complete && k < island.size(); ++k)
-    add_locks(all, condition, joints[island[k]], rows[k]);
+  for (const Rows& joint_rows : rows) count += joint_rows.count;
+  const bool is_complete = count <= MAX_EQUATIONS;
+  InverseMassMatrix island_matrix(speeds);
+  Conditioning condition;
+  for (std::size_t k = 0; is_complete && k < island.size(); ++k)
+    add_locks(island_matrix, condition, joints[island[k]], rows[k]);
   for (std::size_t k = 0; k < island.size(); ++k) {
     const Joint& joint = joints[island[k]];
-    if (!driven(joint)) continue;
-    InverseMassMatrix some(speeds);
-    Condition around = condition;
-    if (!complete)
+    if (!has_drive(joint)) continue;
+    InverseMassMatrix joint_matrix(speeds);
+    Conditioning joint_condition = condition;
+    if (!is_complete)
       for (const std::size_t i : nearest_joints(joints, island, rows, k))
-        add_locks(some, around, joints[island[i]], rows[i]);
+        add_locks(joint_matrix, joint_condition, joints[island[i]], rows[i]);
     for (std::size_t r = 0; r < rows[k].count; ++r) {
-      const Row& row = rows[k].of[r];
+      const Row& row = rows[k].entries[r];
       if (row.kind != Row::DRIVE) continue;
       Drive& drive = drives[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)];
-      drive.mass = 1 / (complete ? all : some).inverse_mass(joint, row);
-      drive.moves_mass = around.least > MIN_INDEPENDENCE;
+      drive.mass = 1 / (is_complete ? island_matrix : joint_matrix).inverse_mass(joint, row);
+      drive.is_mass_free = joint_condition.min_independence > MIN_INDEPENDENCE;
     }
   }
-  return complete && !condition.has_redundant && condition.least > INDEPENDENT;
+  return is_complete && !condition.has_redundant && condition.min_independence > WELL_CONDITIONED;
 }
 
 }  // namespace animtool::rigid

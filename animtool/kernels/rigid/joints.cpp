@@ -12,34 +12,36 @@ namespace {
 
 constexpr double UNLIMITED = std::numeric_limits<double>::infinity();
 
-// The rotation vector of a rotation, the short way.
-Vec vector_of(Quaternion q) {
+// The shortest rotation vector of a quaternion.
+Vec rotation_vector(Quaternion q) {
   if (q.w < 0) q = {-q.x, -q.y, -q.z, -q.w};
   const Vec v{q.x, q.y, q.z};
   const double n = length(v);
   return n > 1e-12 ? v * (2 * std::atan2(n, q.w) / n) : v * 2;
 }
 
+// Builds the rows of a joint.
 class RowWriter {
  public:
   RowWriter(const Speed& a, const Speed& b, double h) : a_(a), b_(b), h_(h) {}
 
-  Row& along(Vec line, Vec arm_a, Vec arm_b, double error, double bias_speed, int slot) {
+  Row& add_linear(Vec line, Vec arm_a, Vec arm_b, double error, double bias_speed, int slot) {
     Row row;
     row.line = line, row.arm_a = cross(arm_a, line), row.arm_b = cross(arm_b, line);
     return add(row, error, bias_speed, slot);
   }
-  Row& about(Vec axis, double error, double bias_speed, int slot) {
+  Row& add_angular(Vec axis, double error, double bias_speed, int slot) {
     Row row;
     row.arm_a = row.arm_b = axis;
     return add(row, error, bias_speed, slot);
   }
 
-  static void limit(Row& row) {
+  // Makes a row a limit, or a drive.
+  static void make_limit(Row& row) {
     row.kind = Row::LIMIT;
     row.low = 0;
   }
-  void drive(Row& row, const Joint& joint) const {
+  void make_drive(Row& row, const Joint& joint) const {
     row.kind = Row::DRIVE;
     row.high = joint.max_force < 0 ? UNLIMITED : joint.max_force * h_;
     row.low = -row.high;
@@ -48,104 +50,117 @@ class RowWriter {
   Rows rows;
 
  private:
-  // Axes without inertia, such as a rod's, have no equation.
+  // Adds a row; axes without inertia, such as that of a rod, get none.
   Row& add(Row row, double error, double bias_speed, int slot) {
-    const double k = dot(row.line, row.line) * (a_.inverse_mass + b_.inverse_mass) +
-                     dot(row.arm_a, a_.angular_response(row.arm_a)) +
-                     dot(row.arm_b, b_.angular_response(row.arm_b));
+    const double inverse_mass = dot(row.line, row.line) * (a_.inverse_mass + b_.inverse_mass) +
+                                dot(row.arm_a, a_.angular_response(row.arm_a)) +
+                                dot(row.arm_b, b_.angular_response(row.arm_b));
     row.error = error, row.bias_speed = bias_speed, row.slot = slot;
-    row.mass = k > 0 ? 1 / k : 0;
+    row.mass = inverse_mass > 0 ? 1 / inverse_mass : 0;
     row.high = UNLIMITED, row.low = -UNLIMITED;
-    return (k > 0 ? rows.of[rows.count++] : unmoved_) = row;
+    return (inverse_mass > 0 ? rows.entries[rows.count++] : discarded_) = row;
   }
 
-  Row unmoved_;
+  Row discarded_;
   const Speed &a_, &b_;
   double h_;
 };
 
 }  // namespace
 
-Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Vec arm_b,
-             const Speed& on_a, const Speed& on_b, double h) {
-  RowWriter to(on_a, on_b, h);
+Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Vec arm_b,
+                const Speed& speed_a, const Speed& speed_b, double h) {
+  RowWriter writer(speed_a, speed_b, h);
   const Vec x = rotate(a.rotation, {1, 0, 0}), y = rotate(a.rotation, {0, 1, 0});
-  const Vec z = rotate(a.rotation, {0, 0, 1}), off = b.at - a.at;
-  const Quaternion between = conjugate(a.rotation) * b.rotation;
-  const bool slides = joint.kind == JointKind::PRISMATIC;
+  const Vec z = rotate(a.rotation, {0, 0, 1}), offset = b.position - a.position;
+  const Quaternion relative = conjugate(a.rotation) * b.rotation;
+  const bool is_slide = joint.kind == JointKind::PRISMATIC;
   const Vec axes[3] = {x, y, z};
-  // On a slide the arm of the first body reaches to the anchor of the second.
-  const Vec reach_a = slides ? arm_a + off : arm_a;
-  const Vec anchor_velocity = a.velocity + cross(a.spin, slides ? off : Vec{});
-  for (int i = slides ? 1 : 0; i < 3; ++i)
-    to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], anchor_velocity),
-             SLOT_LINE + i);
-  if (joint.kind == JointKind::FIXED || slides) {
-    const Vec error = rotate(a.rotation, vector_of(between));
+  // On a slide, the arm of the first body goes to the anchor of the second.
+  const Vec slide_arm = is_slide ? arm_a + offset : arm_a;
+  const Vec anchor_velocity = a.velocity + cross(a.angular_velocity, is_slide ? offset : Vec{});
+  for (int i = is_slide ? 1 : 0; i < 3; ++i)
+    writer.add_linear(axes[i], slide_arm, arm_b, dot(axes[i], offset),
+                      -dot(axes[i], anchor_velocity), SLOT_LINE + i);
+  if (joint.kind == JointKind::FIXED || is_slide) {
+    const Vec error = rotate(a.rotation, rotation_vector(relative));
     for (int i = 0; i < 3; ++i)
-      to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
+      writer.add_angular(axes[i], dot(axes[i], error), -dot(axes[i], a.angular_velocity),
+                         SLOT_ROTATION + i);
   } else if (joint.kind == JointKind::PIN) {
     const Vec error = cross(x, rotate(b.rotation, {1, 0, 0}));
     for (int i = 1; i < 3; ++i)
-      to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
+      writer.add_angular(axes[i], dot(axes[i], error), -dot(axes[i], a.angular_velocity),
+                         SLOT_ROTATION + i);
   }
-  const bool limited = joint.low <= joint.high;
-  if (slides) {
-    const double slide = dot(x, off), bias_speed = -dot(x, anchor_velocity);
-    if (limited) {
-      to.limit(to.along(x, reach_a, arm_b, slide - joint.low, bias_speed, SLOT_LOW));
-      to.limit(to.along(-x, reach_a, arm_b, joint.high - slide, -bias_speed, SLOT_HIGH));
+  const bool has_limit = joint.low <= joint.high;
+  if (is_slide) {
+    const double slide_distance = dot(x, offset), bias_speed = -dot(x, anchor_velocity);
+    if (has_limit) {
+      writer.make_limit(
+          writer.add_linear(x, slide_arm, arm_b, slide_distance - joint.low, bias_speed, SLOT_LOW));
+      writer.make_limit(writer.add_linear(-x, slide_arm, arm_b, joint.high - slide_distance,
+                                          -bias_speed, SLOT_HIGH));
     }
-    if (driven(joint))
-      to.drive(to.along(x, reach_a, arm_b, slide - joint.target, bias_speed, SLOT_DRIVE), joint);
-    return to.rows;
+    if (has_drive(joint))
+      writer.make_drive(writer.add_linear(x, slide_arm, arm_b, slide_distance - joint.target,
+                                          bias_speed, SLOT_DRIVE),
+                        joint);
+    return writer.rows;
   }
-  if (joint.kind == JointKind::FIXED) return to.rows;
-  double twist = 2 * std::atan2(between.w < 0 ? -between.x : between.x, std::fabs(between.w));
-  const bool ball = joint.kind == JointKind::BALL;
-  if (!ball) {
-    // Of angles that differ by full rotations, the nearest to the allowed or target ones.
-    const double about = limited ? (joint.low + joint.high) / 2 : joint.target;
-    twist -= FULL_CIRCLE * std::round((twist - about) / FULL_CIRCLE);
+  if (joint.kind == JointKind::FIXED) return writer.rows;
+  double twist = 2 * std::atan2(relative.w < 0 ? -relative.x : relative.x, std::fabs(relative.w));
+  const bool is_ball = joint.kind == JointKind::BALL;
+  if (!is_ball) {
+    // Of angles that differ by full revolutions, takes the nearest to the limits or to the target.
+    const double reference = has_limit ? (joint.low + joint.high) / 2 : joint.target;
+    twist -= FULL_CIRCLE * std::round((twist - reference) / FULL_CIRCLE);
   }
   const Vec twisted_axis = rotate(b.rotation, {1, 0, 0});
   const double one_plus_cosine = 1 + dot(x, twisted_axis);
-  // Rate of the twist of a ball, if it is not bent back.
-  const Vec axis = ball && one_plus_cosine > 1e-6 ? (x + twisted_axis) * (1 / one_plus_cosine) : x;
-  if (limited) {
-    const double bias_speed = -dot(axis, a.spin);
-    to.limit(to.about(axis, twist - joint.low, bias_speed, SLOT_LOW));
-    to.limit(to.about(-axis, joint.high - twist, -bias_speed, SLOT_HIGH));
+  // The rate of the twist of a ball, if it is not bent by half a revolution.
+  const Vec axis =
+      is_ball && one_plus_cosine > 1e-6 ? (x + twisted_axis) * (1 / one_plus_cosine) : x;
+  if (has_limit) {
+    const double bias_speed = -dot(axis, a.angular_velocity);
+    writer.make_limit(writer.add_angular(axis, twist - joint.low, bias_speed, SLOT_LOW));
+    writer.make_limit(writer.add_angular(-axis, joint.high - twist, -bias_speed, SLOT_HIGH));
   }
-  if (ball && joint.swing[0] >= 0) {
-    const Vec bend = cross(x, twisted_axis);
-    const double sine = length(bend), angle = std::atan2(sine, one_plus_cosine - 1);
+  if (is_ball && joint.swing[0] >= 0) {
+    const Vec swing_axis = cross(x, twisted_axis);
+    const double sine = length(swing_axis), angle = std::atan2(sine, one_plus_cosine - 1);
     if (sine > 1e-9) {
-      const Vec about = bend * (1 / sine), local = unrotate(a.rotation, about);
+      const Vec reference = swing_axis * (1 / sine), local = inverse_rotate(a.rotation, reference);
       const double u = local.y * joint.swing[1], v = local.z * joint.swing[0];
-      const double size = std::sqrt(u * u + v * v);
-      const double limit_angle = size > 0 ? joint.swing[0] * joint.swing[1] / size : 0;
-      to.limit(to.about(-about, limit_angle - angle, dot(about, a.spin), SLOT_SWING));
+      const double norm = std::sqrt(u * u + v * v);
+      const double limit_angle = norm > 0 ? joint.swing[0] * joint.swing[1] / norm : 0;
+      writer.make_limit(writer.add_angular(-reference, limit_angle - angle,
+                                           dot(reference, a.angular_velocity), SLOT_SWING));
     }
   }
-  if (!driven(joint)) return to.rows;
-  if (!ball) {
-    to.drive(to.about(x, twist - joint.target, -dot(x, a.spin), SLOT_DRIVE), joint);
-    return to.rows;
+  if (!has_drive(joint)) return writer.rows;
+  if (!is_ball) {
+    writer.make_drive(
+        writer.add_angular(x, twist - joint.target, -dot(x, a.angular_velocity), SLOT_DRIVE),
+        joint);
+    return writer.rows;
   }
-  const Vec error = rotate(a.rotation, vector_of(between * conjugate(joint.goal)));
+  const Vec error =
+      rotate(a.rotation, rotation_vector(relative * conjugate(joint.target_rotation)));
   for (int i = 0; i < 3; ++i)
-    to.drive(to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_DRIVE + i), joint);
-  return to.rows;
+    writer.make_drive(writer.add_angular(axes[i], dot(axes[i], error),
+                                         -dot(axes[i], a.angular_velocity), SLOT_DRIVE + i),
+                      joint);
+  return writer.rows;
 }
 
-double stretch_of(const Joint& joint, const Anchor& a, const Anchor& b) {
-  Vec off = b.at - a.at;
+double joint_gap(const Joint& joint, const Anchor& a, const Anchor& b) {
+  Vec offset = b.position - a.position;
   if (joint.kind == JointKind::PRISMATIC) {
     const Vec x = rotate(a.rotation, {1, 0, 0});
-    off = off - x * dot(x, off);
+    offset = offset - x * dot(x, offset);
   }
-  return length(off);
+  return length(offset);
 }
 
 }  // namespace animtool::rigid

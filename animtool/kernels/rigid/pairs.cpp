@@ -1,6 +1,6 @@
-// Broad phase: a bounding volume tree, rebuilt each step along a space-filling curve (Karras 2012,
-// "Maximizing parallelism in the construction of BVHs", only its order), so that the work grows as
-// n log n; and the contact of pairs at their time of impact.
+// Broad phase: a bounding volume tree, rebuilt in each step along a space-filling curve (Karras
+// 2012, "Maximizing parallelism in the construction of BVHs"; only its order), so that time grows
+// as n log n; and the contacts of pairs, at their time of impact if they are fast.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -16,9 +16,9 @@ using collide::Collider;
 using collide::load;
 using collide::Shape;
 
-// Distance below which points of two bodies touch, over the smaller size.
+// Distance below which points of two bodies are in contact, over the smaller size.
 constexpr double SKIN = 0.02;
-// Search for the time of impact, and its tolerance over the smaller size.
+// Largest number of advancements to a time of impact, and its tolerance over the smaller size.
 constexpr int MAX_ADVANCES = 48;
 constexpr double ARRIVAL_TOLERANCE = 1e-3;
 
@@ -26,26 +26,28 @@ struct Box {
   Vec low, high;
 };
 
-Box united(const Box& a, const Box& b) {
+Box unite(const Box& a, const Box& b) {
   return {
       {std::min(a.low.x, b.low.x), std::min(a.low.y, b.low.y), std::min(a.low.z, b.low.z)},
       {std::max(a.high.x, b.high.x), std::max(a.high.y, b.high.y), std::max(a.high.z, b.high.z)}};
 }
 
-bool overlap(const Box& a, const Box& b) {
+bool boxes_overlap(const Box& a, const Box& b) {
   return a.low.x <= b.high.x && b.low.x <= a.high.x && a.low.y <= b.high.y && b.low.y <= a.high.y &&
          a.low.z <= b.high.z && b.low.z <= a.high.z;
 }
 
-Box box_of(const PosedCore& p, Vec displacement, double slack) {
+// The box of a core over a displacement.
+Box swept_box(const PosedCore& p, Vec displacement, double slack) {
   Box box{p.points[0], p.points[0]};
   for (std::size_t i = 1; i < p.core->points.size(); ++i)
-    box = united(box, {p.points[i], p.points[i]});
+    box = unite(box, {p.points[i], p.points[i]});
   const double r = p.core->radius + slack;
   box.low = box.low - Vec{r, r, r}, box.high = box.high + Vec{r, r, r};
-  return united(box, {box.low + displacement, box.high + displacement});
+  return unite(box, {box.low + displacement, box.high + displacement});
 }
 
+// Inserts two zero bits after each of the lower ten bits.
 std::uint32_t spread_bits(std::uint32_t v) {
   v = (v | v << 16) & 0x030000FFu;
   v = (v | v << 8) & 0x0300F00Fu;
@@ -53,25 +55,26 @@ std::uint32_t spread_bits(std::uint32_t v) {
   return (v | v << 2) & 0x09249249u;
 }
 
-// Boxes along the curve, halved recursively.
-class Tree {
+// A tree of boxes in the order of the curve, halved recursively.
+class BoxTree {
  public:
-  explicit Tree(const std::vector<Box>& boxes) : boxes_(boxes), order_(boxes.size()) {
+  explicit BoxTree(const std::vector<Box>& boxes) : boxes_(boxes), order_(boxes.size()) {
     if (boxes.empty()) return;
-    Box all = {mid(0), mid(0)};
-    for (std::size_t i = 1; i < boxes.size(); ++i) all = united(all, {mid(i), mid(i)});
-    const Vec size = all.high - all.low;
+    Box bounds = {midpoint(0), midpoint(0)};
+    for (std::size_t i = 1; i < boxes.size(); ++i)
+      bounds = unite(bounds, {midpoint(i), midpoint(i)});
+    const Vec size = bounds.high - bounds.low;
     std::vector<std::uint64_t> keys(boxes.size());
-    const auto cell = [](double at, double extent) {
-      const double fraction = extent > 0 ? at / extent * 1023 : 0;
+    const auto cell = [](double offset, double extent) {
+      const double fraction = extent > 0 ? offset / extent * 1023 : 0;
       return static_cast<std::uint32_t>(fraction > 0 ? std::min(fraction, 1023.0) : 0);
     };
     for (std::size_t i = 0; i < boxes.size(); ++i) {
-      const Vec at = mid(i) - all.low;
-      const std::uint64_t code = spread_bits(cell(at.x, size.x)) |
-                                 spread_bits(cell(at.y, size.y)) << 1 |
-                                 spread_bits(cell(at.z, size.z)) << 2;
-      keys[i] = code << 32 | i;
+      const Vec offset = midpoint(i) - bounds.low;
+      const std::uint64_t morton_code = spread_bits(cell(offset.x, size.x)) |
+                                        spread_bits(cell(offset.y, size.y)) << 1 |
+                                        spread_bits(cell(offset.z, size.z)) << 2;
+      keys[i] = morton_code << 32 | i;
     }
     std::sort(keys.begin(), keys.end());
     for (std::size_t i = 0; i < keys.size(); ++i) order_[i] = keys[i] & 0xFFFFFFFFu;
@@ -79,36 +82,36 @@ class Tree {
     build(0, boxes.size());
   }
 
-  // Visits each pair of overlapping boxes once.
+  // Calls `visitor` once for each pair of overlapping boxes.
   template <class Visitor>
-  void pairs(Visitor visitor) const {
-    for (std::size_t i = 0; i < order_.size(); ++i) visit(0, 0, order_.size(), i, visitor);
+  void visit_pairs(Visitor visitor) const {
+    for (std::size_t i = 0; i < order_.size(); ++i) visit_after(0, 0, order_.size(), i, visitor);
   }
 
  private:
-  Vec mid(std::size_t i) const { return (boxes_[i].low + boxes_[i].high) * 0.5; }
+  Vec midpoint(std::size_t i) const { return (boxes_[i].low + boxes_[i].high) * 0.5; }
 
   std::size_t build(std::size_t from, std::size_t to) {
-    const std::size_t self = nodes_.size();
+    const std::size_t node = nodes_.size();
     nodes_.push_back({boxes_[order_[from]], 0});
     if (to - from > 1) {
-      const std::size_t half = from + (to - from) / 2;
-      build(from, half);
-      const std::size_t right = build(half, to);
-      nodes_[self] = {united(nodes_[self + 1].box, nodes_[right].box), right};
+      const std::size_t middle = from + (to - from) / 2;
+      build(from, middle);
+      const std::size_t right = build(middle, to);
+      nodes_[node] = {unite(nodes_[node + 1].box, nodes_[right].box), right};
     }
-    return self;
+    return node;
   }
 
-  // Leaves after this one in the order.
+  // Visits the leaves after leaf i in the order that overlap it.
   template <class Visitor>
-  void visit(std::size_t node, std::size_t from, std::size_t to, std::size_t i,
-             Visitor& visitor) const {
-    if (to <= i + 1 || !overlap(nodes_[node].box, boxes_[order_[i]])) return;
+  void visit_after(std::size_t node, std::size_t from, std::size_t to, std::size_t i,
+                   Visitor& visitor) const {
+    if (to <= i + 1 || !boxes_overlap(nodes_[node].box, boxes_[order_[i]])) return;
     if (to - from == 1) return visitor(order_[i], order_[from]);
-    const std::size_t half = from + (to - from) / 2;
-    visit(node + 1, from, half, i, visitor);
-    visit(nodes_[node].right, half, to, i, visitor);
+    const std::size_t middle = from + (to - from) / 2;
+    visit_after(node + 1, from, middle, i, visitor);
+    visit_after(nodes_[node].right, middle, to, i, visitor);
   }
 
   struct Node {
@@ -120,66 +123,71 @@ class Tree {
   std::vector<Node> nodes_;
 };
 
-bool convex(const Collider& c) {
-  return !c.container &&
+// Whether a collider is a convex shape with bodies outside.
+bool is_convex(const Collider& c) {
+  return !c.is_container &&
          (c.shape == Shape::SPHERE || c.shape == Shape::CAPSULE || c.shape == Shape::BOX);
 }
 
-// A box about the origin of its frame.
-Core box_core(Vec half) {
+// A box about the origin with these half extents.
+Core box_core(Vec half_extents) {
   Core core;
   for (int i = 0; i < 8; ++i)
-    core.points.push_back(
-        {i & 1 ? half.x : -half.x, i & 2 ? half.y : -half.y, i & 4 ? half.z : -half.z});
+    core.points.push_back({i & 1 ? half_extents.x : -half_extents.x,
+                           i & 2 ? half_extents.y : -half_extents.y,
+                           i & 4 ? half_extents.z : -half_extents.z});
   core.loops = {1, 3, 7, 5, 0, 4, 6, 2, 2, 6, 7, 3, 0, 1, 5, 4, 4, 5, 7, 6, 0, 2, 3, 1};
   core.starts = {0, 4, 8, 12, 16, 20, 24};
-  core.finish();
+  core.build_faces();
   return core;
 }
 
-Core core_of(const Collider& c) {
+// The core of a convex collider.
+Core build_core(const Collider& c) {
   if (c.shape == Shape::BOX) {
     Core core = box_core(load(c.size));
     core.radius = c.margin;
-    core.finish();
+    core.build_faces();
     return core;
   }
   Core core;
   core.points.push_back(collide::load(c.size));
   if (c.shape == Shape::CAPSULE) core.points.push_back(collide::load(c.size + 3));
   core.radius = c.size[c.shape == Shape::CAPSULE ? 6 : 3] + c.margin;
-  core.finish();
+  core.build_faces();
   return core;
 }
 
-// Free motion of bodies within a step.
+// Motion of a body within a step without contacts.
 struct FreeMotion {
   State begin;
-  Vec velocity, spin;
+  Vec velocity, angular_velocity;
 
-  Pose at(double t) const {
+  Pose pose_at(double t) const {
     State s = begin;
-    s.at = s.at + velocity * t;
-    s.rotation = unit(rotation_of(spin * t) * s.rotation);
+    s.position = s.position + velocity * t;
+    s.rotation = unit(quaternion_from_vector(angular_velocity * t) * s.rotation);
     return pose_of(s);
   }
 };
 
-class Finder {
+// Finds the contacts of a step.
+class ContactFinder {
  public:
-  Finder(const World& world, const std::vector<State>& states,
-         const std::vector<Collider>& colliders, const Settings& settings, double step)
+  ContactFinder(const World& world, const std::vector<State>& states,
+                const std::vector<Collider>& colliders, const Settings& settings, double step)
       : world_(world), colliders_(colliders), settings_(settings), step_(step) {
     motions_.reserve(states.size());
     for (std::size_t i = 0; i < states.size(); ++i)
-      motions_.push_back({states[i], states[i].velocity, spin_of(world.bodies[i], states[i])});
+      motions_.push_back(
+          {states[i], states[i].velocity, angular_velocity_of(world.bodies[i], states[i])});
   }
 
-  std::vector<Contact> find() {
+  std::vector<Contact> find_contacts() {
     pose_shapes();
-    const Tree tree(boxes_);
+    const BoxTree tree(boxes_);
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
-    tree.pairs([&](std::size_t i, std::size_t j) {
+    tree.visit_pairs([&](std::size_t i, std::size_t j) {
       if (i > j) std::swap(i, j);
       if (may_collide(i, j)) pairs.emplace_back(i, j);
     });
@@ -187,8 +195,9 @@ class Finder {
     for (const auto& [i, j] : pairs) collide_pair(i, j);
     for (std::size_t s = 0; s < world_.shapes.size(); ++s) {
       for (std::size_t c = 0; c < colliders_.size(); ++c) {
-        if (convex(colliders_[c]) || (sleeps(s) && !colliders_[c].motion.moves())) continue;
-        if (excludes_collider(s, c)) continue;
+        if (is_convex(colliders_[c]) || (is_asleep(s) && !colliders_[c].motion.is_moving()))
+          continue;
+        if (is_collider_excluded(s, c)) continue;
         if (colliders_[c].shape == Shape::MESH) {
           collide_mesh(s, c);
         } else {
@@ -203,80 +212,89 @@ class Finder {
   }
 
  private:
-  bool sleeps(std::size_t s) const {
-    return asleep(motions_[world_.shapes[s].body].begin, settings_);
+  bool is_asleep(std::size_t s) const {
+    return is_state_asleep(motions_[world_.shapes[s].body].begin, settings_);
   }
 
   std::size_t shapes() const { return world_.shapes.size(); }
 
   void pose_shapes() {
     const std::size_t count = shapes();
-    poses_.resize(motions_.size());
-    for (std::size_t i = 0; i < motions_.size(); ++i) poses_[i] = pose_of(motions_[i].begin);
+    body_poses_.resize(motions_.size());
+    for (std::size_t i = 0; i < motions_.size(); ++i) body_poses_[i] = pose_of(motions_[i].begin);
     std::size_t points = 0;
     for (const auto& shape : world_.shapes) points += shape.core.points.size() + shape.core.faces();
-    posed_.resize(count);
+    posed_cores_.resize(count);
     for (std::size_t s = 0; s < count; ++s) {
       const auto& shape = world_.shapes[s];
-      posed_[s].set(shape.core, poses_[shape.body]);
-      const FreeMotion& g = motions_[shape.body];
-      const double swept = length(g.spin) * step_ * world_.bodies[shape.body].reach;
-      boxes_.push_back(
-          box_of(posed_[s].get(), g.velocity * step_, swept + SKIN * shape.core.reach));
+      posed_cores_[s].set_pose(shape.core, body_poses_[shape.body]);
+      const FreeMotion& motion = motions_[shape.body];
+      const double sweep_radius =
+          length(motion.angular_velocity) * step_ * world_.bodies[shape.body].bounding_radius;
+      boxes_.push_back(swept_box(posed_cores_[s].get(), motion.velocity * step_,
+                                 sweep_radius + SKIN * shape.core.bounding_radius));
       owners_.push_back(s);
     }
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
-      if (!convex(colliders_[c])) continue;
-      const collide::Motion& m = colliders_[c].motion;
-      cores_.push_back(std::make_unique<Core>(core_of(colliders_[c])));
-      posed_.emplace_back();
-      posed_.back().set(*cores_.back(), m.at(0));
-      const double swept = m.angle() * cores_.back()->reach;
-      boxes_.push_back(box_of(posed_.back().get(), m.travel(), swept));
+      if (!is_convex(colliders_[c])) continue;
+      const collide::Motion& motion = colliders_[c].motion;
+      collider_cores_.push_back(std::make_unique<Core>(build_core(colliders_[c])));
+      posed_cores_.emplace_back();
+      posed_cores_.back().set_pose(*collider_cores_.back(), motion.pose_at(0));
+      const double sweep_radius = motion.angle() * collider_cores_.back()->bounding_radius;
+      boxes_.push_back(swept_box(posed_cores_.back().get(), motion.translation(), sweep_radius));
       owners_.push_back(count + c);
     }
   }
 
-  // Of two bodies, or of a body and a collider; colliders are numbered after the bodies.
-  bool excluded(std::size_t a, std::size_t b) const {
+  // Whether contacts of two bodies, or of a body and a collider, are excluded; colliders are
+  // numbered after the bodies.
+  bool is_excluded(std::size_t a, std::size_t b) const {
     if (world_.excluded.empty()) return false;
     const std::uint64_t key = static_cast<std::uint64_t>(std::min(a, b)) << 32 | std::max(a, b);
     return std::binary_search(world_.excluded.begin(), world_.excluded.end(), key);
   }
 
-  bool excludes_collider(std::size_t s, std::size_t c) const {
-    return excluded(world_.shapes[s].body, world_.bodies.size() + c);
+  bool is_collider_excluded(std::size_t s, std::size_t c) const {
+    return is_excluded(world_.shapes[s].body, world_.bodies.size() + c);
   }
 
-  // Shapes come before colliders.
+  // Whether two boxes may collide; i is below j, and shapes come before colliders.
   bool may_collide(std::size_t i, std::size_t j) const {
     if (i >= shapes()) return false;
     if (j >= shapes()) {
       const Collider& c = colliders_[owners_[j] - shapes()];
-      return (!sleeps(i) || c.motion.moves()) && !excludes_collider(i, owners_[j] - shapes());
+      return (!is_asleep(i) || c.motion.is_moving()) &&
+             !is_collider_excluded(i, owners_[j] - shapes());
     }
     const std::size_t a = world_.shapes[i].body, b = world_.shapes[j].body;
-    return a != b && !(sleeps(i) && sleeps(j)) && !excluded(a, b);
+    return a != b && !(is_asleep(i) && is_asleep(j)) && !is_excluded(a, b);
   }
 
-  // Upper bound of the approach speed of two along a direction.
+  // Upper bound of the approach of two bodies along a direction.
   static double approach_bound(Vec displacement, double rotation_bound, Vec normal) {
     return std::max(-dot(displacement, normal), 0.0) + rotation_bound;
   }
 
+  // Adds the contact of two posed cores.
   void collide_pair(std::size_t i, std::size_t j) {
-    const PosedCore& p = posed_[i].get();
-    const PosedCore& q = posed_[j].get();
+    const PosedCore& p = posed_cores_[i].get();
+    const PosedCore& q = posed_cores_[j].get();
     const std::size_t a = world_.shapes[i].body;
-    const bool fixed = j >= shapes();
-    const std::size_t b = fixed ? 0 : world_.shapes[j].body;
-    const double size = std::min(p.core->reach, q.core->reach), skin = SKIN * size;
-    const collide::Motion* motion = fixed ? &colliders_[owners_[j] - shapes()].motion : nullptr;
-    const Vec other = fixed ? motion->travel() * (1 / step_) : motions_[b].velocity;
-    const Vec displacement = (other - motions_[a].velocity) * step_;
-    const double spin = fixed ? motion->angle() : length(motions_[b].spin) * step_;
+    const bool is_collider = j >= shapes();
+    const std::size_t b = is_collider ? 0 : world_.shapes[j].body;
+    const double size = std::min(p.core->bounding_radius, q.core->bounding_radius),
+                 skin = SKIN * size;
+    const collide::Motion* motion =
+        is_collider ? &colliders_[owners_[j] - shapes()].motion : nullptr;
+    const Vec other_velocity =
+        is_collider ? motion->translation() * (1 / step_) : motions_[b].velocity;
+    const Vec displacement = (other_velocity - motions_[a].velocity) * step_;
+    const double other_rotation =
+        is_collider ? motion->angle() : length(motions_[b].angular_velocity) * step_;
     const double rotation_bound =
-        length(motions_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
+        length(motions_[a].angular_velocity) * step_ * p.core->bounding_radius +
+        other_rotation * q.core->bounding_radius;
     const double max_displacement = length(displacement) + rotation_bound;
     const Axis axis =
         separating_axis(p, q, max_displacement + skin + p.core->radius + q.core->radius);
@@ -285,251 +303,272 @@ class Finder {
     Contact contact;
     contact.motion = motion;
     contact.radius = p.core->radius, contact.other_radius = q.core->radius;
-    // Near or slow pairs are tested at the start; far and fast ones at their arrival.
+    // Near or slow pairs are tested at the start; distant and fast ones at their arrival.
     if (gap <= skin + std::min(max_displacement, size * ARRIVAL_TOLERANCE)) {
-      const Manifold manifold = manifold_of(p, q, skin + max_displacement);
-      contact.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
+      const Manifold manifold = find_manifold(p, q, skin + max_displacement);
+      contact.set_manifold(manifold, body_poses_[a],
+                           is_collider ? motion->pose_at(0) : body_poses_[b]);
     } else {
       advance_to_impact(p, q, a, b, motion, contact, gap, axis, displacement, rotation_bound, size,
                         max_displacement);
     }
     if (!contact.count) return;
     contact.first = i, contact.second = static_cast<std::int64_t>(owners_[j]);
-    contact.a = a, contact.b = fixed ? -1 : static_cast<std::ptrdiff_t>(b);
+    contact.a = a, contact.b = is_collider ? -1 : static_cast<std::ptrdiff_t>(b);
     Material other_material;
-    if (fixed) {
+    if (is_collider) {
       const Collider& c = colliders_[owners_[j] - shapes()];
       other_material = {c.restitution, c.friction}, contact.depenetration = c.depenetration;
     } else {
       other_material = world_.shapes[j].material;
     }
-    contact.material = combined(world_.shapes[i].material, other_material);
+    contact.material = combine(world_.shapes[i].material, other_material);
     contacts_.push_back(contact);
   }
 
-  static Material combined(const Material& a, const Material& b) {
+  static Material combine(const Material& a, const Material& b) {
     return {std::max(a.restitution, b.restitution), std::max(a.friction, b.friction)};
   }
 
-  // Conservative advancement to the time of impact (Mirtich 1996, "Impulse-based dynamic
-  // simulation"), and the contact there.
+  // Finds the contact at the time of impact by conservative advancement (Mirtich 1996,
+  // "Impulse-based dynamic simulation").
   void advance_to_impact(const PosedCore& p, const PosedCore& q, std::size_t a, std::size_t b,
                          const collide::Motion* motion, Contact& contact, double gap, Axis axis,
                          Vec displacement, double rotation_bound, double size,
                          double max_displacement) {
-    const double near = ARRIVAL_TOLERANCE * size, skin = p.core->radius + q.core->radius;
+    const double tolerance = ARRIVAL_TOLERANCE * size, radius_sum = p.core->radius + q.core->radius;
     Pose pose_a, pose_b;
     double fraction = 0;
     for (int i = 0; i < MAX_ADVANCES; ++i) {
       const double speed = approach_bound(displacement, rotation_bound, axis.normal);
       if (!(speed > 0)) return;
-      fraction += std::max(gap - near / 2, near / 2) / speed;
+      fraction += std::max(gap - tolerance / 2, tolerance / 2) / speed;
       if (fraction > 1) return;
-      pose_a = motions_[a].at(fraction * step_);
-      pose_b = motion ? motion->at(fraction) : motions_[b].at(fraction * step_);
-      moved_a_.set(*p.core, pose_a);
-      moved_b_.set(*q.core, pose_b);
-      axis = separating_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
-      gap = axis.gap - skin;
-      if (gap <= near) break;
+      pose_a = motions_[a].pose_at(fraction * step_);
+      pose_b = motion ? motion->pose_at(fraction) : motions_[b].pose_at(fraction * step_);
+      advanced_a_.set_pose(*p.core, pose_a);
+      advanced_b_.set_pose(*q.core, pose_b);
+      axis = separating_axis(advanced_a_.get(), advanced_b_.get(), collide::FAR);
+      gap = axis.gap - radius_sum;
+      if (gap <= tolerance) break;
     }
-    const double reach = std::max(gap, 0.0) + SKIN * size + max_displacement * (1 - fraction);
-    contact.take(manifold_of(moved_a_.get(), moved_b_.get(), reach), pose_a, pose_b);
+    const double max_gap = std::max(gap, 0.0) + SKIN * size + max_displacement * (1 - fraction);
+    contact.set_manifold(find_manifold(advanced_a_.get(), advanced_b_.get(), max_gap), pose_a,
+                         pose_b);
   }
 
-  void add(std::size_t s, std::size_t c, const Manifold& manifold) {
+  // Adds a contact of a shape with a collider.
+  void add_contact(std::size_t s, std::size_t c, const Manifold& manifold) {
     Contact contact;
     const Collider& collider = colliders_[c];
     contact.first = s, contact.second = static_cast<std::int64_t>(shapes() + c);
     contact.a = world_.shapes[s].body, contact.b = -1;
     contact.radius = world_.shapes[s].core.radius;
-    contact.take(manifold, poses_[contact.a], collider.motion.at(0));
+    contact.set_manifold(manifold, body_poses_[contact.a], collider.motion.pose_at(0));
     contact.motion = &collider.motion;
     contact.depenetration = collider.depenetration;
     contact.material =
-        combined(world_.shapes[s].material, {collider.restitution, collider.friction});
+        combine(world_.shapes[s].material, {collider.restitution, collider.friction});
     contacts_.push_back(contact);
   }
 
-  // One of the six walls of a container, seen from inside.
-  static collide::Sample from_wall(const Collider& c, const Pose& pose, Vec point, double radius,
-                                   int wall) {
+  // Samples one of the six walls of a container, from inside.
+  static collide::Sample sample_wall(const Collider& c, const Pose& pose, Vec point, double radius,
+                                     int wall) {
     const Vec local = pose.to_local(point);
-    const double at[3] = {local.x, local.y, local.z}, sign = wall % 2 ? -1 : 1;
+    const double coordinates[3] = {local.x, local.y, local.z}, sign = wall % 2 ? -1 : 1;
     double inward[3] = {0, 0, 0};
     inward[wall / 2] = -sign;
-    return {c.size[wall / 2] - sign * at[wall / 2] - c.margin - radius, pose.rotated(load(inward))};
+    return {c.size[wall / 2] - sign * coordinates[wall / 2] - c.margin - radius,
+            pose.rotate(load(inward))};
   }
 
-  // Planes and containers: contact points with the normal at each.
+  // Collides a shape with a plane or container: contact points, grouped by their normals.
   void collide_field(std::size_t s, std::size_t c) {
-    const PosedCore& p = posed_[s].get();
+    const PosedCore& p = posed_cores_[s].get();
     const Collider& collider = colliders_[c];
-    const FreeMotion& g = motions_[world_.shapes[s].body];
-    const double reach = SKIN * p.core->reach + length(g.spin) * step_ * p.core->reach +
-                         length(g.velocity * step_ - collider.motion.travel()) +
-                         collider.motion.angle() * length(p.centre);
-    const Pose pose = collider.motion.at(0);
-    const double away = length(p.centre - poses_[world_.shapes[s].body].origin) + p.core->reach;
-    if (collide::sample(collider, pose, p.centre, away, reach).distance > reach) return;
-    fields_.clear();
-    const int sides = collider.shape == Shape::BOX ? 6 : 1;
-    for (std::size_t i = 0; i < sides * p.core->points.size(); ++i) {
-      const Vec point = p.points[i / static_cast<std::size_t>(sides)];
-      const auto sample = sides == 1 ? collide::sample(collider, pose, point, p.core->radius, reach)
-                                     : from_wall(collider, pose, point, p.core->radius,
-                                                 static_cast<int>(i) % sides);
-      if (sample.distance > reach) continue;
+    const FreeMotion& motion = motions_[world_.shapes[s].body];
+    const double max_gap = SKIN * p.core->bounding_radius +
+                           length(motion.angular_velocity) * step_ * p.core->bounding_radius +
+                           length(motion.velocity * step_ - collider.motion.translation()) +
+                           collider.motion.angle() * length(p.centre);
+    const Pose pose = collider.motion.pose_at(0);
+    const double bounding_distance =
+        length(p.centre - body_poses_[world_.shapes[s].body].origin) + p.core->bounding_radius;
+    if (collide::sample(collider, pose, p.centre, bounding_distance, max_gap).distance > max_gap)
+      return;
+    points_by_normal_.clear();
+    const int wall_count = collider.shape == Shape::BOX ? 6 : 1;
+    for (std::size_t i = 0; i < wall_count * p.core->points.size(); ++i) {
+      const Vec point = p.points[i / static_cast<std::size_t>(wall_count)];
+      const auto sample = wall_count == 1
+                              ? collide::sample(collider, pose, point, p.core->radius, max_gap)
+                              : sample_wall(collider, pose, point, p.core->radius,
+                                            static_cast<int>(i) % wall_count);
+      if (sample.distance > max_gap) continue;
       const Vec n = -sample.normal;
-      const ContactPoint touching{point + n * (p.core->radius + sample.distance / 2),
-                                  sample.distance};
-      auto same = std::find_if(fields_.begin(), fields_.end(),
-                               [&](const auto& one) { return dot(one.first, n) > 1 - 1e-9; });
-      if (same == fields_.end()) same = fields_.insert(fields_.end(), {n, {}});
-      same->second.push_back(touching);
+      const ContactPoint contact_point{point + n * (p.core->radius + sample.distance / 2),
+                                       sample.distance};
+      auto group =
+          std::find_if(points_by_normal_.begin(), points_by_normal_.end(),
+                       [&](const auto& candidate) { return dot(candidate.first, n) > 1 - 1e-9; });
+      if (group == points_by_normal_.end())
+        group = points_by_normal_.insert(points_by_normal_.end(), {n, {}});
+      group->second.push_back(contact_point);
     }
-    for (auto& [n, points] : fields_) {
+    for (auto& [n, points] : points_by_normal_) {
       Manifold manifold;
       manifold.normal = n;
       reduce_to_four(points, n, manifold);
-      add(s, c, manifold);
+      add_contact(s, c, manifold);
     }
   }
 
+  // Collides a shape with the triangles of a mesh.
   void collide_mesh(std::size_t s, std::size_t c) {
-    const PosedCore& p = posed_[s].get();
+    const PosedCore& p = posed_cores_[s].get();
     const Collider& collider = colliders_[c];
-    const Pose pose = collider.motion.at(0);
+    const Pose pose = collider.motion.pose_at(0);
     const collide::Mesh& mesh = collider.mesh;
-    const FreeMotion& g = motions_[world_.shapes[s].body];
-    const Vec displacement = g.velocity * step_ - collider.motion.travel();
-    const double rotation_bound = length(g.spin) * step_ * p.core->reach +
-                                  collider.motion.angle() * length(p.centre - pose.origin);
-    const double reach =
-        SKIN * p.core->reach + length(displacement) + rotation_bound + collider.margin;
+    const FreeMotion& motion = motions_[world_.shapes[s].body];
+    const Vec displacement = motion.velocity * step_ - collider.motion.translation();
+    const double rotation_bound =
+        length(motion.angular_velocity) * step_ * p.core->bounding_radius +
+        collider.motion.angle() * length(p.centre - pose.origin);
+    const double max_gap =
+        SKIN * p.core->bounding_radius + length(displacement) + rotation_bound + collider.margin;
     Box local{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
     for (std::size_t i = 1; i < p.core->points.size(); ++i) {
-      const Vec at = pose.to_local(p.points[i]);
-      local = united(local, {at, at});
+      const Vec point = pose.to_local(p.points[i]);
+      local = unite(local, {point, point});
     }
-    const double r = p.core->radius + reach;
-    const std::size_t before = contacts_.size();
-    bool behind = false;
+    const double r = p.core->radius + max_gap;
+    const std::size_t previous_count = contacts_.size();
+    bool is_behind_any = false;
     collide::visit_overlapping(
         mesh, collider.root, local.low - Vec{r, r, r}, local.high + Vec{r, r, r},
-        [&](std::int32_t t) { behind |= !meet_triangle(s, c, t, pose, reach); });
-    if (behind && contacts_.size() == before) meet_inside(s, c, pose, reach);
+        [&](std::int32_t t) { is_behind_any |= !collide_triangle(s, c, t, pose, max_gap); });
+    if (is_behind_any && contacts_.size() == previous_count) collide_inside(s, c, pose, max_gap);
   }
 
-  // Bodies inside a mesh, whose centre is on the outward direction of the nearest point.
-  void meet_inside(std::size_t s, std::size_t c, const Pose& pose, double reach) {
-    const PosedCore& p = posed_[s].get();
-    const auto out = collide::sample(colliders_[c], pose, p.centre, 0, p.core->reach + reach);
-    if (!(out.distance < 0)) return;
+  // Adds the contact of a body whose centre is inside of a mesh, along the outward direction of the
+  // nearest point.
+  void collide_inside(std::size_t s, std::size_t c, const Pose& pose, double max_gap) {
+    const PosedCore& p = posed_cores_[s].get();
+    const auto surface =
+        collide::sample(colliders_[c], pose, p.centre, 0, p.core->bounding_radius + max_gap);
+    if (!(surface.distance < 0)) return;
     std::vector<ContactPoint> points;
     for (std::size_t i = 0; i < p.core->points.size(); ++i) {
-      const Vec at = p.points[i];
-      const double gap = out.distance + dot(out.normal, at - p.centre) - p.core->radius;
-      if (gap <= reach) points.push_back({at - out.normal * (p.core->radius + gap / 2), gap});
+      const Vec point = p.points[i];
+      const double gap = surface.distance + dot(surface.normal, point - p.centre) - p.core->radius;
+      if (gap <= max_gap)
+        points.push_back({point - surface.normal * (p.core->radius + gap / 2), gap});
     }
     Manifold manifold;
-    manifold.normal = -out.normal;
+    manifold.normal = -surface.normal;
     reduce_to_four(points, manifold.normal, manifold);
-    add(s, c, manifold);
+    add_contact(s, c, manifold);
   }
 
-  // Whether a point of the world is behind a triangle of a mesh.
-  static bool behind(const collide::Mesh& mesh, std::int32_t t, const Pose& pose, Vec point) {
+  // Whether a point in the world is behind a triangle of a mesh.
+  static bool is_behind(const collide::Mesh& mesh, std::int32_t t, const Pose& pose, Vec point) {
     const std::int32_t* corner = mesh.triangles + 3 * t;
-    const Vec a = mesh.point(corner[0]), at = pose.to_local(point);
-    return dot(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), at - a) < 0;
+    const Vec a = mesh.point(corner[0]), local = pose.to_local(point);
+    return dot(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), local - a) < 0;
   }
 
-  // Returns whether a body is in front of a triangle.
-  bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose, double reach) {
-    const PosedCore& p = posed_[s].get();
+  // Collides a shape with a triangle; returns whether the shape is in front of it.
+  bool collide_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
+                        double max_gap) {
+    const PosedCore& p = posed_cores_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
     Core core;
     // Containers collide from behind, two-sided triangles from the side of the body.
-    const bool two_sided = colliders_[c].two_sided;
-    const bool turned = colliders_[c].container || (two_sided && behind(mesh, t, pose, p.centre));
+    const bool is_two_sided = colliders_[c].is_two_sided;
+    const bool is_flipped =
+        colliders_[c].is_container || (is_two_sided && is_behind(mesh, t, pose, p.centre));
     for (int k = 0; k < 3; ++k)
-      core.points.push_back(mesh.point(mesh.triangles[3 * t + (turned ? (3 - k) % 3 : k)]));
+      core.points.push_back(mesh.point(mesh.triangles[3 * t + (is_flipped ? (3 - k) % 3 : k)]));
     core.loops = {0, 1, 2, 0, 2, 1};
     core.starts = {0, 3, 6};
     core.radius = colliders_[c].margin;
-    core.finish();
-    moved_b_.set(core, pose);
-    const PosedCore& q = moved_b_.get();
-    const Vec face = q.normals[0];
-    // Points behind a face collide with its other side, or with the full mesh.
-    if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
-    Manifold manifold = manifold_of(q, p, reach);
+    core.build_faces();
+    advanced_b_.set_pose(core, pose);
+    const PosedCore& q = advanced_b_.get();
+    const Vec face_normal = q.normals[0];
+    // Bodies behind a face collide with its other side, or with the complete mesh.
+    if (!is_two_sided && dot(p.centre - q.points[0], face_normal) < 0) return false;
+    Manifold manifold = find_manifold(q, p, max_gap);
     if (!manifold.count) return true;
-    if (!faces_out(mesh, t, turned, pose, manifold, q))
-      manifold = triangle_manifold(q, p, reach, two_sided);
+    if (!is_in_normal_cone(mesh, t, is_flipped, pose, manifold, q))
+      manifold = triangle_manifold(q, p, max_gap, is_two_sided);
     if (!manifold.count) return true;
     manifold.normal = -manifold.normal;
-    add(s, c, manifold);
+    add_contact(s, c, manifold);
     return true;
   }
 
-  // Whether a normal is within the normal cone of the surface: at an edge between those of its two
-  // faces, so that sliding bodies do not catch on inner edges.
-  static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned, const Pose& pose,
-                        const Manifold& manifold, const PosedCore& q) {
-    const Vec n = manifold.normal, face = q.normals[0];
-    const double cosine = dot(n, face);
+  // Whether a normal is in the normal cone of the surface: at an edge, between the normals of its
+  // two faces, so that sliding bodies do not catch on inner edges.
+  static bool is_in_normal_cone(const collide::Mesh& mesh, std::int32_t t, bool is_flipped,
+                                const Pose& pose, const Manifold& manifold, const PosedCore& q) {
+    const Vec n = manifold.normal, face_normal = q.normals[0];
+    const double cosine = dot(n, face_normal);
     if (cosine > 1 - 1e-6) return true;
     if (cosine <= 0) return false;
-    const Vec at = manifold.points[0].at;
+    const Vec point = manifold.points[0].position;
     int side = 0;
-    double least = collide::FAR;
+    double min_squared = collide::FAR;
     for (int k = 0; k < 3; ++k) {
-      const Vec a = q.points[k], b = q.points[(k + 1) % 3], along = b - a;
-      const double fraction = std::clamp(dot(at - a, along) / dot(along, along), 0.0, 1.0);
-      const Vec off = at - a - along * fraction;
-      if (dot(off, off) < least) least = dot(off, off), side = k;
+      const Vec a = q.points[k], b = q.points[(k + 1) % 3], edge = b - a;
+      const double fraction = std::clamp(dot(point - a, edge) / dot(edge, edge), 0.0, 1.0);
+      const Vec offset = point - a - edge * fraction;
+      if (dot(offset, offset) < min_squared) min_squared = dot(offset, offset), side = k;
     }
-    const Vec out_there =
-        pose.rotated(load(mesh.edge_normals + 9 * t + 3 * (turned ? 2 - side : side)));
-    const Vec sum = turned ? -out_there : out_there;
-    if (dot(sum, sum) == 0) return true;  // a boundary edge
-    const Vec other =
-        direction(direction(sum, face) * (2 * dot(direction(sum, face), face)) - face, face);
-    const Vec along = q.points[(side + 1) % 3] - q.points[side];
-    const Vec out = cross(along, face);
-    if (dot(other, out) <= 1e-6) return false;  // flat, or concave
-    return cosine >= dot(other, face) - 1e-3;
+    const Vec edge_normal =
+        pose.rotate(load(mesh.edge_normals + 9 * t + 3 * (is_flipped ? 2 - side : side)));
+    const Vec normal_sum = is_flipped ? -edge_normal : edge_normal;
+    if (dot(normal_sum, normal_sum) == 0) return true;  // a boundary edge
+    const Vec other_normal =
+        direction(direction(normal_sum, face_normal) *
+                          (2 * dot(direction(normal_sum, face_normal), face_normal)) -
+                      face_normal,
+                  face_normal);
+    const Vec edge = q.points[(side + 1) % 3] - q.points[side];
+    const Vec outward = cross(edge, face_normal);
+    if (dot(other_normal, outward) <= 1e-6) return false;  // flat, or concave
+    return cosine >= dot(other_normal, face_normal) - 1e-3;
   }
 
   // Whether a segment crosses a triangle.
-  static bool crosses(const PosedCore& q, Vec from, Vec to) {
+  static bool is_crossing(const PosedCore& q, Vec from, Vec to) {
     const Vec n = q.normals[0], displacement = to - from;
-    const double begin = dot(n, from - q.points[0]), end = dot(n, to - q.points[0]);
-    if ((begin > 0) == (end > 0)) return false;
-    const Vec at = from + displacement * (begin / (begin - end));
+    const double start_height = dot(n, from - q.points[0]), end_height = dot(n, to - q.points[0]);
+    if ((start_height > 0) == (end_height > 0)) return false;
+    const Vec point = from + displacement * (start_height / (start_height - end_height));
     for (int k = 0; k < 3; ++k)
-      if (dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) < 0) return false;
+      if (dot(cross(q.points[(k + 1) % 3] - q.points[k], point - q.points[k]), n) < 0) return false;
     return true;
   }
 
-  // Points of a core against the front of a triangle.
-  static Manifold triangle_manifold(const PosedCore& q, const PosedCore& p, double reach,
-                                    bool two_sided) {
+  // Contact points of a core on the front of a triangle.
+  static Manifold triangle_manifold(const PosedCore& q, const PosedCore& p, double max_gap,
+                                    bool is_two_sided) {
     const Vec n = q.normals[0];
     std::vector<ContactPoint> points;
     for (std::size_t i = 0; i < p.core->points.size(); ++i) {
-      const Vec at = p.points[i];
-      const double height = dot(n, at - q.points[0]);
+      const Vec point = p.points[i];
+      const double height = dot(n, point - q.points[0]);
       const double gap = height - p.core->radius - q.core->radius;
-      if (gap > reach) continue;
-      bool within = true;
+      if (gap > max_gap) continue;
+      bool is_inside = true;
       for (int k = 0; k < 3; ++k)
-        within &= dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) >= 0;
-      // Behind a two-sided triangle counts what crosses it, not its edges.
-      if (within && two_sided && height < 0) within = crosses(q, p.centre, at);
-      if (within) points.push_back({at - n * (height - q.core->radius - gap / 2), gap});
+        is_inside &= dot(cross(q.points[(k + 1) % 3] - q.points[k], point - q.points[k]), n) >= 0;
+      // Behind a two-sided triangle, only points that crossed the triangle count, not those beside
+      // its edges.
+      if (is_inside && is_two_sided && height < 0) is_inside = is_crossing(q, p.centre, point);
+      if (is_inside) points.push_back({point - n * (height - q.core->radius - gap / 2), gap});
     }
     Manifold manifold;
     manifold.normal = n;
@@ -542,13 +581,14 @@ class Finder {
   const Settings& settings_;
   double step_;
   std::vector<FreeMotion> motions_;
-  std::vector<Pose> poses_;
-  std::vector<CorePoser> posed_;
+  std::vector<Pose> body_poses_;
+  std::vector<CorePoser> posed_cores_;
   std::vector<Box> boxes_;
-  std::vector<std::size_t> owners_;  // of each box a shape, or a collider after the shapes
-  std::vector<std::unique_ptr<Core>> cores_;
-  std::vector<std::pair<Vec, std::vector<ContactPoint>>> fields_;
-  CorePoser moved_a_, moved_b_;
+  std::vector<std::size_t>
+      owners_;  // of each box: a shape, or a collider, numbered after the shapes
+  std::vector<std::unique_ptr<Core>> collider_cores_;
+  std::vector<std::pair<Vec, std::vector<ContactPoint>>> points_by_normal_;
+  CorePoser advanced_a_, advanced_b_;
   std::vector<Contact> contacts_;
 };
 
@@ -557,7 +597,7 @@ class Finder {
 std::vector<Contact> find_contacts(const World& world, const std::vector<State>& states,
                                    const std::vector<Collider>& colliders, const Settings& settings,
                                    double step) {
-  return Finder(world, states, colliders, settings, step).find();
+  return ContactFinder(world, states, colliders, settings, step).find_contacts();
 }
 
 }  // namespace animtool::rigid

@@ -7,12 +7,12 @@ namespace {
 
 // Largest speed at which initial penetration is resolved [m/s].
 constexpr double MAX_PUSH_SPEED = 2;
-// A contact point is matched to one of the previous step within this distance, over the size.
+// Distance within which a contact point is matched to one of the previous step, over the size.
 constexpr double MATCH_DISTANCE = 0.1;
-// Contact arms are updated if bodies rotate by more than this fraction of their size.
+// Contact arms are updated if they change by more than this fraction of the body's size.
 constexpr double ARM_TOLERANCE = 1e-3;
-// Friction this close to its limit slides.
-constexpr double SLIDING = 1e-6;
+// Friction that is within this fraction of its limit slides.
+constexpr double SLIDING_MARGIN = 1e-6;
 
 }  // namespace
 
@@ -21,8 +21,10 @@ void Solver::count_supports(const Patch& patch) {
   int count = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     const Point& p = points_[k];
-    const double limit = patch.friction * p.force * (1 - SLIDING);
-    count += p.across[0] * p.across[0] + p.across[1] * p.across[1] < limit * limit;
+    const double limit = patch.friction * p.force * (1 - SLIDING_MARGIN);
+    count +=
+        p.friction_forces[0] * p.friction_forces[0] + p.friction_forces[1] * p.friction_forces[1] <
+        limit * limit;
   }
   const Contact& c = *patch.contact;
   if (world_.shapes[c.first].core.faces()) support_counts_[patch.a] += count;
@@ -34,83 +36,87 @@ void Solver::add_patch(const Contact& c) {
   Patch patch;
   patch.a = c.a, patch.b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
   patch.contact = &c;
-  const Vec n = patch.normal = c.normal;
-  patch.tangents[0] = collide::across(n);
-  patch.tangents[1] = cross(n, patch.tangents[0]);
+  const Vec normal = patch.normal = c.normal;
+  patch.tangents[0] = collide::orthogonal(normal);
+  patch.tangents[1] = cross(normal, patch.tangents[0]);
   patch.friction = c.material.friction, patch.restitution = c.material.restitution;
-  patch.push = c.depenetration > 0 ? c.depenetration : MAX_PUSH_SPEED;
+  patch.max_push_speed = c.depenetration > 0 ? c.depenetration : MAX_PUSH_SPEED;
   patch.begin = points_.size();
   patch.skin = c.radius + c.other_radius;
-  const double size = ARM_TOLERANCE * world_.bodies[c.a].reach;
-  patch.squared_arm_tolerance = size * size;
+  const double arm_tolerance = ARM_TOLERANCE * world_.bodies[c.a].bounding_radius;
+  patch.squared_arm_tolerance = arm_tolerance * arm_tolerance;
   const Pose& pose_a = poses_[c.a];
-  const Pose fixed_pose = c.b < 0 ? c.motion->at(0) : poses_[patch.b];
+  const Pose fixed_pose = c.b < 0 ? c.motion->pose_at(0) : poses_[patch.b];
   for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
     Point& p = points_.emplace_back();
-    p.on_a = c.on_a[k], p.on_b = c.on_b[k], p.gap = c.gaps[k];
+    p.local_a = c.local_a[k], p.local_b = c.local_b[k], p.gap = c.gaps[k];
     const Pose& pose_b = c.b < 0 ? fixed_pose : poses_[patch.b];
-    set_arms(patch, p, touching_point(patch, pose_a.to_world(p.on_a), pose_b.to_world(p.on_b)));
+    set_arms(patch, p,
+             contact_position(patch, pose_a.to_world(p.local_a), pose_b.to_world(p.local_b)));
   }
   patch.end = points_.size();
-  match_stored(patch);
+  match_stored_contacts(patch);
   patches_.push_back(patch);
 }
 
-void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
-  const Vec at_a = p.arm_a = at - states_[patch.a].at;
-  const Vec at_b = p.arm_b = patch.b < count_ ? at - states_[patch.b].at : Vec{};
-  const Speed &sa = speeds_[patch.a], &sb = speeds_[patch.b];
-  const Vec lines[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
+void Solver::set_arms(const Patch& patch, Point& p, Vec position) {
+  const Vec arm_a = p.arm_a = position - states_[patch.a].position;
+  const Vec arm_b = p.arm_b = patch.b < count_ ? position - states_[patch.b].position : Vec{};
+  const Speed &speed_a = speeds_[patch.a], &speed_b = speeds_[patch.b];
+  const Vec directions[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
   for (int d = 0; d < 3; ++d) {
-    p.arms_a[d] = cross(at_a, lines[d]), p.arms_b[d] = cross(at_b, lines[d]);
-    p.responses_a[d] = sa.angular_response(p.arms_a[d]),
-    p.responses_b[d] = sb.angular_response(p.arms_b[d]);
-    const double k = sa.inverse_mass + sb.inverse_mass + dot(p.arms_a[d], p.responses_a[d]) +
-                     dot(p.arms_b[d], p.responses_b[d]);
-    (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
+    p.arms_a[d] = cross(arm_a, directions[d]), p.arms_b[d] = cross(arm_b, directions[d]);
+    p.responses_a[d] = speed_a.angular_response(p.arms_a[d]),
+    p.responses_b[d] = speed_b.angular_response(p.arms_b[d]);
+    const double inverse_mass = speed_a.inverse_mass + speed_b.inverse_mass +
+                                dot(p.arms_a[d], p.responses_a[d]) +
+                                dot(p.arms_b[d], p.responses_b[d]);
+    (d ? p.tangent_masses[d - 1] : p.mass) = inverse_mass > 0 ? 1 / inverse_mass : 0;
   }
-  // One arm for both, so that friction is aligned with sliding.
-  p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
+  // The same mass for both tangents, so that friction is aligned with sliding.
+  p.tangent_masses[0] = p.tangent_masses[1] = std::min(p.tangent_masses[0], p.tangent_masses[1]);
 }
 
-void Solver::match_stored(Patch& patch) {
+void Solver::match_stored_contacts(Patch& patch) {
   const Contact& c = *patch.contact;
   const auto first = static_cast<std::int64_t>(c.first);
   auto begin = std::lower_bound(stored_contacts_.begin(), stored_contacts_.end(), c,
                                 [&](const StoredContact& k, const Contact&) {
                                   return k.first != first ? k.first < first : k.second < c.second;
                                 });
-  const double size = MATCH_DISTANCE * world_.bodies[c.a].reach;
-  std::uint32_t matched = 0;
+  const double match_distance = MATCH_DISTANCE * world_.bodies[c.a].bounding_radius;
+  std::uint32_t matched_bits = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
-    double least = size * size;
+    double min_squared = match_distance * match_distance;
     int best = -1, i = 0;
     for (auto it = begin;
          it != stored_contacts_.end() && it->first == first && it->second == c.second && i < 32;
          ++it, ++i) {
-      const Vec off = it->at - p.on_a;
-      if (!(matched >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
+      const Vec offset = it->position - p.local_a;
+      if (!(matched_bits >> i & 1) && dot(offset, offset) < min_squared)
+        min_squared = dot(offset, offset), best = i;
     }
     if (best < 0) continue;
-    matched |= 1u << best;
-    const Vec force = poses_[c.a].rotated((begin + best)->force) * h_;
+    matched_bits |= 1u << best;
+    const Vec force = poses_[c.a].rotate((begin + best)->force) * h_;
     p.force = std::max(dot(force, patch.normal), 0.0);
-    p.across[0] = dot(force, patch.tangents[0]), p.across[1] = dot(force, patch.tangents[1]);
+    p.friction_forces[0] = dot(force, patch.tangents[0]),
+    p.friction_forces[1] = dot(force, patch.tangents[1]);
   }
 }
 
-void Solver::save(const Patch& patch) {
+void Solver::store_patch(const Patch& patch) {
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     const Point& p = points_[k];
-    const Vec force =
-        patch.normal * p.force + patch.tangents[0] * p.across[0] + patch.tangents[1] * p.across[1];
-    // In the body's frame at the start of the step, in which it rotates little.
-    const Vec local_force = poses_[patch.a].unrotated(force) * (1 / substep_);
+    const Vec force = patch.normal * p.force + patch.tangents[0] * p.friction_forces[0] +
+                      patch.tangents[1] * p.friction_forces[1];
+    // In the frame of the body at the start of the step, in which it rotates little.
+    const Vec local_force = poses_[patch.a].inverse_rotate(force) * (1 / substep_);
     next_contacts_.push_back({static_cast<std::int64_t>(patch.contact->first),
-                              patch.contact->second, p.on_a, local_force});
-    if (-p.current_gap > report_.deepest) {
-      report_.deepest = -p.current_gap;
+                              patch.contact->second, p.local_a, local_force});
+    if (-p.current_gap > report_.max_depth) {
+      report_.max_depth = -p.current_gap;
       report_.first = static_cast<std::int64_t>(patch.contact->first);
       report_.second = patch.contact->second;
     }
@@ -120,21 +126,25 @@ void Solver::save(const Patch& patch) {
 
 void Solver::update_points(double fraction) {
   for (Patch& patch : patches_) {
-    const Vec at = states_[patch.a].at;
+    const Vec centre = states_[patch.a].position;
     const Pose& pose = poses_[patch.a];
-    const bool fixed = patch.b == count_;
+    const bool is_collider = patch.b == count_;
     const collide::Motion* motion = patch.contact->motion;
-    const Pose other = fixed ? motion->at(fraction) : poses_[patch.b];
+    const Pose other_pose = is_collider ? motion->pose_at(fraction) : poses_[patch.b];
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
-      const Vec at_a = at + pose.rotated(p.on_a), far = other.to_world(p.on_b);
-      p.current_gap = p.gap + dot(patch.normal, far - at_a) - patch.skin;
-      const Vec mid = touching_point(patch, at_a, far), off = mid - at - p.arm_a;
-      const Vec far_off = fixed ? Vec{} : mid - states_[patch.b].at - p.arm_b;
-      if (dot(off, off) + dot(far_off, far_off) > patch.squared_arm_tolerance)
-        set_arms(patch, p, mid);
-      if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
-      p.bias_speed = dot(p.slide, patch.normal);
+      const Vec point_a = centre + pose.rotate(p.local_a), point_b = other_pose.to_world(p.local_b);
+      p.current_gap = p.gap + dot(patch.normal, point_b - point_a) - patch.skin;
+      const Vec position = contact_position(patch, point_a, point_b),
+                arm_change = position - centre - p.arm_a;
+      const Vec other_arm_change =
+          is_collider ? Vec{} : position - states_[patch.b].position - p.arm_b;
+      if (dot(arm_change, arm_change) + dot(other_arm_change, other_arm_change) >
+          patch.squared_arm_tolerance)
+        set_arms(patch, p, position);
+      if (is_collider && motion->is_moving())
+        p.slide_velocity = motion->displacement(point_b, other_pose) * (1 / step_);
+      p.bias_speed = dot(p.slide_velocity, patch.normal);
     }
   }
 }
@@ -142,77 +152,80 @@ void Solver::update_points(double fraction) {
 void Solver::warm_start(Patch& patch, double scale) {
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
-    p.force *= scale / 2, p.across[0] *= scale / 2, p.across[1] *= scale / 2;
-    p.half[0] = p.force, p.half[1] = p.across[0], p.half[2] = p.across[1];
-    apply_half(patch, p);
+    p.force *= scale / 2, p.friction_forces[0] *= scale / 2, p.friction_forces[1] *= scale / 2;
+    p.half_impulses[0] = p.force, p.half_impulses[1] = p.friction_forces[0],
+    p.half_impulses[2] = p.friction_forces[1];
+    apply_half_impulses(patch, p);
   }
 }
 
-void Solver::warm_finish(Patch& patch) {
+void Solver::warm_start_second_half(Patch& patch) {
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     if (p.force == 0) continue;
-    p.force += p.half[0], p.across[0] += p.half[1], p.across[1] += p.half[2];
-    apply_half(patch, p);
+    p.force += p.half_impulses[0], p.friction_forces[0] += p.half_impulses[1],
+        p.friction_forces[1] += p.half_impulses[2];
+    apply_half_impulses(patch, p);
   }
 }
 
-void Solver::apply_half(const Patch& patch, const Point& p) {
-  if (p.half[0] == 0) return;
-  apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], p.half[0]);
+void Solver::apply_half_impulses(const Patch& patch, const Point& p) {
+  if (p.half_impulses[0] == 0) return;
+  apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], p.half_impulses[0]);
   for (int d = 0; d < 2; ++d)
     apply(patch.a, patch.b, patch.tangents[d], p.responses_a[d + 1], p.responses_b[d + 1],
-          p.half[d + 1]);
+          p.half_impulses[d + 1]);
 }
 
-double Solver::correct(Patch& patch, bool pushing) {
-  double most = 0;
+double Solver::correct(Patch& patch, bool correct_positions) {
+  double max_change = 0;
   const double h = h_;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     if (p.will_bounce) continue;
-    double bias = 0, mass = 1, leak = 0;
+    double bias = 0, mass = 1, relaxation = 0;
     if (p.current_gap > 0) {
-      // Approaching bodies have not arrived: only positions count.
-      if (!pushing && p.force == 0) continue;
-      bias = pushing ? p.current_gap / h : 0;
-    } else if (pushing) {
-      bias = std::max(contact_.bias * p.current_gap, -patch.push);
-      mass = contact_.mass, leak = contact_.leak;
+      // Approaching bodies have not arrived: only the position correction acts.
+      if (!correct_positions && p.force == 0) continue;
+      bias = correct_positions ? p.current_gap / h : 0;
+    } else if (correct_positions) {
+      bias = std::max(contact_softness_.bias * p.current_gap, -patch.max_push_speed);
+      mass = contact_softness_.mass, relaxation = contact_softness_.relaxation;
     }
     const double speed = approach(patch, p);
-    const double change = -p.mass * mass * (speed + bias) - leak * p.force;
-    const double force = std::max(p.force + change, 0.0), by = force - p.force;
+    const double change = -p.mass * mass * (speed + bias) - relaxation * p.force;
+    const double force = std::max(p.force + change, 0.0), force_change = force - p.force;
     p.force = force;
-    if (by != 0) {
-      apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], by);
-      most = std::max(most, std::fabs(by) / p.mass);
+    if (force_change != 0) {
+      apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], force_change);
+      max_change = std::max(max_change, std::fabs(force_change) / p.mass);
     }
   }
-  if (!(patch.friction > 0)) return most;
+  if (!(patch.friction > 0)) return max_change;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
-    if (p.force == 0 && p.across[0] == 0 && p.across[1] == 0) continue;
+    if (p.force == 0 && p.friction_forces[0] == 0 && p.friction_forces[1] == 0) continue;
     const Speed &a = speeds_[patch.a], &b = speeds_[patch.b];
-    const Vec off = b.v - a.v + p.slide;
-    double to[2];
+    const Vec relative_velocity = b.v - a.v + p.slide_velocity;
+    double target[2];
     for (int d = 0; d < 2; ++d) {
-      const double speed =
-          dot(patch.tangents[d], off) + dot(p.arms_b[d + 1], b.w) - dot(p.arms_a[d + 1], a.w);
-      to[d] = p.across[d] - p.masses[d] * speed;
+      const double speed = dot(patch.tangents[d], relative_velocity) + dot(p.arms_b[d + 1], b.w) -
+                           dot(p.arms_a[d + 1], a.w);
+      target[d] = p.friction_forces[d] - p.tangent_masses[d] * speed;
     }
     const double limit = patch.friction * p.force;
-    const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
-    const double fraction = size > limit ? limit / size : 1;
+    const double magnitude = std::sqrt(target[0] * target[0] + target[1] * target[1]);
+    const double fraction = magnitude > limit ? limit / magnitude : 1;
     for (int d = 0; d < 2; ++d) {
-      const double by = to[d] * fraction - p.across[d];
-      p.across[d] += by;
-      if (by == 0) continue;
-      apply(patch.a, patch.b, patch.tangents[d], p.responses_a[d + 1], p.responses_b[d + 1], by);
-      most = std::max(most, std::fabs(by) / p.masses[d]);
+      const double force_change = target[d] * fraction - p.friction_forces[d];
+      p.friction_forces[d] += force_change;
+      if (force_change == 0) continue;
+      apply(patch.a, patch.b, patch.tangents[d], p.responses_a[d + 1], p.responses_b[d + 1],
+            force_change);
+      max_change = std::max(max_change, std::fabs(force_change) / p.tangent_masses[d]);
     }
   }
-  return most;
+  return max_change;
 }
 
 }  // namespace animtool::rigid

@@ -5,79 +5,81 @@ namespace animtool::rigid {
 
 namespace {
 
-// Friction at this many points supports a body; with fewer, or without support, it falls asleep
-// below this fraction of the sleep speed.
+// A body with friction at this many points is supported. With fewer points, or without support, it
+// falls asleep below a fraction of the sleep speed.
 constexpr int MIN_SUPPORTS = 3;
-constexpr double PARTLY_SUPPORTED = 0.25, UNSUPPORTED = 0.01;
+constexpr double PARTIAL_SUPPORT_FACTOR = 0.25, NO_SUPPORT_FACTOR = 0.01;
 
 }  // namespace
 
-void Solver::begin_groups() {
+void Solver::reset_groups() {
   groups_ = Groups(count_);
   for (const Joint& joint : world_.joints)
-    if (joint.a >= 0) groups_.join(static_cast<std::size_t>(joint.a), joint.b);
+    if (joint.a >= 0) groups_.merge(static_cast<std::size_t>(joint.a), joint.b);
 }
 
-bool Solver::wake() {
+bool Solver::wake_bodies() {
   if (!(settings_.sleep_speed > 0)) return false;
-  begin_groups();
+  reset_groups();
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
-  for (const StoredContact& one : stored_contacts_)
-    if (one.second < shapes)
-      groups_.join(world_.shapes[static_cast<std::size_t>(one.first)].body,
-                   world_.shapes[static_cast<std::size_t>(one.second)].body);
-  std::vector<char> woken_groups(count_, 0);
-  const auto wake_group = [&](std::size_t i) { woken_groups[groups_.first_of(i)] = 1; };
+  for (const StoredContact& contact : stored_contacts_)
+    if (contact.second < shapes)
+      groups_.merge(world_.shapes[static_cast<std::size_t>(contact.first)].body,
+                    world_.shapes[static_cast<std::size_t>(contact.second)].body);
+  std::vector<char> is_group_awake(count_, 0);
+  const auto wake_group = [&](std::size_t i) { is_group_awake[groups_.find_root(i)] = 1; };
   for (std::size_t i = 0; i < count_; ++i)
-    if (!sleeps(i)) woken_groups[groups_.first_of(i)] = 1;
+    if (!is_asleep(i)) is_group_awake[groups_.find_root(i)] = 1;
   for (const Contact& c : contacts_) {
     const auto b = static_cast<std::size_t>(c.b);
-    if (c.b < 0 ? sleeps(c.a) && c.motion->moves() : sleeps(c.a) != sleeps(b)) {
+    if (c.b < 0 ? is_asleep(c.a) && c.motion->is_moving() : is_asleep(c.a) != is_asleep(b)) {
       wake_group(c.a);
       if (c.b >= 0) wake_group(b);
     }
   }
   for (std::size_t k = 0; k < world_.joints.size(); ++k) {
     const Joint& joint = world_.joints[k];
-    if (joint.a < 0 ? sleeps(joint.b) && anchors_[k].moves()
-                    : sleeps(joint.b) != sleeps(static_cast<std::size_t>(joint.a)))
+    if (joint.a < 0 ? is_asleep(joint.b) && anchors_[k].is_moving()
+                    : is_asleep(joint.b) != is_asleep(static_cast<std::size_t>(joint.a)))
       wake_group(joint.b);
   }
-  bool woken = false;
+  bool has_woken = false;
   for (std::size_t i = 0; i < count_; ++i)
-    if (woken_groups[groups_.first_of(i)] && sleeps(i)) states_[i].slow_time = 0, woken = true;
-  return woken;
+    if (is_group_awake[groups_.find_root(i)] && is_asleep(i))
+      states_[i].slow_time = 0, has_woken = true;
+  return has_woken;
 }
 
-void Solver::make_islands() {
-  begin_groups();
+void Solver::build_islands() {
+  reset_groups();
   for (const Contact& c : contacts_)
-    if (c.b >= 0) groups_.join(c.a, static_cast<std::size_t>(c.b));
-  std::vector<std::size_t> number(count_, count_);
+    if (c.b >= 0) groups_.merge(c.a, static_cast<std::size_t>(c.b));
+  std::vector<std::size_t> island_of_group(count_, count_);
   for (std::size_t i = 0; i < count_; ++i) {
-    if (sleeps(i)) continue;
-    std::size_t& n = number[groups_.first_of(i)];
-    if (n == count_) n = islands_.size(), islands_.emplace_back();
-    islands_[n].bodies.push_back(i);
-    ++report_.awake;
+    if (is_asleep(i)) continue;
+    std::size_t& island = island_of_group[groups_.find_root(i)];
+    if (island == count_) island = islands_.size(), islands_.emplace_back();
+    islands_[island].bodies.push_back(i);
+    ++report_.awake_count;
   }
   for (std::size_t k = 0; k < contacts_.size(); ++k) {
-    const std::size_t n = number[groups_.first_of(contacts_[k].a)];
-    if (n < islands_.size()) islands_[n].contacts.push_back(k);
+    const std::size_t island = island_of_group[groups_.find_root(contacts_[k].a)];
+    if (island < islands_.size()) islands_[island].contacts.push_back(k);
   }
   for (std::size_t k = 0; k < world_.joints.size(); ++k) {
-    const std::size_t n = number[groups_.first_of(world_.joints[k].b)];
-    if (n < islands_.size()) islands_[n].joints.push_back(k);
+    const std::size_t island = island_of_group[groups_.find_root(world_.joints[k].b)];
+    if (island < islands_.size()) islands_[island].joints.push_back(k);
   }
 }
 
 void Solver::store_contacts() {
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
-  for (const StoredContact& one : stored_contacts_) {
-    const bool both =
-        sleeps(world_.shapes[static_cast<std::size_t>(one.first)].body) &&
-        (one.second >= shapes || sleeps(world_.shapes[static_cast<std::size_t>(one.second)].body));
-    if (both) next_contacts_.push_back(one);
+  for (const StoredContact& contact : stored_contacts_) {
+    const bool are_asleep =
+        is_asleep(world_.shapes[static_cast<std::size_t>(contact.first)].body) &&
+        (contact.second >= shapes ||
+         is_asleep(world_.shapes[static_cast<std::size_t>(contact.second)].body));
+    if (are_asleep) next_contacts_.push_back(contact);
   }
   std::stable_sort(next_contacts_.begin(), next_contacts_.end(),
                    [](const StoredContact& a, const StoredContact& b) {
@@ -88,38 +90,39 @@ void Solver::store_contacts() {
 
 void Solver::update_sleep() {
   for (const auto& island : islands_) {
-    double speed = 0, least = std::numeric_limits<double>::infinity();
-    bool supported_all = !island.separating;
+    double speed = 0, min_slow_time = std::numeric_limits<double>::infinity();
+    bool is_slow_and_supported = !island.is_separating;
     for (const std::size_t i : island.bodies) {
       const State& s = states_[i];
-      const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
-      const double body_speed = length(s.velocity) + turning;
+      const double rim_speed =
+          length(angular_velocity_of(world_.bodies[i], s)) * world_.bodies[i].bounding_radius;
+      const double body_speed = length(s.velocity) + rim_speed;
       speed = std::max(speed, body_speed);
       const double factor = support_counts_[i] >= MIN_SUPPORTS ? 1
-                            : support_counts_[i]               ? PARTLY_SUPPORTED
-                                                               : UNSUPPORTED;
-      supported_all &=
-          body_speed < settings_.sleep_speed * factor && (support_counts_[i] || supported(island));
+                            : support_counts_[i]               ? PARTIAL_SUPPORT_FACTOR
+                                                               : NO_SUPPORT_FACTOR;
+      is_slow_and_supported &= body_speed < settings_.sleep_speed * factor &&
+                               (support_counts_[i] || is_supported(island));
     }
     for (const std::size_t i : island.bodies) {
-      const bool slow = speed < settings_.sleep_speed && supported_all;
-      states_[i].slow_time = slow ? states_[i].slow_time + step_ : 0;
-      least = std::min(least, states_[i].slow_time);
+      const bool is_slow = speed < settings_.sleep_speed && is_slow_and_supported;
+      states_[i].slow_time = is_slow ? states_[i].slow_time + step_ : 0;
+      min_slow_time = std::min(min_slow_time, states_[i].slow_time);
     }
     for (const std::size_t i : island.bodies) {
       states_[i].slow_time =
-          std::min(states_[i].slow_time, std::max(least, settings_.sleep_time / 2));
-      if (least >= settings_.sleep_time) states_[i].velocity = states_[i].momentum = {};
+          std::min(states_[i].slow_time, std::max(min_slow_time, settings_.sleep_time / 2));
+      if (min_slow_time >= settings_.sleep_time) states_[i].velocity = states_[i].momentum = {};
     }
   }
 }
 
-bool Solver::supported(const Island& island) const {
+bool Solver::is_supported(const Island& island) const {
   if (!island.contacts.empty() || !island.joints.empty()) return true;
   return std::all_of(island.bodies.begin(), island.bodies.end(), [&](std::size_t i) {
     const State& s = states_[i];
-    const Vec sum = forces_[i] + torques_[i] + s.velocity + s.momentum;
-    return dot(sum, sum) == 0;
+    const Vec activity = forces_[i] + torques_[i] + s.velocity + s.momentum;
+    return dot(activity, activity) == 0;
   });
 }
 

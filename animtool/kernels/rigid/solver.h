@@ -1,4 +1,4 @@
-// The state of a rigid body step: see `solve.cpp`.
+// The solver of a rigid body step: see `solve.cpp`.
 #pragma once
 
 #include <algorithm>
@@ -14,10 +14,11 @@
 
 namespace animtool::rigid {
 
-// Stiffness of contact and joint correction: frequency over that of substeps, and damping ratio.
-constexpr double STIFF = 0.35;
+// Stiffness of contact and joint correction: frequency over that of substeps; and damping ratios.
+constexpr double STIFFNESS_RATIO = 0.35;
 constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 
+// Solves one step of a world.
 class Solver {
  public:
   Solver(const World& world, std::vector<State>& states, std::vector<StoredContact>& stored,
@@ -38,95 +39,105 @@ class Solver {
         h_(substep_),
         count_(states.size()) {}
 
-  // Whether two approach so fast that they will bounce within the step.
-  bool bounces();
+  // Whether two bodies approach so fast that they will bounce within the step.
+  bool has_bounces();
   Report run();
 
  private:
+  // Bodies that are connected by contacts and joints.
   struct Island {
     std::vector<std::size_t> bodies, joints;
     std::vector<std::size_t> contacts;
-    bool separating = false;  // some penetration is still being resolved
+    bool is_separating = false;  // some penetration is still being resolved
   };
-  void find();
+  // Finds the contacts of the step.
+  void update_contacts();
 
   // ---- sleeping
 
-  void begin_groups();
-  bool sleeps(std::size_t i) const { return asleep(states_[i], settings_); }
+  // Groups bodies that joints connect.
+  void reset_groups();
+  bool is_asleep(std::size_t i) const { return is_state_asleep(states_[i], settings_); }
 
-  // Wakes bodies in contact with awake ones, transitively.
-  bool wake();
-  void make_islands();
+  // Wakes bodies that are in contact with awake ones, transitively; returns whether any woke up.
+  bool wake_bodies();
+  void build_islands();
 
   // ---- one island
 
-  void solve(Island& island);
+  void solve_island(Island& island);
 
-  // Chooses substeps of an island, shorter if a drive swings in them.
+  // Chooses the substeps of an island; they are shorter if a drive oscillates in them.
   void choose_substeps(const Island& island);
-  void resize(int parts);
-  void soften();
+  void set_substeps(int count);
+  void update_softness();
 
-  // Counts the points at which friction supports bodies: sliding and rolling ones do not count.
+  // Counts the points at which friction supports bodies; sliding and rolling points do not count.
   void count_supports(const Patch& patch);
-  void refresh(std::size_t i);
+  // Rotates the inverse inertia of a body to the world.
+  void update_inertia(std::size_t i);
   void add_patch(const Contact& c);
 
-  // One point for both, so that angular momentum is conserved: halfway, or on the round body.
-  static Vec touching_point(const Patch& patch, Vec at_a, Vec at_b) {
+  // One position for both bodies, so that angular momentum is conserved: halfway, or on the round
+  // body.
+  static Vec contact_position(const Patch& patch, Vec point_a, Vec point_b) {
     const Contact& c = *patch.contact;
-    if (c.radius > 0) return at_a + patch.normal * c.radius;
-    if (c.other_radius > 0) return at_b - patch.normal * c.other_radius;
-    return (at_a + at_b) * 0.5;
+    if (c.radius > 0) return point_a + patch.normal * c.radius;
+    if (c.other_radius > 0) return point_b - patch.normal * c.other_radius;
+    return (point_a + point_b) * 0.5;
   }
 
-  // A contact point at the current poses.
-  void set_arms(const Patch& patch, Point& p, Vec at);
+  // Updates the arms and masses of a contact point at the current poses.
+  void set_arms(const Patch& patch, Point& p, Vec position);
 
-  // Warm start with the impulses of the previous step.
-  void match_stored(Patch& patch);
-  void save(const Patch& patch);
+  // Warm-starts points with the impulses of matching points of the previous step.
+  void match_stored_contacts(Patch& patch);
+  // Stores the contact points for the next step, and reports them.
+  void store_patch(const Patch& patch);
 
   // ---- one substep
 
-  // Advances from impact to impact, and through the rest of a substep.
-  void substep(const Island& island, int s);
+  // Advances from impact to impact, and through the remaining substep.
+  void advance_substep(const Island& island, int index);
 
-  // As RATTLE does (Andersen 1983): half a kick, a drift that satisfies joints and contacts at its
-  // end, half a kick, and a velocity correction there.
+  // Advances as RATTLE does (Andersen 1983): half a kick, a drift that satisfies joints and
+  // contacts at its end, half a kick, and a velocity correction at the end.
   void advance(const Island& island, double time, double end);
   void begin_drives(const Joint& joint, std::size_t k);
   void end_drives(const Joint& joint, std::size_t k);
-  template <typename Act>
-  void each_drive(const Joint& joint, std::size_t k, Act act);
+  template <typename Function>
+  void for_each_drive(const Joint& joint, std::size_t k, Function function);
 
   // ---- impacts
 
-  // Time until the first bouncing arrival, at most the rest; present ones bounce before.
-  double until_impact(const Island& island, double remaining, double begin, double end);
+  // Time until the first bouncing arrival, at most the remaining time; points in contact bounce
+  // first.
+  double time_to_impact(const Island& island, double remaining, double begin, double end);
 
-  // Marks points approaching so fast that they bounce; returns the first arrival, or the rest.
-  double next_arrival(double remaining, double fraction);
+  // Marks points that approach so fast that they bounce; returns the first arrival, or the
+  // remaining time.
+  double mark_bounces(double remaining, double fraction);
 
-  // Time at which a point closes its gap with both bodies in motion, within a limit: by the
+  // Time at which a point closes its gap, with both bodies in motion, up to a limit; by the
   // Illinois method.
-  double arrival(const Patch& patch, const Point& p, double fraction, double within) const;
+  double time_of_arrival(const Patch& patch, const Point& p, double fraction, double limit) const;
+  // Gap of a point after a time.
   double gap_at(const Patch& patch, const Point& p, double fraction, double time) const;
 
-  // Speed below which two rest instead of bouncing: forces reverse slower motion within a substep.
+  // Speed below which two bodies rest instead of bouncing: forces reverse slower motion within a
+  // substep.
   double rest_speed(std::size_t a, std::size_t b, double restitution) const;
   double rest_speed(const Patch& patch) const {
     return rest_speed(patch.a, patch.b, patch.restitution);
   }
 
-  // Updates current contact points.
+  // Updates the current gaps and arms of contact points.
   void update_points(double fraction);
 
-  // Relative acceleration of the second body.
+  // Acceleration of the second body relative to the first.
   Vec relative_acceleration(const Patch& patch) const;
-  static double normal_acceleration(const Patch& patch, Vec pull) {
-    return -dot(pull, patch.normal);
+  static double normal_acceleration(const Patch& patch, Vec acceleration) {
+    return -dot(acceleration, patch.normal);
   }
 
   double approach(const Patch& patch, const Point& p) const {
@@ -141,58 +152,62 @@ class Solver {
     rigid::apply(speeds_, a, b, line, response_a, response_b, impulse);
   }
 
-  // Applies the impulses of the previous substep for half the time.
+  // Applies the impulses of the previous substep for half of the time.
   void warm_start(Patch& patch, double scale);
-  void warm_finish(Patch& patch);
-  void apply_half(const Patch& patch, const Point& p);
+  void warm_start_second_half(Patch& patch);
+  void apply_half_impulses(const Patch& patch, const Point& p);
   void warm_start(const Joint& joint, Rows& rows, double scale);
-  void warm_finish(const Joint& joint, Rows& rows);
+  void warm_start_second_half(const Joint& joint, Rows& rows);
 
-  std::size_t first_of(const Joint& joint) const {
+  // The first body of a joint; the static one for an animated frame.
+  std::size_t first_body(const Joint& joint) const {
     return joint.a < 0 ? count_ : static_cast<std::size_t>(joint.a);
   }
 
-  void apply_half(const Joint& joint, const Rows& rows);
+  void apply_half_impulses(const Joint& joint, const Rows& rows);
 
-  // Frames of a joint at a fraction of the step, and their arms.
-  struct Frames {
+  // Frames of a joint in the world at a fraction of the step, and their arms from the centres.
+  struct JointFrames {
     Anchor a, b;
     Vec arm_a, arm_b;
   };
-  Frames frames_of(std::size_t number, double fraction, const State* on_a, const State& on_b) const;
+  JointFrames joint_frames(std::size_t joint_index, double fraction, const State* state_a,
+                           const State& state_b) const;
 
-  const State* first_state(const Joint& joint) const {
+  const State* state_of_first(const Joint& joint) const {
     return joint.a < 0 ? nullptr : &states_[static_cast<std::size_t>(joint.a)];
   }
 
-  void write_rows(std::size_t number, std::size_t k, double fraction, bool first);
+  // Rebuilds the rows of a joint; impulses stay, or are those of the previous step if `is_first`.
+  void update_rows(std::size_t joint_index, std::size_t k, double fraction, bool is_first);
 
-  // Change of a joint's errors to the end of the substep beyond its linear equations, over the
-  // time.
-  void set_curvature(std::size_t number, Rows& rows, double end);
+  // Sets the change of a joint's errors to the end of the substep beyond its linear equations, as a
+  // speed.
+  void set_curvature(std::size_t joint_index, Rows& rows, double end);
 
+  // Relative speed of a row.
   double speed_of(const Joint& joint, const Row& row) const {
-    const Speed &a = speeds_[first_of(joint)], &b = speeds_[joint.b];
+    const Speed &a = speeds_[first_body(joint)], &b = speeds_[joint.b];
     return dot(row.line, b.v - a.v) + dot(row.arm_b, b.w) - dot(row.arm_a, a.w) + row.bias_speed;
   }
 
   static Quaternion rotation_of_pose(const Pose& pose);
-  static Anchor anchor_of(const State& s, const Frame& frame);
+  static Anchor anchor_on_body(const State& s, const Frame& frame);
 
   // Iterates velocity corrections until convergence, with or without position correction.
-  void iterate(const Island& island, bool pushing);
-  double correct(Patch& patch, bool pushing);
-  double correct(const Joint& joint, Rows& rows, bool pushing);
+  void iterate(const Island& island, bool correct_positions);
+  double correct(Patch& patch, bool correct_positions);
+  double correct(const Joint& joint, Rows& rows, bool correct_positions);
 
-  // Moves bodies for a substep.
-  void move(std::size_t i);
+  // Moves a body for a substep.
+  void move_body(std::size_t i);
   void rotate_freely(std::size_t i, State& s) const;
   Vec momentum_of(std::size_t i) const;
 
-  // Marks bodies pushed by contacts and joints.
-  void mark(const Island& island);
+  // Marks the bodies that contacts and joints push.
+  void mark_pushed(const Island& island);
 
-  // Velocities in the layout of states.
+  // Stores the velocity of a pushed body in its state.
   void store_velocity(std::size_t i);
 
   // ---- stored state
@@ -200,11 +215,11 @@ class Solver {
   void store_contacts();
 
   // Puts islands to sleep that are slow for long enough and supported by friction. Unsupported
-  // ones, or those held by joints only, continue until they hardly move.
+  // islands, or those held by joints only, continue until they hardly move.
   void update_sleep();
 
-  // Whether an island is supported; otherwise it is at rest only without forces.
-  bool supported(const Island& island) const;
+  // Whether an island is supported; an unsupported one is at rest only without forces.
+  bool is_supported(const Island& island) const;
 
   const World& world_;
   std::vector<State>& states_;
@@ -214,22 +229,25 @@ class Solver {
   const std::vector<collide::Collider>& colliders_;
   const std::vector<collide::Motion>& anchors_;
   const Settings& settings_;
-  double step_, substep_, h_;  // step, substep, and time between impacts [s]
+  double step_, substep_, h_;  // length of the step and of a substep, and time between impacts [s]
   std::size_t count_;
-  Softness contact_ = Softness::of(STIFF / substep_, CONTACT_DAMPING, h_);
-  Softness joint_ = Softness::of(STIFF / substep_, JOINT_DAMPING, h_);
+  Softness contact_softness_ =
+      Softness::from_frequency(STIFFNESS_RATIO / substep_, CONTACT_DAMPING, h_);
+  Softness joint_softness_ =
+      Softness::from_frequency(STIFFNESS_RATIO / substep_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
-  bool has_contacts_ = false;  // whether contacts of this step are found
+  bool has_contacts_ = false;  // whether the contacts of this step are known
   Groups groups_;
   std::vector<Island> islands_;
   std::vector<Speed> speeds_;  // of bodies, and of static ones
   std::vector<Pose> poses_;
-  std::vector<char> pushed_;
-  std::vector<int> support_counts_;  // number of supporting points
-  int parts_ = 1;                    // substeps
+  std::vector<char> is_pushed_;
+  std::vector<int> support_counts_;  // number of supporting points of each body
+  int substep_count_ = 1;            // substeps
   std::vector<Drives> drives_;
-  bool hard_ = false;    // whether joints are rigid, so that drives move the right mass
-  bool bouncy_ = false;  // whether something may bounce
+  bool are_joints_rigid_ =
+      false;  // whether joints are solved as rigid, so that drives move the right mass
+  bool has_restitution_ = false;  // whether any contact may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;
   std::vector<Rows> rows_;

@@ -1,10 +1,10 @@
-// Linear blend skinning for processors with registers of four doubles.
+// Linear blend skinning for processors that have registers of four doubles.
 #include "base/quads.h"
 #include "skin/blend.h"
 
 namespace animtool {
 
-std::optional<Blend> blend_in_quads() {
+std::optional<BlendFunctions> blend_in_quads() {
   if (!has_quads()) return std::nullopt;
   return make_blend<Four<Quads>, Quads>();
 }

@@ -26,29 +26,31 @@ void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
 }
 
 void add_offsets(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
-                 const double* offsets, const double* weights, const double* const (&from)[FRAMES],
-                 double* const (&to)[FRAMES]) {
-  for (std::size_t v = 0; v < vertices; ++v) {
-    // All frames are read before any is written: the last may be listed twice.
-    Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
-    for (std::int64_t k = first[v]; k < first[v + 1]; ++k)
-      for (int h = 0; h < 2; ++h)
-        p[h] += Vector3<Pair>::broadcast(offsets + 3 * k) *
-                Pair::of(weights + FRAMES * columns[k] + 2 * h);
-    for (int h = 0; h < 2; ++h) scatter(p[h], to + 2 * h, 3 * v);
+                 const double* offsets, const double* weights,
+                 const double* const (&sources)[FRAMES_AT_ONCE],
+                 double* const (&targets)[FRAMES_AT_ONCE]) {
+  for (std::size_t vertex = 0; vertex < vertices; ++vertex) {
+    // All frames are read before any is written, because the last frame may be listed twice.
+    Vector3<FramePair> sums[2] = {gather<FramePair>(sources, 3 * vertex),
+                                  gather<FramePair>(sources + 2, 3 * vertex)};
+    for (std::int64_t entry = first[vertex]; entry < first[vertex + 1]; ++entry)
+      for (int group = 0; group < 2; ++group)
+        sums[group] += Vector3<FramePair>::broadcast(offsets + 3 * entry) *
+                       FramePair::load(weights + FRAMES_AT_ONCE * columns[entry] + 2 * group);
+    for (int group = 0; group < 2; ++group) scatter(sums[group], targets + 2 * group, 3 * vertex);
   }
 }
 
-// One frame, without the columns of weight 0.
+// Adds the offsets of one frame. Skips columns of weight 0.
 void add_frame(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
-               const double* offsets, const double* weights, const double* from, double* to) {
-  for (std::size_t v = 0; v < vertices; ++v, from += 3, to += 3) {
-    Vec p = load(from);
-    for (std::int64_t k = first[v]; k < first[v + 1]; ++k) {
-      const double weight = weights[columns[k]];
-      if (weight != 0) p += load(offsets + 3 * k) * weight;
+               const double* offsets, const double* weights, const double* source, double* target) {
+  for (std::size_t vertex = 0; vertex < vertices; ++vertex, source += 3, target += 3) {
+    Vec point = load(source);
+    for (std::int64_t entry = first[vertex]; entry < first[vertex + 1]; ++entry) {
+      const double weight = weights[columns[entry]];
+      if (weight != 0) point += load(offsets + 3 * entry) * weight;
     }
-    store(p, to);
+    store(point, target);
   }
 }
 
@@ -58,26 +60,27 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
                 In<std::int32_t, 1> columns, In<double, 2> offsets, Filled<double, 3> out) {
   check_offsets(points, weights, first, columns, offsets);
   const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
-  const std::size_t vertices = points.shape(1), row = vertices * 3;
+  const std::size_t vertices = points.shape(1), row_size = vertices * 3;
   check::shape("out", out, {frames, vertices, 3});
-  const std::size_t stride = points.shape(0) == 1 ? 0 : row;
+  const std::size_t stride = points.shape(0) == 1 ? 0 : row_size;
   if (frames == 1) {
     add_frame(vertices, first.data(), columns.data(), offsets.data(), weights.data(), points.data(),
               out.data());
     return;
   }
-  std::vector<double> table(shapes * FRAMES);
-  for (std::size_t f = 0; f < frames; f += FRAMES) {
-    const double *rows[FRAMES], *from[FRAMES];
-    double* to[FRAMES];
-    for (std::size_t l = 0; l < FRAMES; ++l) {
-      const std::size_t g = std::min(f + l, frames - 1);
-      rows[l] = weights.data() + g * shapes;
-      from[l] = points.data() + g * stride;
-      to[l] = out.data() + g * row;
+  std::vector<double> weight_table(shapes * FRAMES_AT_ONCE);
+  for (std::size_t f = 0; f < frames; f += FRAMES_AT_ONCE) {
+    const double *weight_rows[FRAMES_AT_ONCE], *sources[FRAMES_AT_ONCE];
+    double* targets[FRAMES_AT_ONCE];
+    for (std::size_t i = 0; i < FRAMES_AT_ONCE; ++i) {
+      const std::size_t frame = std::min(f + i, frames - 1);
+      weight_rows[i] = weights.data() + frame * shapes;
+      sources[i] = points.data() + frame * stride;
+      targets[i] = out.data() + frame * row_size;
     }
-    interleave(rows, shapes, table.data());
-    add_offsets(vertices, first.data(), columns.data(), offsets.data(), table.data(), from, to);
+    interleave(weight_rows, shapes, weight_table.data());
+    add_offsets(vertices, first.data(), columns.data(), offsets.data(), weight_table.data(),
+                sources, targets);
   }
 }
 
@@ -85,18 +88,18 @@ Out<double, 3> point_extents(In<double, 3> points) {
   const std::size_t frames = points.shape(0), vertices = points.shape(1);
   check::shape("points", points, {check::ANY, check::ANY, 3});
   Out<double, 3> result(frames, 2, 3);
-  const double* p = points.data();
-  for (std::size_t f = 0; f < frames; ++f) {
+  const double* point = points.data();
+  for (std::size_t frame = 0; frame < frames; ++frame) {
     constexpr double infinity = std::numeric_limits<double>::infinity();
     double low[3] = {infinity, infinity, infinity};
     double high[3] = {-infinity, -infinity, -infinity};
-    for (std::size_t v = 0; v < vertices; ++v, p += 3)
+    for (std::size_t vertex = 0; vertex < vertices; ++vertex, point += 3)
       for (int i = 0; i < 3; ++i) {
-        low[i] = p[i] < low[i] ? p[i] : low[i];
-        high[i] = p[i] > high[i] ? p[i] : high[i];
+        low[i] = point[i] < low[i] ? point[i] : low[i];
+        high[i] = point[i] > high[i] ? point[i] : high[i];
       }
-    std::copy_n(low, 3, result.get() + 6 * f);
-    std::copy_n(high, 3, result.get() + 6 * f + 3);
+    std::copy_n(low, 3, result.get() + 6 * frame);
+    std::copy_n(high, 3, result.get() + 6 * frame + 3);
   }
   return result;
 }

@@ -1,4 +1,4 @@
-// Skinning: linear blend and dual quaternions, several frames at a time.
+// Skinning with linear blending and with dual quaternions, several frames at once.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -11,8 +11,8 @@ namespace animtool {
 
 namespace {
 
-Influences influences_of(const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& joints,
-                         const In<double, 1>& weights, std::size_t joint_count) {
+Influences read_influences(const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& joints,
+                           const In<double, 1>& weights, std::size_t joint_count) {
   const std::size_t count = joints.shape(0);
   check::shape("first", first, {check::ANY});
   check::shape("joints", joints, {check::ANY});
@@ -22,10 +22,10 @@ Influences influences_of(const In<std::int64_t, 1>& first, const In<std::int32_t
   return {first.shape(0) - 1, first.data(), joints.data(), weights.data()};
 }
 
-// Points of one frame for all, or of each frame.
-class Points {
+// Points that are either the same in all frames or different in each frame.
+class FramePoints {
  public:
-  Points(const In<double, 3>& points, std::size_t frames, std::size_t vertices)
+  FramePoints(const In<double, 3>& points, std::size_t frames, std::size_t vertices)
       : data_(points.data()), stride_(points.shape(0) == 1 ? 0 : vertices * 3) {
     check::shape("points", points, {points.shape(0) == 1 ? 1 : frames, vertices, 3});
   }
@@ -36,75 +36,90 @@ class Points {
   std::size_t stride_;
 };
 
-inline void unit(double* v) {
+inline void make_unit(double* v) {
   const double squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
   if (!(squared > 0)) return;
   const double length = std::sqrt(squared);
   for (int i = 0; i < 3; ++i) v[i] /= length;
 }
 
-// Rotation x y z w, then the dual part x y z w, of each joint.
-void dual_quaternions(const double* q, const double* t, std::size_t joints, double* out) {
-  for (std::size_t j = 0; j < joints; ++j, q += 4, t += 3, out += 8) {
-    std::copy_n(q, 4, out);
-    out[4] = 0.5 * (q[3] * t[0] + t[1] * q[2] - t[2] * q[1]);
-    out[5] = 0.5 * (q[3] * t[1] + t[2] * q[0] - t[0] * q[2]);
-    out[6] = 0.5 * (q[3] * t[2] + t[0] * q[1] - t[1] * q[0]);
-    out[7] = -0.5 * (t[0] * q[0] + t[1] * q[1] + t[2] * q[2]);
+// Computes the dual quaternion of each joint: the rotation x y z w, then the dual part x y z w.
+void dual_quaternions(const double* rotation, const double* translation, std::size_t joints,
+                      double* out) {
+  for (std::size_t j = 0; j < joints; ++j, rotation += 4, translation += 3, out += 8) {
+    std::copy_n(rotation, 4, out);
+    out[4] = 0.5 * (rotation[3] * translation[0] + translation[1] * rotation[2] -
+                    translation[2] * rotation[1]);
+    out[5] = 0.5 * (rotation[3] * translation[1] + translation[2] * rotation[0] -
+                    translation[0] * rotation[2]);
+    out[6] = 0.5 * (rotation[3] * translation[2] + translation[0] * rotation[1] -
+                    translation[1] * rotation[0]);
+    out[7] = -0.5 * (translation[0] * rotation[0] + translation[1] * rotation[1] +
+                     translation[2] * rotation[2]);
   }
 }
 
-// A shorter blended quaternion rotates nothing, as in UsdSkel.
-constexpr double SHORTEST = 1e-10;
+// A blended quaternion that is shorter than this rotates nothing, as in UsdSkel.
+constexpr double MIN_QUATERNION_LENGTH = 1e-10;
 
-// Of two frames: more would not stay in registers.
-template <bool Stretched>
-void dual_frames(const Influences& in, const double* palette, const double* stretches,
+// Blends the dual quaternions of two frames at once. More frames would not fit into the registers.
+template <bool has_stretches>
+void dual_frames(const Influences& influences, const double* palette, const double* stretches,
                  const double* const (&points)[2], double* const (&out)[2], bool normalize) {
-  for (std::size_t v = 0; v < in.vertices; ++v) {
-    const std::int64_t begin = in.first[v], end = in.first[v + 1];
-    Pair d[8] = {}, s[6] = {};
-    for (std::int64_t k = begin; k < end; ++k) {
-      const double* a = palette + 16 * in.joints[k];
-      Pair w = in.weights[k];
-      if constexpr (Stretched) {
-        const double* stretch = stretches + 18 * in.joints[k];
-        for (int i = 0, from[6] = {0, 1, 2, 4, 5, 8}; i < 6; ++i)
-          s[i] += w * Pair::of(stretch + 2 * from[i]);
+  for (std::size_t vertex = 0; vertex < influences.vertices; ++vertex) {
+    const std::int64_t begin = influences.first[vertex], end = influences.first[vertex + 1];
+    FramePair blended[8] = {}, stretch_sums[6] = {};
+    for (std::int64_t influence = begin; influence < end; ++influence) {
+      const double* dual = palette + 16 * influences.joints[influence];
+      FramePair weight = influences.weights[influence];
+      if constexpr (has_stretches) {
+        const double* stretch = stretches + 18 * influences.joints[influence];
+        for (int i = 0, matrix_indices[6] = {0, 1, 2, 4, 5, 8}; i < 6; ++i)
+          stretch_sums[i] += weight * FramePair::load(stretch + 2 * matrix_indices[i]);
       }
-      if (k > begin) {
-        const double* pivot = palette + 16 * in.joints[begin];
-        Pair sum = Pair::of(a) * Pair::of(pivot);
-        for (int i = 2; i < 8; i += 2) sum += Pair::of(a + i) * Pair::of(pivot + i);
-        w = select(less(sum, 0.0), -w, w);
+      if (influence > begin) {
+        const double* first_dual = palette + 16 * influences.joints[begin];
+        FramePair dot_product = FramePair::load(dual) * FramePair::load(first_dual);
+        for (int i = 2; i < 8; i += 2)
+          dot_product += FramePair::load(dual + i) * FramePair::load(first_dual + i);
+        weight = select(less(dot_product, 0.0), -weight, weight);
       }
-      for (int i = 0; i < 8; ++i) d[i] += w * Pair::of(a + 2 * i);
+      for (int i = 0; i < 8; ++i) blended[i] += weight * FramePair::load(dual + 2 * i);
     }
-    Vector3<Pair> p = gather<Pair>(points, 3 * v);
-    if constexpr (Stretched)
-      p = {s[0] * p.x + s[1] * p.y + s[2] * p.z, s[1] * p.x + s[3] * p.y + s[4] * p.z,
-           s[2] * p.x + s[4] * p.y + s[5] * p.z};
-    const Pair squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3];
-    const Pair f = select(less(squared, SHORTEST * SHORTEST), 0.0, 2.0 / squared);
-    const Vector3<Pair> axis = {d[0], d[1], d[2]}, across = cross(axis, p);
-    const Vector3<Pair> turned = cross(
-        axis,
-        {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5], across.z + d[3] * p.z + d[6]});
-    scatter(Vector3<Pair>{p.x + f * (turned.x + d[3] * d[4] - d[7] * d[0]),
-                          p.y + f * (turned.y + d[3] * d[5] - d[7] * d[1]),
-                          p.z + f * (turned.z + d[3] * d[6] - d[7] * d[2])},
-            out, 3 * v);
+    Vector3<FramePair> point = gather<FramePair>(points, 3 * vertex);
+    if constexpr (has_stretches)
+      point = {stretch_sums[0] * point.x + stretch_sums[1] * point.y + stretch_sums[2] * point.z,
+               stretch_sums[1] * point.x + stretch_sums[3] * point.y + stretch_sums[4] * point.z,
+               stretch_sums[2] * point.x + stretch_sums[4] * point.y + stretch_sums[5] * point.z};
+    const FramePair squared_length = blended[0] * blended[0] + blended[1] * blended[1] +
+                                     blended[2] * blended[2] + blended[3] * blended[3];
+    const FramePair scale =
+        select(less(squared_length, MIN_QUATERNION_LENGTH * MIN_QUATERNION_LENGTH), 0.0,
+               2.0 / squared_length);
+    const Vector3<FramePair> axis = {blended[0], blended[1], blended[2]},
+                             axis_cross = cross(axis, point);
+    const Vector3<FramePair> rotated =
+        cross(axis, {axis_cross.x + blended[3] * point.x + blended[4],
+                     axis_cross.y + blended[3] * point.y + blended[5],
+                     axis_cross.z + blended[3] * point.z + blended[6]});
+    scatter(
+        Vector3<FramePair>{
+            point.x + scale * (rotated.x + blended[3] * blended[4] - blended[7] * blended[0]),
+            point.y + scale * (rotated.y + blended[3] * blended[5] - blended[7] * blended[1]),
+            point.z + scale * (rotated.z + blended[3] * blended[6] - blended[7] * blended[2])},
+        out, 3 * vertex);
     if (!normalize) continue;
-    unit(out[0] + 3 * v);
-    if (out[1] != out[0]) unit(out[1] + 3 * v);
+    make_unit(out[0] + 3 * vertex);
+    if (out[1] != out[0]) make_unit(out[1] + 3 * vertex);
   }
 }
 
-// The columns of transforms (U, 3, 4), each with a zero below.
-void columns_of(const double* transforms, std::size_t joints, double* out) {
+// Stores the columns of transforms (U, 3, 4), each followed by a zero.
+void transpose_transforms(const double* transforms, std::size_t joints, double* out) {
   for (std::size_t j = 0; j < joints; ++j, transforms += 12, out += 16)
-    for (int c = 0; c < 4; ++c)
-      for (int r = 0; r < 4; ++r) out[4 * c + r] = r < 3 ? transforms[4 * r + c] : 0;
+    for (int column = 0; column < 4; ++column)
+      for (int row = 0; row < 4; ++row)
+        out[4 * column + row] = row < 3 ? transforms[4 * row + column] : 0;
 }
 
 }  // namespace
@@ -115,32 +130,36 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first, In<std::int32_
   const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
   check::shape("transforms", transforms, {check::ANY, check::ANY, 3, 4});
   check::at_most("transforms", count, check::MAX_ROWS);
-  const Influences in = influences_of(first, joints, weights, count);
-  const Points source(points, frames, in.vertices);
-  const std::size_t row = in.vertices * 3, width = count * 12;
-  check::shape("out", out, {frames, in.vertices, 3});
+  const Influences influences = read_influences(first, joints, weights, count);
+  const FramePoints source(points, frames, influences.vertices);
+  const std::size_t row_size = influences.vertices * 3, width = count * 12;
+  check::shape("out", out, {frames, influences.vertices, 3});
   double* const result = out.data();
-  std::vector<double> palette(FRAMES * width);
-  const Blend blend = blend_in_quads().value_or(make_blend<Pair, Plain>());
-  for (std::size_t f = 0; f < frames; f += FRAMES) {
-    if (f + 1 == frames) {
-      columns_of(transforms.data() + f * width, count, palette.data());
-      blend.frame(in, palette.data(), source.frame(f), result + f * row);
-      for (std::size_t v = 0; normalize && v < in.vertices; ++v) unit(result + f * row + 3 * v);
+  std::vector<double> palette(FRAMES_AT_ONCE * width);
+  const BlendFunctions blend = blend_in_quads().value_or(make_blend<FramePair, Portable>());
+  for (std::size_t first_frame = 0; first_frame < frames; first_frame += FRAMES_AT_ONCE) {
+    if (first_frame + 1 == frames) {
+      transpose_transforms(transforms.data() + first_frame * width, count, palette.data());
+      blend.blend_frame(influences, palette.data(), source.frame(first_frame),
+                        result + first_frame * row_size);
+      for (std::size_t vertex = 0; normalize && vertex < influences.vertices; ++vertex)
+        make_unit(result + first_frame * row_size + 3 * vertex);
       break;
     }
-    const double *tables[FRAMES], *sources[FRAMES];
-    double* targets[FRAMES];
-    for (std::size_t l = 0; l < FRAMES; ++l) {
-      const std::size_t g = std::min(f + l, frames - 1);
-      tables[l] = transforms.data() + g * width;
-      sources[l] = source.frame(g);
-      targets[l] = result + g * row;
+    const double *tables[FRAMES_AT_ONCE], *sources[FRAMES_AT_ONCE];
+    double* targets[FRAMES_AT_ONCE];
+    for (std::size_t i = 0; i < FRAMES_AT_ONCE; ++i) {
+      const std::size_t frame = std::min(first_frame + i, frames - 1);
+      tables[i] = transforms.data() + frame * width;
+      sources[i] = source.frame(frame);
+      targets[i] = result + frame * row_size;
     }
     interleave(tables, width, palette.data());
-    blend.frames(in, palette.data(), sources, targets);
-    for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
-      for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
+    blend.blend_frames(influences, palette.data(), sources, targets);
+    for (std::size_t frame = first_frame;
+         normalize && frame < std::min(first_frame + FRAMES_AT_ONCE, frames); ++frame)
+      for (std::size_t vertex = 0; vertex < influences.vertices; ++vertex)
+        make_unit(result + frame * row_size + 3 * vertex);
   }
 }
 
@@ -154,27 +173,32 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
   check::at_most("rotations", count, check::MAX_ROWS);
   check::shape("translations", translations, {frames, count, 3});
   if (stretches) check::shape("stretches", *stretches, {frames, count, 3, 3});
-  const Influences in = influences_of(first, joints, weights, count);
-  const Points source(points, frames, in.vertices);
-  const std::size_t row = in.vertices * 3, width = count * 8;
-  check::shape("out", out, {frames, in.vertices, 3});
+  const Influences influences = read_influences(first, joints, weights, count);
+  const FramePoints source(points, frames, influences.vertices);
+  const std::size_t row_size = influences.vertices * 3, width = count * 8;
+  check::shape("out", out, {frames, influences.vertices, 3});
   double* const result = out.data();
   std::vector<double> duals(2 * width), palette(2 * width);
-  std::vector<double> scaling(stretches ? 2 * count * 9 : 0);
-  for (std::size_t f = 0; f < frames; f += 2) {
-    const std::size_t both[2] = {f, std::min(f + 1, frames - 1)};
+  std::vector<double> stretch_palette(stretches ? 2 * count * 9 : 0);
+  for (std::size_t first_frame = 0; first_frame < frames; first_frame += 2) {
+    const std::size_t frame_pair[2] = {first_frame, std::min(first_frame + 1, frames - 1)};
     for (int i = 0; i < 2; ++i)
-      dual_quaternions(rotations.data() + both[i] * count * 4,
-                       translations.data() + both[i] * count * 3, count, duals.data() + i * width);
+      dual_quaternions(rotations.data() + frame_pair[i] * count * 4,
+                       translations.data() + frame_pair[i] * count * 3, count,
+                       duals.data() + i * width);
     interleave({duals.data(), duals.data() + width}, width, palette.data());
-    const double* const from[2] = {source.frame(both[0]), source.frame(both[1])};
-    double* const to[2] = {result + both[0] * row, result + both[1] * row};
+    const double* const sources[2] = {source.frame(frame_pair[0]), source.frame(frame_pair[1])};
+    double* const targets[2] = {result + frame_pair[0] * row_size,
+                                result + frame_pair[1] * row_size};
     if (stretches) {
-      const double* of = stretches->data();
-      interleave({of + both[0] * count * 9, of + both[1] * count * 9}, count * 9, scaling.data());
+      const double* stretch_values = stretches->data();
+      interleave(
+          {stretch_values + frame_pair[0] * count * 9, stretch_values + frame_pair[1] * count * 9},
+          count * 9, stretch_palette.data());
     }
-    (stretches ? dual_frames<true> : dual_frames<false>)(in, palette.data(), scaling.data(), from,
-                                                         to, normalize);
+    (stretches ? dual_frames<true> : dual_frames<false>)(influences, palette.data(),
+                                                         stretch_palette.data(), sources, targets,
+                                                         normalize);
   }
 }
 

@@ -1,5 +1,5 @@
-// Four strands side by side over a frame, in small steps: compliant springs are projected one
-// after the other, stiff springs along the strand are solved by a tridiagonal system.
+// Four strands in parallel over a frame, in small steps: compliant springs are projected one after
+// the other, stiff springs along the strand are solved by a tridiagonal system.
 //
 // T.-H. Han, T. Harada, Tridiagonal Matrix Formulation for Inextensible Hair Strand
 // Simulation, 2013; M. Macklin et al., Small Steps in Physics Simulation, 2019.
@@ -13,506 +13,555 @@
 
 namespace animtool {
 
-// Queries of colliders other than rods, for one particle and the row (step, C): distance and
-// direction out at the start or end of a step; and a test that stops fast particles.
-struct OtherColliders {
-  const void* all;
-  void (*sample)(const void* all, std::size_t row, bool end, const double* point,
+// Queries of colliders other than capsules and spheres, for one particle and the row (step, C):
+// distance and outward direction at the start or the end of a step; and a continuous test that
+// stops fast particles.
+struct GeneralColliders {
+  const void* context;
+  void (*sample)(const void* context, std::size_t row, bool at_end, const double* point,
                  double* distance_and_normal);
-  bool (*sweep)(const void* all, std::size_t row, const double* from, double* to);
+  bool (*sweep)(const void* context, std::size_t row, const double* start, double* end);
 };
 
 struct StrandBundle;
 
-// Collides segments of one of four strands with finer features in a step, for nearby particles.
-// Returns whether any moved, and adds the displacements to their path lengths.
+// Collides the segments of one of four strands with features finer than a segment. Returns whether
+// any particle moved, and adds the displacements to their path lengths.
 struct SegmentContacts {
-  void* all = nullptr;  // null if no feature is that fine
-  bool (*resolve)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
-                  std::size_t near) = nullptr;
-  double reach = 0;  // segments of a particle this far from all colliders cannot touch them
+  void* context = nullptr;  // null without such features
+  bool (*resolve)(void* context, StrandBundle& bundle, std::size_t step, std::size_t lane,
+                  std::size_t near_count) = nullptr;
+  double search_distance =
+      0;  // segments of a particle farther than this from all colliders cannot touch
 };
 
 // Constants of a frame, shared by all strands.
 struct StrandSteps {
   std::size_t points, cells, substeps;
   double h;
-  double fall[3];      // velocity change by gravity in a step
-  double drag_factor;  // factor of velocities by drag
-  // Compliances: of folds, and of the fold at the root; of the pull to the animation, by
+  double gravity_step[3];  // velocity change by gravity in a step
+  double drag_factor;      // factor of velocities by drag
+  // Compliances: of bending springs, and of the one at the root; of the pull to the animation, by
   // position and by velocity; of springs along the strand.
-  double fold, root_fold, draw, draw_change, soft;
-  double longest;  // largest length of springs along the strand, over their rest length
+  double bend, root_bend, goal_pull, goal_damping, along_compliance;
+  double max_length_ratio;  // largest length of springs along the strand, over their rest length
   std::size_t colliders;
-  const collide::Rod* rods;  // (steps, C)
-  // Which colliders are rods, and for which the displacement of the surface is known (C,).
-  const unsigned char *is_rod, *is_bounded;
-  std::size_t depth_rows;     // number of first colliders that have allowed depths
+  const collide::MovingCapsule* capsules;  // (steps, C)
+  // Whether a collider is a capsule or sphere, and whether the displacement of its surface is known
+  // (C,).
+  const unsigned char *is_capsule, *is_bounded;
+  std::size_t depth_rows;     // number of leading colliders with allowed depths
   const double* thicknesses;  // (C,)
-  // Common drift of each step (steps, 3), and displacement of rod surfaces relative to it
-  // from each step to the end of the frame (steps + 1, C).
-  const double *drifts, *remaining;
-  OtherColliders others;
+  // Common drift of each step (steps, 3); bounds of the surface displacement relative to it, from
+  // each step to the end of the frame (steps + 1, C).
+  const double *drifts, *remaining_shifts;
+  GeneralColliders general_colliders;
   double tolerance;
 };
 
 // Four strands of P particles; vectors are (P, 3, 4).
 struct StrandBundle {
   double *x, *before, *v;
-  double* unmoved;  // positions relative to which particles that are moved out slowly are at rest
+  double* references;   // positions relative to which velocities are measured; they move with slow
+                        // depenetration
   const double* goals;  // (cells + 1, P, 3, 4)
-  const double *rests, *folds;
-  // Allowed depths: of each strand in the first collider, and the stride to the next one.
-  const double* depths[WIDE];
-  std::size_t next_depths;
-  unsigned counted;  // bits of strands that are not padding
-  // Buffers: vectors along each spring (P, 3, 4), and the matrix (P, 3, 4).
-  double *along, *matrix;
-  // Path length of each particle relative to the drift (P,), path lengths at which it may
-  // touch any collider (P,), and each collider (P, C); nearby colliders (C,).
-  double *shift, *due, *dues;
+  const double *rest_lengths, *bend_lengths;
+  // Allowed depths of each strand in the first collider, and the stride to the next collider.
+  const double* depths[SIMD_WIDTH];
+  std::size_t depth_stride;
+  unsigned strand_bits;  // bits of strands that are not padding
+  // Buffers: unit vectors along each spring (P, 3, 4), and the matrix (P, 3, 4).
+  double *directions, *matrix;
+  // Path length of each particle relative to the drift (P,); path lengths at which it may touch any
+  // collider (P,), and each collider (P, C); indices of nearby colliders (C,).
+  double *path_lengths, *contact_paths, *collider_paths;
   std::size_t* near;
   SegmentContacts segments;
-  std::int32_t* at_segments;  // those with a segment near a collider (P,)
-  // Results: number of particles moved by colliders, summed over steps; number left inside;
-  // the largest strain.
-  std::int64_t* touched;
-  std::int64_t inside;
-  double stretch;
+  std::int32_t* segment_particles;  // particles with a segment near a collider (P,)
+  // Results: number of particles moved by colliders in each step; number that remain inside; the
+  // largest strain.
+  std::int64_t* touched_counts;
+  std::int64_t inside_count;
+  double max_strain;
 };
 
-// Length corrections in a step; the first one covers all strands.
-constexpr int CORRECTIONS = 4;
-// Length corrections after collisions, each followed by more collisions.
+// Largest number of length corrections in a step; the first one covers all strands.
+constexpr int MAX_CORRECTIONS = 4;
+// Length corrections after collisions; each is followed by more collisions.
 constexpr int MAX_CONTACT_CORRECTIONS = 5;
 // Iterations over all colliders.
 constexpr int MAX_ITERATIONS = 3;
 // Colliders farther away than this at the start of a frame are rarely touched in it [m].
 constexpr double NEAR = 0.1;
 
-template <class On>
+// Advances one bundle over a frame.
+template <class Simd>
 class BundleSolver {
-  using N = Four<On>;
-  using V = FourVec<On>;
+  using N = Four<Simd>;
+  using V = FourVec<Simd>;
 
  public:
-  BundleSolver(const StrandSteps& plan, StrandBundle& bundle) : plan_(plan), b_(bundle) {}
+  BundleSolver(const StrandSteps& plan, StrandBundle& bundle) : plan_(plan), bundle_(bundle) {}
 
   void advance() {
     find_near_colliders();
     const double rate = 1 / plan_.h;
     for (std::size_t cell = 0; cell < plan_.cells; ++cell)
-      for (std::size_t j = 0; j < plan_.substeps; ++j) {
-        const double parts = static_cast<double>(plan_.substeps);
-        first_ = b_.goals + cell * WIDE_VECTOR * plan_.points;
-        begin_fraction_ = static_cast<double>(j) / parts;
-        end_fraction_ = static_cast<double>(j + 1) / parts;
+      for (std::size_t substep = 0; substep < plan_.substeps; ++substep) {
+        const double count = static_cast<double>(plan_.substeps);
+        cell_goals_ = bundle_.goals + cell * FOUR_VEC_SIZE * plan_.points;
+        begin_fraction_ = static_cast<double>(substep) / count;
+        end_fraction_ = static_cast<double>(substep + 1) / count;
         predict();
-        apply_folds();
-        apply_pull();
-        N some = less(N(0.0), N(1.0));
-        for (int i = 0; i < CORRECTIONS && mask_bits(some); ++i) {
-          correct<false>(some);
-          some = too_long();
+        apply_bending();
+        apply_goal_pull();
+        N strands = less(N(0.0), N(1.0));
+        for (int i = 0; i < MAX_CORRECTIONS && mask_bits(strands); ++i) {
+          correct<false>(strands);
+          strands = find_overlong_strands();
         }
-        resolve_collisions(cell * plan_.substeps + j);
+        resolve_collisions(cell * plan_.substeps + substep);
         for (std::size_t p = 0; p < plan_.points; ++p)
-          ((at(b_.x, p) - at(b_.unmoved, p)) * rate).store(b_.v + WIDE_VECTOR * p);
+          ((load_vector(bundle_.x, p) - load_vector(bundle_.references, p)) * rate)
+              .store(bundle_.v + FOUR_VEC_SIZE * p);
       }
-    b_.inside = left_inside();
-    b_.stretch = longest();
+    bundle_.inside_count = count_inside();
+    bundle_.max_strain = max_strain();
   }
 
  private:
-  static V at(const double* rows, std::size_t p) { return V::of(rows + WIDE_VECTOR * p); }
+  static V load_vector(const double* rows, std::size_t p) {
+    return V::load(rows + FOUR_VEC_SIZE * p);
+  }
 
   // Animated position of a particle at a fraction of the cell; exact at both ends.
   V goal(std::size_t p, double fraction) const {
-    return at(first_, p) * (1 - fraction) + at(first_ + WIDE_VECTOR * plan_.points, p) * fraction;
+    return load_vector(cell_goals_, p) * (1 - fraction) +
+           load_vector(cell_goals_ + FOUR_VEC_SIZE * plan_.points, p) * fraction;
   }
 
   void predict() {
-    const V fall = V::broadcast(plan_.fall);
-    at(b_.x, 0).store(b_.before);
-    at(b_.x, 0).store(b_.unmoved);
-    goal(0, end_fraction_).store(b_.x);
+    const V gravity_step = V::broadcast(plan_.gravity_step);
+    load_vector(bundle_.x, 0).store(bundle_.before);
+    load_vector(bundle_.x, 0).store(bundle_.references);
+    goal(0, end_fraction_).store(bundle_.x);
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V x = at(b_.x, p);
-      x.store(b_.before + WIDE_VECTOR * p);
-      x.store(b_.unmoved + WIDE_VECTOR * p);
-      const V v = (at(b_.v, p) + fall) * plan_.drag_factor;
-      (x + v * plan_.h).store(b_.x + WIDE_VECTOR * p);
+      const V x = load_vector(bundle_.x, p);
+      x.store(bundle_.before + FOUR_VEC_SIZE * p);
+      x.store(bundle_.references + FOUR_VEC_SIZE * p);
+      const V v = (load_vector(bundle_.v, p) + gravity_step) * plan_.drag_factor;
+      (x + v * plan_.h).store(bundle_.x + FOUR_VEC_SIZE * p);
     }
   }
 
-  void apply_folds() {
-    if (plan_.fold == 0) return;
+  void apply_bending() {
+    if (plan_.bend == 0) return;
     for (std::size_t p = 0; p + 2 < plan_.points; ++p) {
-      const V a = at(b_.x, p), b = at(b_.x, p + 2), d = b - a;
-      const N square = dot(d, d), rest = N::of(b_.folds + WIDE * p);
+      const V a = load_vector(bundle_.x, p), b = load_vector(bundle_.x, p + 2), d = b - a;
+      const N square = dot(d, d), rest_length = N::load(bundle_.bend_lengths + SIMD_WIDTH * p);
       // Coincident ends have no direction, and no force.
-      const N one = select(less(N(0.0), square), N(1.0), N(0.0));
-      const N beyond = one - rest * (sqrt(square) * inverse(square));
-      const V pull = d * (beyond * (p == 0 ? plan_.root_fold : plan_.fold));
-      if (p > 0) (a + pull).store(b_.x + WIDE_VECTOR * p);
-      (b - pull).store(b_.x + WIDE_VECTOR * (p + 2));
+      const N strain_scale = select(less(N(0.0), square), N(1.0), N(0.0));
+      const N strain = strain_scale - rest_length * (sqrt(square) * inverse(square));
+      const V correction = d * (strain * (p == 0 ? plan_.root_bend : plan_.bend));
+      if (p > 0) (a + correction).store(bundle_.x + FOUR_VEC_SIZE * p);
+      (b - correction).store(bundle_.x + FOUR_VEC_SIZE * (p + 2));
     }
   }
 
-  void apply_pull() {
-    if (plan_.draw == 0) return;
+  void apply_goal_pull() {
+    if (plan_.goal_pull == 0) return;
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V x = at(b_.x, p), off = goal(p, end_fraction_) - x;
-      const V displacement = off - (goal(p, begin_fraction_) - at(b_.before, p));
-      (x + off * plan_.draw + displacement * plan_.draw_change).store(b_.x + WIDE_VECTOR * p);
+      const V x = load_vector(bundle_.x, p), offset = goal(p, end_fraction_) - x;
+      const V offset_change = offset - (goal(p, begin_fraction_) - load_vector(bundle_.before, p));
+      (x + offset * plan_.goal_pull + offset_change * plan_.goal_damping)
+          .store(bundle_.x + FOUR_VEC_SIZE * p);
     }
   }
 
-  // Which strands have a spring above its largest length: those that rotate far in a step.
-  N too_long() const {
-    N hit = less(N(0.0), N(0.0));
+  // Mask of strands with a spring above its largest length: those that rotate far in a step.
+  N find_overlong_strands() const {
+    N is_overlong = less(N(0.0), N(0.0));
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V d = at(b_.x, p) - at(b_.x, p - 1);
-      const N most = N::of(b_.rests + WIDE * (p - 1)) * plan_.longest;
-      hit = mask_or(hit, less(most * most, dot(d, d)));
+      const V d = load_vector(bundle_.x, p) - load_vector(bundle_.x, p - 1);
+      const N max_length =
+          N::load(bundle_.rest_lengths + SIMD_WIDTH * (p - 1)) * plan_.max_length_ratio;
+      is_overlong = mask_or(is_overlong, less(max_length * max_length, dot(d, d)));
     }
-    return hit;
+    return is_overlong;
   }
 
   // One Newton correction of all lengths along some of the strands. Each spring moves its
-  // neighbours, so that the matrix is tridiagonal. Optionally records the displacements.
-  template <bool Recorded>
-  void correct(const N& some) {
-    V before{0.0, 0.0, 0.0};
-    N fraction(0.0), sum(0.0);
+  // neighbours, so that the matrix is tridiagonal. Optionally adds the displacements to the path
+  // lengths.
+  template <bool RecordPath>
+  void correct(const N& strands) {
+    V previous{0.0, 0.0, 0.0};
+    N inverse_pivot(0.0), residual(0.0);
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V d = at(b_.x, p) - at(b_.x, p - 1);
-      const N size = length(d);
-      const V along = d * inverse(size);
+      const V d = load_vector(bundle_.x, p) - load_vector(bundle_.x, p - 1);
+      const N spring_length = length(d);
+      const V direction = d * inverse(spring_length);
       // Coupling of springs that share a particle; the root does not move.
-      const N shared = dot(before, along);
-      const N full = N((p == 1 ? 1 : 2) + plan_.soft) - shared * shared * fraction;
-      sum = size - N::of(b_.rests + WIDE * (p - 1)) + shared * fraction * sum;
-      fraction = N(1.0) / full;
-      along.store(b_.along + WIDE_VECTOR * p);
-      double* row = b_.matrix + WIDE_VECTOR * p;
-      shared.store(row);
-      fraction.store(row + WIDE);
-      sum.store(row + 2 * WIDE);
-      before = along;
+      const N coupling = dot(previous, direction);
+      const N pivot =
+          N((p == 1 ? 1 : 2) + plan_.along_compliance) - coupling * coupling * inverse_pivot;
+      residual = spring_length - N::load(bundle_.rest_lengths + SIMD_WIDTH * (p - 1)) +
+                 coupling * inverse_pivot * residual;
+      inverse_pivot = N(1.0) / pivot;
+      direction.store(bundle_.directions + FOUR_VEC_SIZE * p);
+      double* row = bundle_.matrix + FOUR_VEC_SIZE * p;
+      coupling.store(row);
+      inverse_pivot.store(row + SIMD_WIDTH);
+      residual.store(row + 2 * SIMD_WIDTH);
+      previous = direction;
     }
-    N pull(0.0), shared(0.0);
-    V behind{0.0, 0.0, 0.0};
+    N multiplier(0.0), coupling(0.0);
+    V next_shift{0.0, 0.0, 0.0};
     for (std::size_t p = plan_.points; p-- > 1;) {
-      const double* row = b_.matrix + WIDE_VECTOR * p;
-      pull = (N::of(row + 2 * WIDE) + shared * pull) * N::of(row + WIDE);
-      shared = N::of(row);
-      const V back = at(b_.along, p) * pull;
-      const V x = at(b_.x, p), move = select(some, behind - back, V{0.0, 0.0, 0.0});
-      (x + move).store(b_.x + WIDE_VECTOR * p);
-      if constexpr (Recorded) b_.shift[p] += largest(length(move));
-      behind = back;
+      const double* row = bundle_.matrix + FOUR_VEC_SIZE * p;
+      multiplier =
+          (N::load(row + 2 * SIMD_WIDTH) + coupling * multiplier) * N::load(row + SIMD_WIDTH);
+      coupling = N::load(row);
+      const V spring_shift = load_vector(bundle_.directions, p) * multiplier;
+      const V x = load_vector(bundle_.x, p),
+              shift = select(strands, next_shift - spring_shift, V{0.0, 0.0, 0.0});
+      (x + shift).store(bundle_.x + FOUR_VEC_SIZE * p);
+      if constexpr (RecordPath) bundle_.path_lengths[p] += largest(length(shift));
+      next_shift = spring_shift;
     }
   }
 
   static N length(const V& a) { return sqrt(dot(a, a)); }
 
-  // In which of four parts of the strands, from root to tip, a point is.
-  std::size_t part(std::size_t p) const { return p * WIDE / plan_.points; }
+  // The section of the strands that a point is in: one of four, from root to tip.
+  std::size_t section_of(std::size_t p) const { return p * SIMD_WIDTH / plan_.points; }
 
-  // Bounding ball of each part of all strands: centre and radius. Returns which parts exist:
-  // strands with few points do not have all.
-  unsigned bound_parts(V& centre, N& radius) const {
-    unsigned parts = 0;
-    double low[3][WIDE], high[3][WIDE];
+  // Bounding ball of each section over all strands: centre and radius. Returns bits of the sections
+  // that exist: strands with few points do not have all.
+  unsigned bound_sections(V& centre, N& radius) const {
+    unsigned section_bits = 0;
+    double low[3][SIMD_WIDTH], high[3][SIMD_WIDTH];
     for (std::size_t k = 0; k < 3; ++k)
-      for (std::size_t g = 0; g < WIDE; ++g) low[k][g] = UNREACHED, high[k][g] = -UNREACHED;
+      for (std::size_t g = 0; g < SIMD_WIDTH; ++g) low[k][g] = UNREACHED, high[k][g] = -UNREACHED;
     for (std::size_t p = 0; p < plan_.points; ++p) {
-      const std::size_t g = part(p);
-      parts |= 1u << g;
+      const std::size_t g = section_of(p);
+      section_bits |= 1u << g;
       for (std::size_t k = 0; k < 3; ++k) {
-        const N row = N::of(b_.x + WIDE_VECTOR * p + WIDE * k);
-        const double least = smallest(row), most = largest(row);
-        low[k][g] = least < low[k][g] ? least : low[k][g];
-        high[k][g] = most > high[k][g] ? most : high[k][g];
+        const N row = N::load(bundle_.x + FOUR_VEC_SIZE * p + SIMD_WIDTH * k);
+        const double smallest_value = smallest(row), largest_value = largest(row);
+        low[k][g] = smallest_value < low[k][g] ? smallest_value : low[k][g];
+        high[k][g] = largest_value > high[k][g] ? largest_value : high[k][g];
       }
     }
-    const V from = V::of(low[0]), half = (V::of(high[0]) - from) * 0.5;
-    centre = from + half;
-    radius = length(half);
-    return parts;
+    const V lowest = V::load(low[0]), half_extent = (V::load(high[0]) - lowest) * 0.5;
+    centre = lowest + half_extent;
+    radius = length(half_extent);
+    return section_bits;
   }
 
-  // Distances of the parts of the strands from each collider at the start of the frame.
+  // Finds the colliders near the strands, and bounds the distance of each section from them at the
+  // start of the frame.
   void find_near_colliders() {
-    near_ = 0;
-    far_ = UNREACHED;
+    near_count_ = 0;
+    far_path_ = UNREACHED;
     if (plan_.colliders == 0) return;
     V centre;
     N radius;
-    const unsigned parts = bound_parts(centre, radius);
+    const unsigned section_bits = bound_sections(centre, radius);
     for (std::size_t c = 0; c < plan_.colliders; ++c) {
-      double off[WIDE] = {0, 0, 0, 0};
-      if (plan_.is_rod[c]) {
-        const collide::Rod& rod = plan_.rods[c];
-        const N away = sample_rod(rod.begin, rod.radius, centre).distance - radius;
-        (max(away, N(0.0)) - plan_.remaining[c]).store(off);
+      double distances[SIMD_WIDTH] = {0, 0, 0, 0};
+      if (plan_.is_capsule[c]) {
+        const collide::MovingCapsule& capsule = plan_.capsules[c];
+        const N distance =
+            sample_moving_capsule(capsule.begin, capsule.radius, centre).distance - radius;
+        (max(distance, N(0.0)) - plan_.remaining_shifts[c]).store(distances);
       }
       double nearest = UNREACHED;
-      for (std::size_t g = 0; g < WIDE; ++g)
-        if ((parts >> g & 1) && off[g] < nearest) nearest = off[g];
+      for (std::size_t g = 0; g < SIMD_WIDTH; ++g)
+        if ((section_bits >> g & 1) && distances[g] < nearest) nearest = distances[g];
       if (nearest >= NEAR) {
-        far_ = nearest < far_ ? nearest : far_;
+        far_path_ = nearest < far_path_ ? nearest : far_path_;
         continue;
       }
-      b_.near[near_++] = c;
+      bundle_.near[near_count_++] = c;
       for (std::size_t p = 0; p < plan_.points; ++p)
-        b_.dues[p * plan_.colliders + c] = off[part(p)];
+        bundle_.collider_paths[p * plan_.colliders + c] = distances[section_of(p)];
     }
     for (std::size_t p = 0; p < plan_.points; ++p) {
-      b_.shift[p] = 0;
-      b_.due[p] = next_due(p);
+      bundle_.path_lengths[p] = 0;
+      bundle_.contact_paths[p] = next_contact_path(p);
     }
   }
 
-  // Path length at which a particle may touch the next collider.
-  double next_due(std::size_t p) const {
-    const double* dues = b_.dues + p * plan_.colliders;
-    double next = far_;
-    for (std::size_t k = 0; k < near_; ++k) {
-      const double one = dues[b_.near[k]];
-      next = one < next ? one : next;
+  // Path length at which a particle may touch any collider.
+  double next_contact_path(std::size_t p) const {
+    const double* paths = bundle_.collider_paths + p * plan_.colliders;
+    double next = far_path_;
+    for (std::size_t k = 0; k < near_count_; ++k) {
+      const double path = paths[bundle_.near[k]];
+      next = path < next ? path : next;
     }
     return next;
   }
 
-  // Colliders come last in each step; strands that they stretched are corrected before.
+  // Moves particles out of colliders, as the last stage of a step, and corrects strands that this
+  // stretches.
   void resolve_collisions(std::size_t step) {
     if (plan_.colliders == 0) return;
     const V drift = V::broadcast(plan_.drifts + 3 * step);
     for (std::size_t p = 1; p < plan_.points; ++p)
-      b_.shift[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
-    unsigned touched = 0;
-    select_strands(ALL);
-    unsigned moved = collide_particles(step, touched);
-    b_.touched[step] += touched;
-    for (int i = 0; i < MAX_CONTACT_CORRECTIONS && moved; ++i) {
-      moved &= mask_bits(too_long());
-      if (!moved) break;
-      select_strands(moved);
+      bundle_.path_lengths[p] +=
+          largest(length(load_vector(bundle_.x, p) - load_vector(bundle_.before, p) - drift));
+    unsigned touched_count = 0;
+    select_strands(ALL_STRANDS);
+    unsigned moved_strands = collide_particles(step, touched_count);
+    bundle_.touched_counts[step] += touched_count;
+    for (int i = 0; i < MAX_CONTACT_CORRECTIONS && moved_strands; ++i) {
+      moved_strands &= mask_bits(find_overlong_strands());
+      if (!moved_strands) break;
+      select_strands(moved_strands);
       correct<true>(selected_);
-      moved &= collide_particles(step, touched);
+      moved_strands &= collide_particles(step, touched_count);
     }
   }
 
-  // Moves some of the strands out of colliders.
-  void select_strands(unsigned some) {
-    double lanes[WIDE];
-    for (std::size_t l = 0; l < WIDE; ++l) lanes[l] = some >> l & 1;
-    selected_ = less(N(0.0), N::of(lanes));
-    selected_bits_ = some;
+  // Selects the strands that colliders may move, by their bits.
+  void select_strands(unsigned strand_bits) {
+    double lanes[SIMD_WIDTH];
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) lanes[l] = strand_bits >> l & 1;
+    selected_ = less(N(0.0), N::load(lanes));
+    selected_bits_ = strand_bits;
   }
 
-  // Moves particles out of colliders; returns in which strands.
-  unsigned collide_particles(std::size_t step, unsigned& touched) {
-    unsigned lanes = 0;
+  // Moves particles out of colliders; returns the bits of strands that moved.
+  unsigned collide_particles(std::size_t step, unsigned& touched_count) {
+    unsigned moved_strands = 0;
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      if (b_.shift[p] < b_.due[p]) continue;
-      if (b_.shift[p] >= far_) include_all_colliders();
-      const double displacement = largest(length(at(b_.x, p) - at(b_.before, p)));
-      const unsigned moved = resolve(step, p, displacement);
-      touched += count(moved);
-      lanes |= moved;
+      if (bundle_.path_lengths[p] < bundle_.contact_paths[p]) continue;
+      if (bundle_.path_lengths[p] >= far_path_) include_all_colliders();
+      const double displacement =
+          largest(length(load_vector(bundle_.x, p) - load_vector(bundle_.before, p)));
+      const unsigned moved_bits = resolve(step, p, displacement);
+      touched_count += count_strands(moved_bits);
+      moved_strands |= moved_bits;
     }
-    return b_.segments.all ? lanes | collide_segments(step) : lanes;
+    return bundle_.segments.context ? moved_strands | collide_segments(step) : moved_strands;
   }
 
-  // The same for segments between particles; the root counts as near if any particle is.
+  // Collides the segments between particles; the root counts as near if any particle is. Returns
+  // the bits of strands that moved.
   unsigned collide_segments(std::size_t step) {
-    std::size_t near = 0;
-    b_.at_segments[near++] = 0;
+    std::size_t near_count = 0;
+    bundle_.segment_particles[near_count++] = 0;
     for (std::size_t p = 1; p < plan_.points; ++p)
-      if (b_.shift[p] + b_.segments.reach >= b_.due[p])
-        b_.at_segments[near++] = static_cast<std::int32_t>(p);
-    unsigned lanes = 0;
-    for (std::size_t l = 0; near > 1 && l < WIDE; ++l) {
-      if (!((selected_bits_ & b_.counted) >> l & 1)) continue;
-      if (b_.segments.resolve(b_.segments.all, b_, step, l, near)) lanes |= 1u << l;
+      if (bundle_.path_lengths[p] + bundle_.segments.search_distance >= bundle_.contact_paths[p])
+        bundle_.segment_particles[near_count++] = static_cast<std::int32_t>(p);
+    unsigned moved_strands = 0;
+    for (std::size_t l = 0; near_count > 1 && l < SIMD_WIDTH; ++l) {
+      if (!((selected_bits_ & bundle_.strand_bits) >> l & 1)) continue;
+      if (bundle_.segments.resolve(bundle_.segments.context, bundle_, step, l, near_count))
+        moved_strands |= 1u << l;
     }
-    return lanes;
+    return moved_strands;
   }
 
+  // Treats all colliders as near from here on.
   void include_all_colliders() {
     const std::size_t count = plan_.colliders;
     for (std::size_t c = 0; c < count; ++c) {
-      bool known = false;
-      for (std::size_t k = 0; k < near_; ++k) known = known || b_.near[k] == c;
-      for (std::size_t p = 0; !known && p < plan_.points; ++p) b_.dues[p * count + c] = 0;
+      bool is_near = false;
+      for (std::size_t k = 0; k < near_count_; ++k) is_near = is_near || bundle_.near[k] == c;
+      for (std::size_t p = 0; !is_near && p < plan_.points; ++p)
+        bundle_.collider_paths[p * count + c] = 0;
     }
-    for (near_ = 0; near_ < count; ++near_) b_.near[near_] = near_;
-    for (std::size_t p = 0; p < plan_.points; ++p) b_.due[p] = 0;
-    far_ = UNREACHED;
+    for (near_count_ = 0; near_count_ < count; ++near_count_)
+      bundle_.near[near_count_] = near_count_;
+    for (std::size_t p = 0; p < plan_.points; ++p) bundle_.contact_paths[p] = 0;
+    far_path_ = UNREACHED;
   }
 
-  unsigned count(unsigned bits) const {
-    unsigned hit = 0;
-    for (bits &= b_.counted; bits; bits &= bits - 1) ++hit;
-    return hit;
+  // Number of strands with a set bit, without padding.
+  unsigned count_strands(unsigned bits) const {
+    unsigned result = 0;
+    for (bits &= bundle_.strand_bits; bits; bits &= bits - 1) ++result;
+    return result;
   }
 
-  // Moves four particles out of colliders; returns which were moved.
+  // Moves four particles out of colliders; returns the bits of those that moved.
   unsigned resolve(std::size_t step, std::size_t p, double displacement) {
-    double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
-    const V from = at(b_.before, p);
-    V to = at(b_.x, p), unmoved = at(b_.unmoved, p);
-    unsigned moved = sweep(step, p, displacement, from, to);
-    for (int round = 0; round < MAX_ITERATIONS; ++round) {
-      unsigned pushed = 0;
-      std::size_t tested = 0, only = 0;
-      for (std::size_t k = 0; k < near_; ++k) {
-        const std::size_t c = b_.near[k];
-        if (dues[c] > shift) continue;
-        ++tested;
-        only = c;
-        pushed |= push(step, p, c, from, to, unmoved);
+    double &path_length = bundle_.path_lengths[p],
+           *paths = bundle_.collider_paths + p * plan_.colliders;
+    const V from = load_vector(bundle_.before, p);
+    V to = load_vector(bundle_.x, p), reference = load_vector(bundle_.references, p);
+    unsigned moved_bits = sweep(step, p, displacement, from, to);
+    for (int iteration = 0; iteration < MAX_ITERATIONS; ++iteration) {
+      unsigned pushed_bits = 0;
+      std::size_t tested_count = 0, last_tested = 0;
+      for (std::size_t k = 0; k < near_count_; ++k) {
+        const std::size_t c = bundle_.near[k];
+        if (paths[c] > path_length) continue;
+        ++tested_count;
+        last_tested = c;
+        pushed_bits |= push(step, p, c, from, to, reference);
       }
       // A particle that is pushed may come near colliders that were far away.
-      if (shift >= far_) include_all_colliders();
-      moved |= pushed;
-      if (!pushed || (tested == 1 && !any_due(dues, shift, only))) break;
+      if (path_length >= far_path_) include_all_colliders();
+      moved_bits |= pushed_bits;
+      if (!pushed_bits || (tested_count == 1 && !may_touch_any(paths, path_length, last_tested)))
+        break;
     }
-    b_.due[p] = next_due(p);
-    to.store(b_.x + WIDE_VECTOR * p);
-    unmoved.store(b_.unmoved + WIDE_VECTOR * p);
-    return moved;
+    bundle_.contact_paths[p] = next_contact_path(p);
+    to.store(bundle_.x + FOUR_VEC_SIZE * p);
+    reference.store(bundle_.references + FOUR_VEC_SIZE * p);
+    return moved_bits;
   }
 
-  bool any_due(const double* dues, double shift, std::size_t but) const {
-    for (std::size_t k = 0; k < near_; ++k)
-      if (b_.near[k] != but && dues[b_.near[k]] <= shift) return true;
+  // Whether any nearby collider but one may be touched at a path length.
+  bool may_touch_any(const double* paths, double path_length, std::size_t excluded) const {
+    for (std::size_t k = 0; k < near_count_; ++k)
+      if (bundle_.near[k] != excluded && paths[bundle_.near[k]] <= path_length) return true;
     return false;
   }
 
-  unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to, V& unmoved) {
+  // Moves four particles out of one collider; returns the bits of those that moved.
+  unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to,
+                V& reference) {
     const std::size_t row = step * plan_.colliders + c;
-    const collide::Rod& rod = plan_.rods[row];
-    double &shift = b_.shift[p], &due = b_.dues[p * plan_.colliders + c];
+    const collide::MovingCapsule& capsule = plan_.capsules[row];
+    double &path_length = bundle_.path_lengths[p],
+           &contact_path = bundle_.collider_paths[p * plan_.colliders + c];
     const auto hit = sample(row, c, true, to);
-    const double remaining = plan_.remaining[row + plan_.colliders];
+    const double remaining_shift = plan_.remaining_shifts[row + plan_.colliders];
     const double nearest = smallest(hit.distance);
-    due = plan_.is_bounded[c] && nearest > remaining ? shift + (nearest - remaining) : shift;
+    contact_path = plan_.is_bounded[c] && nearest > remaining_shift
+                       ? path_length + (nearest - remaining_shift)
+                       : path_length;
     if (!(nearest < -collide::TOUCH)) return 0;
-    const N depth = depths(p, c);
+    const N depth = allowed_depths(p, c);
     if (!(smallest(hit.distance - depth) < -collide::TOUCH)) return 0;
-    const N begun = sample(row, c, false, from).distance;
-    V location = to, rest_position = unmoved;
-    const unsigned pushed =
-        selected_bits_ & collide::push_out(rod, hit, begun, depth, from, location, rest_position);
-    if (!pushed) return 0;
-    location = select(selected_, location, to);
-    unmoved = select(selected_, rest_position, unmoved);
-    shift += largest(length(location - to));
-    due = shift;
-    to = location;
-    return pushed;
+    const N start_distance = sample(row, c, false, from).distance;
+    V new_position = to, new_reference = reference;
+    const unsigned pushed_bits =
+        selected_bits_ &
+        collide::push_out(capsule, hit, start_distance, depth, from, new_position, new_reference);
+    if (!pushed_bits) return 0;
+    new_position = select(selected_, new_position, to);
+    reference = select(selected_, new_reference, reference);
+    path_length += largest(length(new_position - to));
+    contact_path = path_length;
+    to = new_position;
+    return pushed_bits;
   }
 
-  N depths(std::size_t p, std::size_t c) const {
-    if (!b_.depths[0] || c >= plan_.depth_rows) return N(0.0);
-    double hit[WIDE];
-    for (std::size_t l = 0; l < WIDE; ++l) hit[l] = b_.depths[l][c * b_.next_depths + p];
-    return N::of(hit);
+  // Allowed depths of four particles in a collider.
+  N allowed_depths(std::size_t p, std::size_t c) const {
+    if (!bundle_.depths[0] || c >= plan_.depth_rows) return N(0.0);
+    double values[SIMD_WIDTH];
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
+      values[l] = bundle_.depths[l][c * bundle_.depth_stride + p];
+    return N::load(values);
   }
 
-  collide::WideSample<N> sample(std::size_t row, std::size_t c, bool end, const V& at) const {
-    const collide::Rod& rod = plan_.rods[row];
-    if (plan_.is_rod[c]) return collide::sample_rod(end ? rod.end : rod.begin, rod.radius, at);
-    double points[WIDE_VECTOR], answers[WIDE][WIDE];
-    at.store(points);
-    for (std::size_t l = 0; l < WIDE; ++l) {
-      const double point[3] = {points[l], points[WIDE + l], points[2 * WIDE + l]};
-      plan_.others.sample(plan_.others.all, row, end, point, answers[l]);
+  // Distances of four points from a collider at the start or the end of a step.
+  collide::WideSample<N> sample(std::size_t row, std::size_t c, bool at_end,
+                                const V& position) const {
+    const collide::MovingCapsule& capsule = plan_.capsules[row];
+    if (plan_.is_capsule[c])
+      return collide::sample_moving_capsule(at_end ? capsule.end : capsule.begin, capsule.radius,
+                                            position);
+    double points[FOUR_VEC_SIZE], samples[SIMD_WIDTH][SIMD_WIDTH];
+    position.store(points);
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
+      const double point[3] = {points[l], points[SIMD_WIDTH + l], points[2 * SIMD_WIDTH + l]};
+      plan_.general_colliders.sample(plan_.general_colliders.context, row, at_end, point,
+                                     samples[l]);
     }
-    double columns[WIDE][WIDE];
-    for (std::size_t k = 0; k < WIDE; ++k)
-      for (std::size_t l = 0; l < WIDE; ++l) columns[k][l] = answers[l][k];
-    return {N::of(columns[0]), {N::of(columns[1]), N::of(columns[2]), N::of(columns[3])}};
+    double columns[SIMD_WIDTH][SIMD_WIDTH];
+    for (std::size_t k = 0; k < SIMD_WIDTH; ++k)
+      for (std::size_t l = 0; l < SIMD_WIDTH; ++l) columns[k][l] = samples[l][k];
+    return {N::load(columns[0]), {N::load(columns[1]), N::load(columns[2]), N::load(columns[3])}};
   }
 
-  // Stops particles that move farther than the thickness of colliders (continuous collision).
+  // Stops particles that move farther than the thickness of a collider in a step (continuous
+  // collision). Returns the bits of those that stopped.
   unsigned sweep(std::size_t step, std::size_t p, double displacement, const V& from, V& to) {
-    double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
-    unsigned stopped = 0;
-    for (std::size_t k = 0; k < near_; ++k) {
-      const std::size_t c = b_.near[k];
-      if (dues[c] > shift || displacement <= plan_.thicknesses[c]) continue;
-      double begins[WIDE_VECTOR], ends[WIDE_VECTOR];
+    double &path_length = bundle_.path_lengths[p],
+           *paths = bundle_.collider_paths + p * plan_.colliders;
+    unsigned stopped_bits = 0;
+    for (std::size_t k = 0; k < near_count_; ++k) {
+      const std::size_t c = bundle_.near[k];
+      if (paths[c] > path_length || displacement <= plan_.thicknesses[c]) continue;
+      double begins[FOUR_VEC_SIZE], ends[FOUR_VEC_SIZE];
       from.store(begins);
       to.store(ends);
-      for (std::size_t l = 0; l < WIDE; ++l) {
-        const double begin[3] = {begins[l], begins[WIDE + l], begins[2 * WIDE + l]};
-        double end[3] = {ends[l], ends[WIDE + l], ends[2 * WIDE + l]};
+      for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
+        const double begin[3] = {begins[l], begins[SIMD_WIDTH + l], begins[2 * SIMD_WIDTH + l]};
+        double end[3] = {ends[l], ends[SIMD_WIDTH + l], ends[2 * SIMD_WIDTH + l]};
         const std::size_t row = step * plan_.colliders + c;
         if (!(selected_bits_ >> l & 1)) continue;
-        if (!plan_.others.sweep(plan_.others.all, row, begin, end)) continue;
-        for (std::size_t k = 0; k < 3; ++k) ends[k * WIDE + l] = end[k];
-        stopped |= 1u << l;
+        if (!plan_.general_colliders.sweep(plan_.general_colliders.context, row, begin, end))
+          continue;
+        for (std::size_t k = 0; k < 3; ++k) ends[k * SIMD_WIDTH + l] = end[k];
+        stopped_bits |= 1u << l;
       }
-      const V location = V::of(ends);
-      shift += largest(length(location - to));
-      to = location;
+      const V new_position = V::load(ends);
+      path_length += largest(length(new_position - to));
+      to = new_position;
     }
-    return stopped;
+    return stopped_bits;
   }
 
-  std::int64_t left_inside() const {
+  // Number of particles that remain inside colliders.
+  std::int64_t count_inside() const {
     std::int64_t inside = 0;
     const std::size_t steps = plan_.cells * plan_.substeps;
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      unsigned deep = 0;
-      for (std::size_t k = 0; k < near_; ++k) {
-        const std::size_t c = b_.near[k];
-        if (b_.dues[p * plan_.colliders + c] > b_.shift[p]) continue;
+      unsigned deep_bits = 0;
+      for (std::size_t k = 0; k < near_count_; ++k) {
+        const std::size_t c = bundle_.near[k];
+        if (bundle_.collider_paths[p * plan_.colliders + c] > bundle_.path_lengths[p]) continue;
         const std::size_t row = (steps - 1) * plan_.colliders + c;
-        const N off = sample(row, c, true, at(b_.x, p)).distance - depths(p, c);
-        deep |= mask_bits(less(off, N(-plan_.tolerance)));
+        const N excess =
+            sample(row, c, true, load_vector(bundle_.x, p)).distance - allowed_depths(p, c);
+        deep_bits |= mask_bits(less(excess, N(-plan_.tolerance)));
       }
-      inside += count(deep);
+      inside += count_strands(deep_bits);
     }
     return inside;
   }
 
-  double longest() const {
+  // Largest strain of springs along the strands.
+  double max_strain() const {
     N largest_strain(0.0);
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V d = at(b_.x, p) - at(b_.x, p - 1);
-      const N rest = N::of(b_.rests + WIDE * (p - 1));
-      const N beyond = sqrt(dot(d, d)) * inverse(rest) - 1.0;
-      largest_strain = max(beyond, largest_strain);
+      const V d = load_vector(bundle_.x, p) - load_vector(bundle_.x, p - 1);
+      const N rest_length = N::load(bundle_.rest_lengths + SIMD_WIDTH * (p - 1));
+      const N strain = sqrt(dot(d, d)) * inverse(rest_length) - 1.0;
+      largest_strain = max(strain, largest_strain);
     }
     return largest(largest_strain);
   }
 
   static constexpr double UNREACHED = 1e300;
-  static constexpr unsigned ALL = 15;
+  static constexpr unsigned ALL_STRANDS = 15;
 
   const StrandSteps& plan_;
-  StrandBundle& b_;
-  // Animated positions of the strands at the start and the end of the current cell; fractions
-  // of the cell at the start and the end of the step.
-  const double* first_ = nullptr;
+  StrandBundle& bundle_;
+  // Animated positions of the strands at the start of the current cell; fractions of the cell at
+  // the start and the end of the step.
+  const double* cell_goals_ = nullptr;
   double begin_fraction_ = 0, end_fraction_ = 0;
-  // Number of nearby colliders, and the path length at which any other may be touched.
-  std::size_t near_ = 0;
-  double far_ = 0;
+  // Number of nearby colliders, and the path length at which any other collider may be touched.
+  std::size_t near_count_ = 0;
+  double far_path_ = 0;
   // The strands that colliders may move.
   N selected_{0.0};
   unsigned selected_bits_ = 0;
 };
 
-template <class On>
+template <class Simd>
 void advance_bundle(const StrandSteps& plan, StrandBundle& bundle) {
-  BundleSolver<On>(plan, bundle).advance();
+  BundleSolver<Simd>(plan, bundle).advance();
 }
 
 }  // namespace animtool

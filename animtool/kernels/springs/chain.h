@@ -8,16 +8,17 @@
 
 namespace animtool {
 
-// Largest index distance of spring ends: two for ropes that resist bending.
-constexpr std::size_t WIDEST_CHAIN = 4;
+// Largest index distance of the ends of a spring: two for ropes that resist bending.
+constexpr std::size_t MAX_CHAIN_WIDTH = 4;
 
-// L D Lᵀ of a band, row by row: `width_` entries left of the diagonal, then the diagonal.
+// L D Lᵀ factor of a band matrix, row by row: `width_` entries left of the diagonal, then the
+// diagonal.
 class ChainFactor {
  public:
-  // `reach` is the largest index distance of spring ends.
-  void begin(std::size_t particles, std::size_t reach) {
+  // Clears the matrix; `max_distance` is the largest index distance of spring ends.
+  void reset(std::size_t particles, std::size_t max_distance) {
     rows_ = 3 * particles;
-    width_ = 3 * reach + 2;
+    width_ = 3 * max_distance + 2;
     band_.assign(rows_ * (width_ + 1), 0.0);
   }
 
@@ -26,54 +27,56 @@ class ChainFactor {
     if (column <= row) band_[row * (width_ + 1) + (column + width_ - row)] += value;
   }
 
+  // Factors the matrix in place.
   void factor() {
     for (std::size_t i = 0; i < rows_; ++i) {
-      double* row = at(i);
+      double* row = row_at(i);
       const std::size_t first = i > width_ ? i - width_ : 0;
-      // Entries are L D until they are divided.
+      // Entries hold L D until they are divided.
       for (std::size_t j = first; j < i; ++j) {
-        const double* other = at(j);
-        const std::size_t from = std::max(first, j > width_ ? j - width_ : 0);
+        const double* other_row = row_at(j);
+        const std::size_t first_common = std::max(first, j > width_ ? j - width_ : 0);
         double sum = row[j + width_ - i];
-        for (std::size_t k = from; k < j; ++k) sum -= row[k + width_ - i] * other[k + width_ - j];
+        for (std::size_t k = first_common; k < j; ++k)
+          sum -= row[k + width_ - i] * other_row[k + width_ - j];
         row[j + width_ - i] = sum;
       }
       double pivot = row[width_];
       for (std::size_t j = first; j < i; ++j) {
         double& entry = row[j + width_ - i];
-        const double over = entry * at(j)[width_];
-        pivot -= entry * over;
-        entry = over;
+        const double quotient = entry * row_at(j)[width_];
+        pivot -= entry * quotient;
+        entry = quotient;
       }
       row[width_] = 1 / pivot;
     }
   }
 
-  // Solves for rows of particles with a stride.
+  // Solves for a right-hand side in rows of particles with a stride.
   void solve(const std::vector<double>& in, std::vector<double>& out, std::size_t stride) {
-    right_.resize(rows_);
+    solution_.resize(rows_);
     for (std::size_t i = 0; i < rows_; ++i) {
-      const double* row = at(i);
+      const double* row = row_at(i);
       double sum = in[i / 3 * stride + i % 3];
       for (std::size_t j = i > width_ ? i - width_ : 0; j < i; ++j)
-        sum -= row[j + width_ - i] * right_[j];
-      right_[i] = sum;
+        sum -= row[j + width_ - i] * solution_[j];
+      solution_[i] = sum;
     }
-    for (std::size_t i = 0; i < rows_; ++i) right_[i] *= at(i)[width_];
+    for (std::size_t i = 0; i < rows_; ++i) solution_[i] *= row_at(i)[width_];
     for (std::size_t i = rows_; i-- > 0;) {
-      const double value = right_[i];
-      const double* row = at(i);
+      const double value = solution_[i];
+      const double* row = row_at(i);
       for (std::size_t j = i > width_ ? i - width_ : 0; j < i; ++j)
-        right_[j] -= row[j + width_ - i] * value;
+        solution_[j] -= row[j + width_ - i] * value;
       out[i / 3 * stride + i % 3] = value;
     }
   }
 
  private:
-  double* at(std::size_t i) { return band_.data() + i * (width_ + 1); }
+  double* row_at(std::size_t i) { return band_.data() + i * (width_ + 1); }
 
   std::size_t rows_ = 0, width_ = 0;
-  std::vector<double> band_, right_;
+  std::vector<double> band_, solution_;
 };
 
 }  // namespace animtool

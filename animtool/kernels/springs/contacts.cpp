@@ -13,28 +13,29 @@ using collide::Collider;
 using collide::load;
 using collide::Mesh;
 using collide::Motion;
+using collide::MovingCapsule;
 using collide::Pose;
-using collide::Rod;
 using collide::Sample;
 using collide::Shape;
 using collide::store;
 using collide::Vec;
 
-// Impact speed, in steps of gravity, below which a contact is resting.
-constexpr double RESTING = 2;
+// Impact speed below which a contact is at rest [speed that gravity adds in a step].
+constexpr double RESTING_SPEED = 2;
 // Iterations over all colliders.
 constexpr int MAX_ITERATIONS = 3;
-// Impulse, moment, mass.
+// Numbers per collider: impulse, moment, mass.
 constexpr std::size_t IMPULSE_WIDTH = 7;
 // Factor of the radius for edge midpoints, which cut corners.
 constexpr double MIDPOINT_FACTOR = 0.25;
-// Initial slack of mesh caches, over the size of the mesh.
-constexpr double PATCH_SIZE = 1e-3;
-// Fraction of that to begin with: on a fine mesh, too many triangles are near.
-constexpr double FIRST_SLACK = 0.25;
+// Smallest initial slack of mesh caches, over the size of the mesh.
+constexpr double MIN_SLACK = 1e-3;
+// Factor of the initial slack: with a large slack, a fine mesh has too many triangles nearby.
+constexpr double SLACK_FACTOR = 0.25;
 
+// Largest displacement of a particle that cannot pass through a collider.
 double thickness_of(const Collider& c, double radius) {
-  if (c.container) return collide::FAR;
+  if (c.is_container) return collide::FAR;
   switch (c.shape) {
     case Shape::PLANE:
       return collide::FAR;
@@ -44,14 +45,14 @@ double thickness_of(const Collider& c, double radius) {
       return c.size[6];
     case Shape::BOX:
       return std::min({c.size[0], c.size[1], c.size[2]});
-    // With less, a particle at most reaches the surface.
+    // A shorter step at most takes a particle to the surface.
     case Shape::MESH:
       return collide::contact_distance(c, radius);
   }
   return 0;
 }
 
-// Adds the impulses of two spans of time.
+// Adds the impulses of two time intervals; takes the larger mass.
 std::vector<double> sum_impulses(const std::vector<double>& first,
                                  const std::vector<double>& second) {
   std::vector<double> sum(first);
@@ -61,63 +62,66 @@ std::vector<double> sum_impulses(const std::vector<double>& first,
   return sum;
 }
 
-Rod::Axis axis_between(Vec a, Vec b) {
-  Rod::Axis axis;
-  const Vec along = b - a;
-  const double squared = dot(along, along);
-  store(a, axis.from);
-  store(along, axis.along);
-  axis.inverse = squared > 0 ? 1 / squared : 0;
-  const Vec out = squared > 0 ? collide::across(along * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
-  store(out, axis.outward);
+MovingCapsule::Axis axis_between(Vec a, Vec b) {
+  MovingCapsule::Axis axis;
+  const Vec vector = b - a;
+  const double squared = dot(vector, vector);
+  store(a, axis.start);
+  store(vector, axis.vector);
+  axis.inverse_squared_length = squared > 0 ? 1 / squared : 0;
+  const Vec outward =
+      squared > 0 ? collide::orthogonal(vector * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
+  store(outward, axis.outward);
   return axis;
 }
 
-Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, Vec point,
-               double radius) {
-  if (!c.is_rod) return sample(c.collider, pose, point, radius, collide::FAR);
-  const auto hit = collide::sample_rod(axis, c.rod.radius, point);
+// Distance of a point from a collider in a pose.
+Sample sample_at_pose(const StepCollider& c, const MovingCapsule::Axis& axis, const Pose& pose,
+                      Vec point, double radius) {
+  if (!c.is_capsule) return sample(c.collider, pose, point, radius, collide::FAR);
+  const auto hit = collide::sample_moving_capsule(axis, c.capsule.radius, point);
   return {hit.distance, hit.normal};
 }
 
 }  // namespace
 
-Sample StepCollider::before(Vec point, double radius) const {
+Sample StepCollider::sample_start(Vec point, double radius) const {
   if (surface >= 0) {
-    Collider begun_mesh = collider;
-    begun_mesh.mesh.fraction = elapsed;
-    return sample(begun_mesh, begin, point, radius, collide::FAR);
+    Collider start_collider = collider;
+    start_collider.mesh.fraction = elapsed;
+    return sample(start_collider, begin, point, radius, collide::FAR);
   }
-  return sampled(*this, rod.begin, begin, point, radius);
+  return sample_at_pose(*this, capsule.begin, begin, point, radius);
 }
 
-Sample StepCollider::after(Vec point, double radius) const {
-  return sampled(*this, rod.end, end, point, radius);
+Sample StepCollider::sample_end(Vec point, double radius) const {
+  return sample_at_pose(*this, capsule.end, end, point, radius);
 }
 
-double StepCollider::travel(Vec drift) const {
-  if (surface >= 0) return shift + length(drift);
-  if (!is_rod) return length(collider.motion.travel() - drift);
+double StepCollider::max_displacement(Vec drift) const {
+  if (surface >= 0) return max_point_shift + length(drift);
+  if (!is_capsule) return length(collider.motion.translation() - drift);
   // Clamp to the ends of the axis.
-  const Vec first = load(rod.end.from) - load(rod.begin.from) - drift;
-  const Vec last = first + (load(rod.end.along) - load(rod.begin.along));
-  return std::max(length(first), length(last));
+  const Vec start_shift = load(capsule.end.start) - load(capsule.begin.start) - drift;
+  const Vec end_shift = start_shift + (load(capsule.end.vector) - load(capsule.begin.vector));
+  return std::max(length(start_shift), length(end_shift));
 }
 
 double StepCollider::thickness(double radius) const { return thickness_of(collider, radius); }
 
 bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
-  // A moving mesh is tested at the end of the step, in a frame that moves with it.
-  const Vec transported = surface >= 0 ? load(rod.travel) : Vec{}, start = from + transported;
+  // A moving mesh is tested as it is at the end of the step, in a frame that moves with it.
+  const Vec translation = surface >= 0 ? load(capsule.translation) : Vec{},
+            start = from + translation;
   if (!(length(to - start) > thickness(radius))) return false;
   // Particles that start inside are moved out at the depenetration speed.
-  if (before(from, radius).distance < -collide::INSIDE) return false;
-  const Vec speed = (to - start) * (1 / h);
-  collide::Particle last{to, speed};
+  if (sample_start(from, radius).distance < -collide::INSIDE) return false;
+  const Vec velocity = (to - start) * (1 / h);
+  collide::Particle end{to, velocity};
   collide::ParticleContacts contacts(&collider, 1, h, radius);
-  if (contacts.resolve({start, speed}, last).collider < 0) return false;
-  to = last.position;
-  if (v) store(last.velocity, v);
+  if (contacts.resolve({start, velocity}, end).collider < 0) return false;
+  to = end.position;
+  if (v) store(end.velocity, v);
   return true;
 }
 
@@ -132,8 +136,8 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   check::not_negative("colliders.radius", radius);
   check::not_negative("colliders.tolerance", tolerance);
   if (depths) {
-    const bool all = depths->shape(0) == colliders_.size() + surfaces.size();
-    depth_rows_ = colliders_.size() + (all ? surfaces.size() : 0);
+    const bool has_surfaces = depths->shape(0) == colliders_.size() + surfaces.size();
+    depth_rows_ = colliders_.size() + (has_surfaces ? surfaces.size() : 0);
     check::numbers("colliders.depths", *depths, {depth_rows_, particles});
   }
   poses_ = poses.data();
@@ -145,47 +149,48 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
 bool MovingColliders::is_continuous(std::int64_t cell) const {
   const std::size_t row = 14 * colliders_.size();
   const double* pose = poses(cell);
-  for (std::size_t c = 0; c < row; c += 14)
-    if (!std::equal(pose + c, pose + c + 7, pose + c + 7 - row)) return false;
+  for (std::size_t k = 0; k < row; k += 14)
+    if (!std::equal(pose + k, pose + k + 7, pose + k + 7 - row)) return false;
   return true;
 }
 
-void MovingColliders::steps(std::int64_t cell, int substeps, double h,
-                            std::vector<StepCollider>& out) const {
-  std::vector<Motion> full;
+void MovingColliders::append_steps(std::int64_t cell, int substeps, double h,
+                                   std::vector<StepCollider>& out) const {
+  std::vector<Motion> cell_motions;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
     const double* pose = poses(cell) + 14 * c;
-    full.emplace_back(pose, pose + 7);
+    cell_motions.emplace_back(pose, pose + 7);
   }
   for (int step = 0; step < substeps; ++step)
     for (std::size_t c = 0; c < colliders_.size(); ++c)
       out.push_back(step_collider(
-          colliders_[c], full[c].part(double(step) / substeps, double(step + 1) / substeps), h));
+          colliders_[c],
+          cell_motions[c].sub_motion(double(step) / substeps, double(step + 1) / substeps), h));
 }
 
 StepCollider MovingColliders::step_collider(const Collider& c, const Motion& motion,
                                             double h) const {
-  StepCollider built{};
-  built.collider = c;
-  built.collider.motion = motion;
-  built.begin = motion.at(0);
-  built.end = motion.at(1);
-  built.is_rod = !c.container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
-  Rod& rod = built.rod;
-  store(motion.travel(), rod.travel);
-  store(motion.rotation(), rod.rotation);
-  store(built.end.origin, rod.origin);
-  rod.friction = c.friction;
-  rod.max_rise = c.depenetration * h;
-  if (!built.is_rod) return built;
-  const bool ball = c.shape == Shape::SPHERE;
-  const Vec a = load(c.size), b = ball ? a : load(c.size + 3);
-  const Vec a0 = built.begin.to_world(a), b0 = built.begin.to_world(b);
-  const Vec a1 = built.end.to_world(a), b1 = built.end.to_world(b);
-  rod.begin = axis_between(a0, b0);
-  rod.end = axis_between(a1, b1);
-  rod.radius = c.size[ball ? 3 : 6] + c.margin + radius_;
-  return built;
+  StepCollider result{};
+  result.collider = c;
+  result.collider.motion = motion;
+  result.begin = motion.pose_at(0);
+  result.end = motion.pose_at(1);
+  result.is_capsule = !c.is_container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
+  MovingCapsule& capsule = result.capsule;
+  store(motion.translation(), capsule.translation);
+  store(motion.rotation(), capsule.rotation);
+  store(result.end.origin, capsule.origin);
+  capsule.friction = c.friction;
+  capsule.max_push = c.depenetration * h;
+  if (!result.is_capsule) return result;
+  const bool is_sphere = c.shape == Shape::SPHERE;
+  const Vec a = load(c.size), b = is_sphere ? a : load(c.size + 3);
+  const Vec a0 = result.begin.to_world(a), b0 = result.begin.to_world(b);
+  const Vec a1 = result.end.to_world(a), b1 = result.end.to_world(b);
+  capsule.begin = axis_between(a0, b0);
+  capsule.end = axis_between(a1, b1);
+  capsule.radius = c.size[is_sphere ? 3 : 6] + c.margin + radius_;
+  return result;
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
@@ -199,16 +204,17 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
   if (!colliders) return;
   const std::size_t particles = network.particles() + (midpoints ? network.edges.size() / 2 : 0);
   for (std::size_t c = 0; c < count_; ++c) faces_.add(colliders_[c]);
-  for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
+  for (const SpringSurface& surface : std::get<5>(*colliders))
+    surfaces_.emplace_back(surface, cells);
   count_ += surfaces_.size();
-  make_patches(particles);
+  build_patches(particles);
   past_impulses_.assign(IMPULSE_WIDTH * colliders_.size(), 0.0);
   cell_impulses_ = past_impulses_;
   clearances_.assign(particles, 0.0);
   arms_.assign(particles, 0.0);
 }
 
-void SpringContacts::make_patches(std::size_t particles) {
+void SpringContacts::build_patches(std::size_t particles) {
   for (std::size_t c = 0; c < count_; ++c) {
     const bool rigid = c < colliders_.size();
     const double margin = rigid ? colliders_[c].margin : surfaces_[c - colliders_.size()].margin();
@@ -219,11 +225,11 @@ void SpringContacts::make_patches(std::size_t particles) {
       box = surfaces_[c - colliders_.size()].box();
     else if (colliders_[c].shape == Shape::MESH)
       box = colliders_[c].mesh.bounds + 6 * colliders_[c].root;
-    patched_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
+    patch_index_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
       patches_.emplace_back(
           particles,
-          FIRST_SLACK * std::max(contact_distance, PATCH_SIZE * length(load(box + 3) - load(box))));
+          SLACK_FACTOR * std::max(contact_distance, MIN_SLACK * length(load(box + 3) - load(box))));
   }
 }
 
@@ -231,46 +237,48 @@ void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   if (!any()) return;
   substeps_ = substeps;
   h_ = h;
-  if (cell != last_) past_impulses_ = sum_impulses(past_impulses_, cell_impulses_);
+  if (cell != last_cell_) past_impulses_ = sum_impulses(past_impulses_, cell_impulses_);
   std::fill(cell_impulses_.begin(), cell_impulses_.end(), 0.0);
-  rigid_.clear();
-  colliders_.steps(cell, substeps, h, rigid_);
+  rigid_steps_.clear();
+  colliders_.append_steps(cell, substeps, h, rigid_steps_);
   // A teleported collider invalidates the cache.
-  const bool again = cell == last_;
-  bool known = again || (cell == last_ + 1 && (last_ < 0 || colliders_.is_continuous(cell)));
-  begin_surfaces(cell, known);
+  const bool is_repeated = cell == last_cell_;
+  bool is_cache_valid =
+      is_repeated || (cell == last_cell_ + 1 && (last_cell_ < 0 || colliders_.is_continuous(cell)));
+  begin_surfaces(cell, is_cache_valid);
   add_surfaces();
-  if (again) clearances_ = start_clearances_, arms_ = start_arms_;
-  if (!known) std::fill(clearances_.begin(), clearances_.end(), 0.0);
+  if (is_repeated) clearances_ = start_clearances_, arms_ = start_arms_;
+  if (!is_cache_valid) std::fill(clearances_.begin(), clearances_.end(), 0.0);
   start_clearances_ = clearances_, start_arms_ = arms_;
-  last_ = cell;
+  last_cell_ = cell;
 }
 
-void SpringContacts::begin_surfaces(std::int64_t cell, bool& known) {
+void SpringContacts::begin_surfaces(std::int64_t cell, bool& is_cache_valid) {
   for (std::size_t s = 0; s < surfaces_.size(); ++s) {
     if (surfaces_[s].begin_cell(cell, h_ * substeps_)) continue;
-    known = false;
-    patches_[static_cast<std::size_t>(patched_[colliders_.size() + s])].invalidate();
+    is_cache_valid = false;
+    patches_[static_cast<std::size_t>(patch_index_[colliders_.size() + s])].invalidate();
   }
 }
 
 void SpringContacts::add_surfaces() {
-  cell_.clear();
+  cell_steps_.clear();
   for (int step = 0; step < substeps_; ++step) {
-    const auto first = rigid_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
-    cell_.insert(cell_.end(), first, first + static_cast<std::ptrdiff_t>(colliders_.size()));
+    const auto first = rigid_steps_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
+    cell_steps_.insert(cell_steps_.end(), first,
+                       first + static_cast<std::ptrdiff_t>(colliders_.size()));
     for (std::size_t s = 0; s < surfaces_.size(); ++s) {
-      StepCollider built{};
-      const double begun = surfaces_[s].knot_fraction(double(step) / substeps_);
-      const double ended = surfaces_[s].knot_fraction(double(step + 1) / substeps_);
-      built.collider = surfaces_[s].collider(ended);
-      built.surface = static_cast<std::int32_t>(s);
-      built.elapsed = begun;
-      built.duration = ended - begun;
-      built.shift = surfaces_[s].travel() * built.duration;
-      built.rod.friction = built.collider.friction;
-      built.rod.max_rise = built.collider.depenetration * h_;
-      cell_.push_back(built);
+      StepCollider step_collider{};
+      const double start_fraction = surfaces_[s].knot_fraction(double(step) / substeps_);
+      const double end_fraction = surfaces_[s].knot_fraction(double(step + 1) / substeps_);
+      step_collider.collider = surfaces_[s].collider(end_fraction);
+      step_collider.surface = static_cast<std::int32_t>(s);
+      step_collider.elapsed = start_fraction;
+      step_collider.duration = end_fraction - start_fraction;
+      step_collider.max_point_shift = surfaces_[s].max_displacement() * step_collider.duration;
+      step_collider.capsule.friction = step_collider.collider.friction;
+      step_collider.capsule.max_push = step_collider.collider.depenetration * h_;
+      cell_steps_.push_back(step_collider);
     }
   }
 }
@@ -285,16 +293,16 @@ Out<double, 2> SpringContacts::impulses() const {
 bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<double>& x,
                              std::vector<double>* v, std::vector<std::uint8_t>* marks) {
   if (!any()) return false;
-  step_colliders_ = cell_.data() + static_cast<std::size_t>(step) * count_;
-  double travel = 0, angle = 0;
+  step_colliders_ = cell_steps_.data() + static_cast<std::size_t>(step) * count_;
+  double max_displacement = 0, angle = 0;
   for (std::size_t c = 0; c < count_; ++c) {
-    travel = std::max(travel, step_colliders_[c].travel({}));
-    angle = std::max(angle, step_colliders_[c].rotation());
+    max_displacement = std::max(max_displacement, step_colliders_[c].max_displacement({}));
+    angle = std::max(angle, step_colliders_[c].rotation_angle());
   }
   masses_.assign(colliders_.size(), 0.0);
-  min_impact_speed_ = RESTING * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
-  std::int64_t moved = 0, inside = 0;
-  const double reach = faces_.reach();
+  min_impact_speed_ = RESTING_SPEED * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
+  std::int64_t moved_count = 0, inside_count = 0;
+  const double search_distance = faces_.search_distance();
   nearby_.clear();
   for (std::size_t n = 0; n < network_.particles(); ++n) {
     if (network_.inverse_masses[n] == 0) {
@@ -302,55 +310,62 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
       continue;
     }
     if (marks && !(*marks)[n]) continue;
-    double *at = x.data() + ROW * n, shift = travel + angle * arms_[n];
+    double *position = x.data() + ROW * n, motion_bound = max_displacement + angle * arms_[n];
     double* from = before.data() + ROW * n;
-    for (std::size_t k = 0; k < 3; ++k) shift += std::abs(at[k] - from[k]);
-    clearances_[n] -= shift;
-    if (clearances_[n] <= reach) nearby_.push_back(static_cast<std::int32_t>(n));
+    for (std::size_t k = 0; k < 3; ++k) motion_bound += std::abs(position[k] - from[k]);
+    clearances_[n] -= motion_bound;
+    if (clearances_[n] <= search_distance) nearby_.push_back(static_cast<std::int32_t>(n));
     if (clearances_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
-    moved += resolve_particle(n, mass, from, at, v ? v->data() + ROW * n : nullptr);
-    inside += nearest_ < -colliders_.tolerance();
+    moved_count += resolve_particle(n, mass, from, position, v ? v->data() + ROW * n : nullptr);
+    inside_count += nearest_ < -colliders_.tolerance();
   }
   for (std::size_t c = 0; c < masses_.size(); ++c) {
     double& largest_mass = cell_impulses_[IMPULSE_WIDTH * c + IMPULSE_WIDTH - 1];
     largest_mass = std::max(largest_mass, masses_[c]);
   }
-  if (has_midpoints_) resolve_midpoints(travel, angle, {before, x, v}, marks);
-  touched = std::max(touched, moved);
-  if (!marks && last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
-  const bool faces = !nearby_.empty() && resolve_faces({before, x, v});
-  if (faces && marks)
+  if (has_midpoints_) resolve_midpoints(max_displacement, angle, {before, x, v}, marks);
+  touched = std::max(touched, moved_count);
+  if (!marks && last_cell_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside_count;
+  const bool has_moved_faces = !nearby_.empty() && resolve_faces({before, x, v});
+  if (has_moved_faces && marks)
     for (const std::int32_t n : nearby_) (*marks)[static_cast<std::size_t>(n)] = 1;
-  return moved > 0 || faces;
+  return moved_count > 0 || has_moved_faces;
 }
 
-void SpringContacts::resolve_midpoints(double travel, double angle, StepRows rows,
+void SpringContacts::resolve_midpoints(double max_displacement, double angle, StepRows rows,
                                        std::vector<std::uint8_t>* marks) {
   const std::size_t particles = network_.particles();
   for (std::size_t e = 0; e < network_.edges.size() / 2; ++e) {
     const std::int32_t* ends = &network_.edges[2 * e];
     const auto first = static_cast<std::size_t>(ends[0]), last = static_cast<std::size_t>(ends[1]);
-    const double i = network_.inverse_masses[first], j = network_.inverse_masses[last];
-    if (i + j == 0) continue;
+    const double p_inverse_mass = network_.inverse_masses[first],
+                 q_inverse_mass = network_.inverse_masses[last];
+    if (p_inverse_mass + q_inverse_mass == 0) continue;
     if (marks && !(*marks)[first] && !(*marks)[last]) continue;
     double *p = &rows.x[ROW * first], *q = &rows.x[ROW * last];
-    double *was = &rows.before[ROW * first], *stood = &rows.before[ROW * last];
-    double to[3], from[3], shift = travel + angle * arms_[particles + e];
+    double *p_before = &rows.before[ROW * first], *q_before = &rows.before[ROW * last];
+    double midpoint[3], midpoint_before[3],
+        motion_bound = max_displacement + angle * arms_[particles + e];
     for (std::size_t k = 0; k < 3; ++k) {
-      to[k] = (p[k] + q[k]) / 2, from[k] = (was[k] + stood[k]) / 2;
-      shift += std::abs(to[k] - from[k]);
+      midpoint[k] = (p[k] + q[k]) / 2, midpoint_before[k] = (p_before[k] + q_before[k]) / 2;
+      motion_bound += std::abs(midpoint[k] - midpoint_before[k]);
     }
-    clearances_[particles + e] -= shift;
+    clearances_[particles + e] -= motion_bound;
     if (clearances_[particles + e] > 0) continue;
-    const Vec ended = load(to), begun = load(from);
-    if (!resolve_particle(particles + e, 4 / (i + j), from, to, nullptr)) continue;
+    const Vec unpushed = load(midpoint), unpushed_before = load(midpoint_before);
+    if (!resolve_particle(particles + e, 4 / (p_inverse_mass + q_inverse_mass), midpoint_before,
+                          midpoint, nullptr))
+      continue;
     if (marks) (*marks)[first] = (*marks)[last] = 1;
-    const Vec by = (load(to) - ended) * (2 / (i + j));
-    const Vec back = (load(from) - begun) * (2 / (i + j));
-    clearances_[first] -= i * length(by), clearances_[last] -= j * length(by);
-    store(load(p) + by * i, p), store(load(q) + by * j, q);
-    store(load(was) + back * i, was), store(load(stood) + back * j, stood);
+    const Vec end_shift = (load(midpoint) - unpushed) * (2 / (p_inverse_mass + q_inverse_mass));
+    const Vec start_shift =
+        (load(midpoint_before) - unpushed_before) * (2 / (p_inverse_mass + q_inverse_mass));
+    clearances_[first] -= p_inverse_mass * length(end_shift),
+        clearances_[last] -= q_inverse_mass * length(end_shift);
+    store(load(p) + end_shift * p_inverse_mass, p), store(load(q) + end_shift * q_inverse_mass, q);
+    store(load(p_before) + start_shift * p_inverse_mass, p_before),
+        store(load(q_before) + start_shift * q_inverse_mass, q_before);
   }
 }
 
@@ -358,37 +373,38 @@ double SpringContacts::depth(std::size_t c, std::size_t n) const {
   const std::size_t particles = network_.particles();
   if (n < particles) return colliders_.depth(c, n);
   const std::int32_t* ends = &network_.edges[2 * (n - particles)];
-  const double least = std::min(colliders_.depth(c, static_cast<std::size_t>(ends[0])),
-                                colliders_.depth(c, static_cast<std::size_t>(ends[1])));
-  return least - contact_distances_[c] * MIDPOINT_FACTOR;
+  const double min_depth = std::min(colliders_.depth(c, static_cast<std::size_t>(ends[0])),
+                                    colliders_.depth(c, static_cast<std::size_t>(ends[1])));
+  return min_depth - contact_distances_[c] * MIDPOINT_FACTOR;
 }
 
 bool SpringContacts::resolve_faces(StepRows rows) {
-  bool moved = false;
+  bool has_moved = false;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
     if (!faces_.resolve(c, step_colliders_[c], h_, nearby_, rows)) continue;
-    moved = true;
-    for (const FaceContacts::MovedParticle& one : faces_.moved) {
-      const auto n = static_cast<std::size_t>(one.particle);
-      clearances_[n] -= one.shift;
-      record_impulse(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]), one.change);
+    has_moved = true;
+    for (const FaceContacts::MovedParticle& moved_particle : faces_.moved_particles) {
+      const auto n = static_cast<std::size_t>(moved_particle.particle);
+      clearances_[n] -= moved_particle.displacement;
+      record_impulse(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]),
+                     moved_particle.velocity_change);
     }
   }
-  return moved;
+  return has_moved;
 }
 
 double SpringContacts::clearance(std::size_t n, Vec x) {
-  double clear = collide::FAR;
+  double distance = collide::FAR;
   for (std::size_t c = 0; c < count_; ++c)
-    clear = std::min(clear, query(c, n, true, x).sample.distance - depth(c, n));
-  return clear;
+    distance = std::min(distance, query(c, n, true, x).sample.distance - depth(c, n));
+  return distance;
 }
 
-void SpringContacts::update_clearance(std::size_t n, Vec x, double clear) {
+void SpringContacts::update_clearance(std::size_t n, Vec x, double distance) {
   double arm = 0;
   for (std::size_t c = 0; c < count_; ++c)
     arm = std::max(arm, length(x - step_colliders_[c].end.origin));
-  clearances_[n] = std::max(clear, 0.0);
+  clearances_[n] = std::max(distance, 0.0);
   arms_[n] = arm + 2 * clearances_[n];
 }
 
@@ -402,33 +418,33 @@ SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n,
                                                Vec point) {
   const StepCollider& c = step_colliders_[index];
   const double radius = colliders_.radius();
-  if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
+  if (!c.is_mesh()) return {end ? c.sample_end(point, radius) : c.sample_start(point, radius), -1};
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
   const double contact_distance = collide::contact_distance(c.collider, radius),
-               side = c.collider.container ? -1 : 1;
-  MeshShift gone;
+               side = c.collider.is_container ? -1 : 1;
+  MeshMotion motion;
   KnotBoxes boxes{};
   if (c.surface >= 0) {
     const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-    gone = surface.shift_until(mesh.fraction);
+    motion = surface.motion_until(mesh.fraction);
     boxes = surface.boxes(c.duration);
   }
-  auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
+  auto& patches = patches_[static_cast<std::size_t>(patch_index_[index])];
   PatchHit hit =
-      patches.query(mesh, c.collider.root, n, pose.to_local(point), gone,
-                    gone.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.container);
-  if (c.collider.two_sided) hit.sample = collide::unsided(hit.sample);
-  const Vec out = pose.rotated(hit.sample.normal) * side;
+      patches.query(mesh, c.collider.root, n, pose.to_local(point), motion,
+                    motion.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.is_container);
+  if (c.collider.is_two_sided) hit.sample = collide::unsigned_sample(hit.sample);
+  const Vec out = pose.rotate(hit.sample.normal) * side;
   return {{side * hit.sample.distance - contact_distance, out}, hit.triangle};
 }
 
-Vec SpringContacts::transported(const StepCollider& c, const PatchHit& hit, bool end,
-                                Vec point) const {
+Vec SpringContacts::surface_displacement(const StepCollider& c, const PatchHit& hit, bool end,
+                                         Vec point) const {
   if (c.surface < 0) return c.collider.motion.displacement(point, end ? c.end : c.begin);
   if (hit.triangle < 0) return {};
   const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-  return surface.shift(mesh_at(c, end), hit.triangle, point) * c.duration;
+  return surface.surface_shift(mesh_at(c, end), hit.triangle, point) * c.duration;
 }
 
 void SpringContacts::record_impulse(std::size_t c, double mass, Vec point, Vec change) {
@@ -444,36 +460,36 @@ void SpringContacts::record_impulse(std::size_t c, double mass, Vec point, Vec c
 bool SpringContacts::resolve_particle(std::size_t n, double mass, double* before, double* x,
                                       double* v) {
   const Vec from = load(before);
-  Vec to = load(x), unmoved = from;
-  bool moved = false, pushed = true;
+  Vec to = load(x), reference = from;
+  bool has_moved = false, is_pushed = true;
   // Solvers without velocities derive them from the displacement of the step.
-  auto speed = [&] { return v ? load(v) : (to - unmoved) * (1 / h_); };
-  Vec last = speed();
+  auto get_velocity = [&] { return v ? load(v) : (to - reference) * (1 / h_); };
+  Vec last_velocity = get_velocity();
   auto record_change = [&](std::size_t c) {
-    const Vec now = speed();
-    record_impulse(c, mass, to, now - last);
-    last = now;
+    const Vec velocity = get_velocity();
+    record_impulse(c, mass, to, velocity - last_velocity);
+    last_velocity = velocity;
   };
   for (std::size_t c = 0; c < count_; ++c) {
-    moved |= sweep(c, n, from, to, v);
+    has_moved |= sweep(c, n, from, to, v);
     record_change(c);
   }
-  for (int i = 0; i < MAX_ITERATIONS && pushed; ++i) {
-    pushed = false;
+  for (int i = 0; i < MAX_ITERATIONS && is_pushed; ++i) {
+    is_pushed = false;
     nearest_ = collide::FAR;
     for (std::size_t c = 0; c < count_; ++c) {
-      pushed |= push(c, n, from, to, unmoved, v);
+      is_pushed |= push(c, n, from, to, reference, v);
       record_change(c);
     }
-    moved |= pushed;
+    has_moved |= is_pushed;
   }
-  if (pushed) nearest_ = clearance(n, to);
+  if (is_pushed) nearest_ = clearance(n, to);
   update_clearance(n, to, nearest_);
-  if (moved) {
+  if (has_moved) {
     store(to, x);
-    store(unmoved, before);
+    store(reference, before);
   }
-  return moved;
+  return has_moved;
 }
 
 bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, double* v) {
@@ -484,62 +500,66 @@ bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, doub
 bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to, double* v) {
   const StepCollider& c = step_colliders_[index];
   const double arm = length(from - c.begin.origin);
-  const double displacement = length(to - from) + c.travel({}) + c.rotation() * arm;
+  const double displacement = length(to - from) + c.max_displacement({}) + c.rotation_angle() * arm;
   const double radius = colliders_.radius();
   if (!(displacement > c.thickness(radius))) return false;
   const PatchHit hit = query(index, n, false, from);
   // Particles that start inside are moved out at the depenetration speed.
   if (hit.sample.distance > displacement || hit.sample.distance < -collide::INSIDE) return false;
-  const Vec gone = transported(c, hit, false, from);
-  if (!(length(to - from - gone) > c.thickness(radius))) return false;
+  const Vec surface_shift = surface_displacement(c, hit, false, from);
+  if (!(length(to - from - surface_shift) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
-  // In the frame of the nearest triangle; the rest of the mesh is as at the end of the step.
-  const Vec start = from + gone, speed = (to - start) * (1 / h_);
-  collide::Particle last{to, speed};
+  // In the frame of the nearest triangle; other triangles are as at the end of the step.
+  const Vec start = from + surface_shift, velocity = (to - start) * (1 / h_);
+  collide::Particle end{to, velocity};
   collide::ParticleContacts contacts(&c.collider, 1, h_, radius);
-  if (contacts.resolve({start, speed}, last).collider < 0) return false;
-  to = last.position;
-  if (v) store(last.velocity + gone * (1 / h_), v);
+  if (contacts.resolve({start, velocity}, end).collider < 0) return false;
+  to = end.position;
+  if (v) store(end.velocity + surface_shift * (1 / h_), v);
   return true;
 }
 
-// A particle that crossed a two-sided surface in a step counts as inside.
+// Counts a particle that crossed a two-sided surface in a step as inside.
 void SpringContacts::flip_if_crossed(const StepCollider& c, Vec from, Vec to, Sample& hit) const {
-  const double off = collide::contact_distance(c.collider, colliders_.radius());
+  const double clearance = collide::contact_distance(c.collider, colliders_.radius());
   const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
-  if (hit.distance + off > length(after - before)) return;
+  if (hit.distance + clearance > length(after - before)) return;
   if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;
-  hit = {-(hit.distance + off) - off, -hit.normal};
+  hit = {-(hit.distance + clearance) - clearance, -hit.normal};
 }
 
-bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, Vec& unmoved,
+bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, Vec& reference,
                           double* v) {
   const StepCollider& c = step_colliders_[index];
-  const double allowed = depth(index, n);
-  PatchHit view = query(index, n, true, to);
-  if (c.collider.two_sided) flip_if_crossed(c, from, to, view.sample);
-  const Sample& hit = view.sample;
-  nearest_ = std::min(nearest_, hit.distance - allowed);
-  if (!(hit.distance < allowed - collide::TOUCH)) return false;
-  const Vec shift = transported(c, view, true, to);
+  const double allowed_depth = depth(index, n);
+  PatchHit patch_hit = query(index, n, true, to);
+  if (c.collider.is_two_sided) flip_if_crossed(c, from, to, patch_hit.sample);
+  const Sample& hit = patch_hit.sample;
+  nearest_ = std::min(nearest_, hit.distance - allowed_depth);
+  if (!(hit.distance < allowed_depth - collide::TOUCH)) return false;
+  const Vec surface_shift = surface_displacement(c, patch_hit, true, to);
   if (v) {
-    const Vec surface = shift * (1 / h_), speed = load(v) - surface;
-    const double normal_speed = dot(speed, hit.normal);
+    const Vec surface_velocity = surface_shift * (1 / h_),
+              relative_velocity = load(v) - surface_velocity;
+    const double normal_speed = dot(relative_velocity, hit.normal);
     if (normal_speed < 0) {
       const double restitution = c.collider.restitution;
       const double friction_speed = c.collider.friction * -normal_speed * (1 + restitution);
-      Vec along = speed - hit.normal * normal_speed;
-      const double slip_speed = length(along);
-      along = along * (slip_speed > friction_speed ? 1 - friction_speed / slip_speed : 0.0);
+      Vec slip_velocity = relative_velocity - hit.normal * normal_speed;
+      const double slip_speed = length(slip_velocity);
+      slip_velocity =
+          slip_velocity * (slip_speed > friction_speed ? 1 - friction_speed / slip_speed : 0.0);
       // The speed that gravity adds in a step is no impact: the particle rests.
-      const double back = -normal_speed > min_impact_speed_ ? restitution * normal_speed : 0.0;
-      store(surface + along - hit.normal * back, v);
+      const double rebound_speed =
+          -normal_speed > min_impact_speed_ ? restitution * normal_speed : 0.0;
+      store(surface_velocity + slip_velocity - hit.normal * rebound_speed, v);
     }
   }
-  const double begun = query(index, n, false, from).sample.distance;
-  Rod rod = c.rod;
-  if (c.surface >= 0) store(shift, rod.travel);
-  return collide::push_out(rod, {hit.distance, hit.normal}, begun, allowed, from, to, unmoved);
+  const double start_distance = query(index, n, false, from).sample.distance;
+  MovingCapsule capsule = c.capsule;
+  if (c.surface >= 0) store(surface_shift, capsule.translation);
+  return collide::push_out(capsule, {hit.distance, hit.normal}, start_distance, allowed_depth, from,
+                           to, reference);
 }
 
 }  // namespace animtool

@@ -10,31 +10,34 @@
 
 namespace animtool {
 
-// Bounds of the relative displacement of two particles: nearby ones, and any.
+// Bounds of the relative displacement of two particles: of nearby ones, and of any two.
 struct Drift {
-  double near = 0, all = 0;
+  double nearby = 0, any = 0;
 };
 
-// Particles in wide cells. Parts that move rigidly together have a small relative displacement,
-// however fast they are.
+// Measures relative displacements with particles in wide cells. Groups that move rigidly have a
+// small relative displacement, however fast they are.
 class RelativeMotion {
  public:
-  // Nearby particles are in the same or an adjacent cell: all that are within a cell width.
+  // Sorts particles into cells; particles within a cell width of each other are in the same or in
+  // adjacent cells.
   void build(const std::vector<double>& x, double width);
   double width() const { return width_; }
-  Drift between(const std::vector<double>& from, const std::vector<double>& to);
-  // Relative to the rigid motion of all, which changes no distances.
-  Drift between(const std::vector<double>& from, const std::vector<double>& to,
-                const RigidMotion& shift);
+  // Bounds relative displacements between two sets of positions.
+  Drift measure(const std::vector<double>& from, const std::vector<double>& to);
+  // Relative to a common rigid motion, which changes no distances.
+  Drift measure(const std::vector<double>& from, const std::vector<double>& to,
+                const RigidMotion& motion);
 
  private:
   // Smallest and largest displacement in a cell along each axis.
   struct Range {
     double low[3], high[3];
   };
-  template <class Shift>
-  Drift relative(const std::vector<double>& from, const std::vector<double>& to, Shift shift);
-  static double extent(const Range& one, const Range& other);
+  template <class Transform>
+  Drift measure_relative_to(const std::vector<double>& from, const std::vector<double>& to,
+                            Transform transform);
+  static double extent(const Range& a, const Range& b);
 
   double width_ = 0;
   std::vector<std::uint32_t> cells_;                               // of particles

@@ -7,8 +7,9 @@
 
 namespace animtool {
 
-SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state,
-                        const In<std::uint8_t, 1>& torn) {
+// Builds a run from a checked state.
+SpringRun build_run(const SpringNetwork& network, const In<double, 3>& state,
+                    const In<std::uint8_t, 1>& torn) {
   const std::size_t count = network.particles();
   check::shape("state", state, {2, count, 3});
   check::shape("torn", torn, {network.lines.springs.size()});
@@ -16,21 +17,22 @@ SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state
   return {network, state.data(), state.data() + 3 * count, torn.data()};
 }
 
-void check_cells(const Cells& cells, std::int64_t substeps) {
+// Checks the cells of time and the number of substeps.
+void check_cells(const CellGrid& cells, std::int64_t substeps) {
   check::finite("origin", cells.origin);
-  check::between("first", cells.first, -FARTHEST_CELL, FARTHEST_CELL);
-  check::positive("cell", cells.cell);
+  check::between("first", cells.first_cell, -MAX_CELL_INDEX, MAX_CELL_INDEX);
+  check::positive("cell", cells.duration);
   check::between("substeps", substeps, 1, MAX_SUBSTEPS);
   check::between("cells", cells.count, 0, MAX_STEPS / substeps);
   // Speeds are displacements over the step length.
-  const double h = cells.cell / static_cast<double>(substeps);
+  const double h = cells.duration / static_cast<double>(substeps);
   if (!std::isfinite(1 / h) || !std::isfinite(cells.start(0)) ||
       !std::isfinite(cells.start(cells.count)))
-    check::refuse("cell", check::text(cells.cell) + " in " + check::text(substeps) +
+    check::refuse("cell", check::text(cells.duration) + " in " + check::text(substeps) +
                               " steps is beyond what numbers can tell apart");
 }
 
-Out<double, 3> ended_state(const SpringRun& run) {
+Out<double, 3> copy_state(const SpringRun& run) {
   const std::size_t count = run.network.particles();
   Out<double, 3> result(2, count, 3);
   for (std::size_t n = 0; n < count; ++n) {
@@ -40,7 +42,7 @@ Out<double, 3> ended_state(const SpringRun& run) {
   return result;
 }
 
-Out<std::uint8_t, 1> ended_torn(const SpringRun& run) {
+Out<std::uint8_t, 1> copy_torn(const SpringRun& run) {
   Out<std::uint8_t, 1> result(run.torn.size());
   std::copy(run.torn.begin(), run.torn.end(), result.get());
   return result;
@@ -50,7 +52,7 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
                                     In<double, 3> state, In<std::uint8_t, 1> torn) {
   check::finite("t", t);
   check::positive("h", h);
-  SpringRun run = begin_springs(network, state, torn);
+  SpringRun run = build_run(network, state, torn);
   Out<double, 2> result(network.particles(), 3);
   std::vector<double> rate(run.size);
   run.sample_surroundings(t, h);
@@ -73,151 +75,154 @@ Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particle
 
 std::tuple<double, double> spring_energy(const SpringNetwork& network, In<double, 2> positions) {
   check::shape("positions", positions, {network.particles(), 3});
-  double energy = 0, longest = 0;
+  double energy = 0, max_length_ratio = 0;
   for (const Spring& spring : network.lines.springs) {
     const double* p = positions.data() + 3 * static_cast<std::size_t>(spring.i);
     const double* q = positions.data() + 3 * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-    const double length = std::sqrt(dot3(d, d)), longer = length - spring.rest;
-    energy += 0.5 * spring.stiffness * longer * longer;
-    if (spring.rest > 0 && !(length <= longest * spring.rest)) longest = length / spring.rest;
+    const double length = std::sqrt(dot3(d, d)), elongation = length - spring.rest;
+    energy += 0.5 * spring.stiffness * elongation * elongation;
+    if (spring.rest > 0 && !(length <= max_length_ratio * spring.rest))
+      max_length_ratio = length / spring.rest;
   }
-  return {energy, longest};
+  return {energy, max_length_ratio};
 }
 
 namespace {
 
-class Explicit {
+// Advances a run by semi-implicit Euler steps, with particles in columns where springs are in
+// bands.
+class ExplicitStepper {
  public:
-  Explicit(SpringRun& run, SpringContacts& contacts)
-      : run_(run), contacts_(contacts), rate_(run.size), before_(run.size) {
+  ExplicitStepper(SpringRun& run, SpringContacts& contacts)
+      : run_(run), contacts_(contacts), rate_(run.size), positions_before_(run.size) {
     const SpringNetwork& network = run.network;
     const std::size_t height = plane_height(network.particles());
-    const auto column = [&](std::vector<double> numbers) {
+    const auto padded = [&](std::vector<double> numbers) {
       numbers.resize(height);
       return numbers;
     };
-    inverse_masses_ = column(network.inverse_masses);
-    drags_ = column(network.drags);
+    inverse_masses_ = padded(network.inverse_masses);
+    drags_ = padded(network.drags);
     strides_ = {1, height};
   }
 
-  // Advances over a cell from a time, in steps of h.
+  // Advances over a cell that starts at a time, in steps of h.
   void advance_cell(double start, int substeps, double h) {
-    if (run_.lines().pulls.has_bands()) return advance_cell_in_columns(start, substeps, h);
-    for (int j = 0; j < substeps; ++j) step_rows(start + j * h, h, j);
+    if (run_.lines().forces.has_bands()) return advance_cell_in_columns(start, substeps, h);
+    for (int step = 0; step < substeps; ++step) step_rows(start + step * h, h, step);
   }
 
-  // Removes springs that are stretched beyond their limit.
+  // Tears springs that are stretched beyond their limit.
   void tear() {
-    if (!run_.lines().tear) return;
-    end();
+    if (!run_.lines().can_tear) return;
+    sync_rows();
     run_.tear();
   }
 
   // Updates the rows from the columns.
-  void end() {
-    if (in_columns_ && !in_rows_) write();
+  void sync_rows() {
+    if (in_columns_ && !in_rows_) write_rows();
     in_columns_ = false;
   }
 
  private:
-  void step_rows(double t, double h, int j) {
+  void step_rows(double t, double h, int step) {
     const SpringNetwork& network = run_.network;
     run_.sample_surroundings(t, h);
     run_.accelerate(run_.x.data(), run_.v.data(), rate_.data());
     store_before();
     spring_loops().advance(network.particles(), h, rate_.data(), run_.x.data(), run_.v.data());
-    network.set_pinned(t + h, h, before_.data(), run_.x.data(), run_.v.data());
-    contacts_.resolve(j, before_, run_.x, &run_.v);
+    network.set_pinned(t + h, h, positions_before_.data(), run_.x.data(), run_.v.data());
+    contacts_.resolve(step, positions_before_, run_.x, &run_.v);
   }
 
   // Stores the positions of all particles, or of the pinned ones.
   void store_before() {
     if (contacts_.any()) {
-      before_ = run_.x;
+      positions_before_ = run_.x;
       return;
     }
     for (const std::int32_t particle : run_.network.pinned) {
-      const std::size_t at = ROW * static_cast<std::size_t>(particle);
-      std::copy_n(run_.x.data() + at, ROW, before_.data() + at);
+      const std::size_t row = ROW * static_cast<std::size_t>(particle);
+      std::copy_n(run_.x.data() + row, ROW, positions_before_.data() + row);
     }
   }
 
-  // Particles are in columns, and in rows too if other forces or contacts need them.
+  // Advances with particles in columns; they are in rows too if other forces or contacts need them.
   void advance_cell_in_columns(double start, int substeps, double h) {
     const SpringNetwork& network = run_.network;
-    const SpringForces& pulls = run_.lines().pulls;
+    const SpringForces& pulls = run_.lines().forces;
     const bool has_forces = run_.has_other_forces(), has_contacts = contacts_.any();
     in_rows_ = has_forces || has_contacts;
-    if (!in_columns_) begin();
+    if (!in_columns_) begin_columns();
     const PlaneSteps steps{inverse_masses_.data(),
                            drags_.data(),
                            {network.gravity[0], network.gravity[1], network.gravity[2]},
                            h};
-    for (int j = 0; j < substeps; ++j) {
-      const double t = start + j * h;
+    for (int step = 0; step < substeps; ++step) {
+      const double t = start + step * h;
       run_.sample_surroundings(t, h);
       if (has_forces) {
-        run_.set_other_forces(run_.x.data(), run_.v.data(), rate_.data());
+        run_.compute_other_forces(run_.x.data(), run_.v.data(), rate_.data());
         pulls.read(rate_.data(), buffers_.f);
       }
       pulls.step(steps, buffers_);
       network.set_pinned(t + h, h, buffers_.x.data(), buffers_.x.data(), buffers_.v.data(),
                          strides_);
-      if (has_contacts) before_ = run_.x;
-      if (in_rows_) write();
+      if (has_contacts) positions_before_ = run_.x;
+      if (in_rows_) write_rows();
       if (!has_contacts) continue;
-      contacts_.resolve(j, before_, run_.x, &run_.v);
-      read();
+      contacts_.resolve(step, positions_before_, run_.x, &run_.v);
+      read_rows();
     }
   }
 
-  void begin() {
-    run_.lines().pulls.allocate(buffers_);
-    read();
+  void begin_columns() {
+    run_.lines().forces.allocate(buffers_);
+    read_rows();
     in_columns_ = true;
   }
 
-  void read() {
-    run_.lines().pulls.read(run_.x.data(), buffers_.x);
-    run_.lines().pulls.read(run_.v.data(), buffers_.v);
+  void read_rows() {
+    run_.lines().forces.read(run_.x.data(), buffers_.x);
+    run_.lines().forces.read(run_.v.data(), buffers_.v);
   }
 
-  void write() {
-    run_.lines().pulls.write(buffers_.x, run_.x.data());
-    run_.lines().pulls.write(buffers_.v, run_.v.data());
+  void write_rows() {
+    run_.lines().forces.write(buffers_.x, run_.x.data());
+    run_.lines().forces.write(buffers_.v, run_.v.data());
   }
 
   SpringRun& run_;
   SpringContacts& contacts_;
-  std::vector<double> rate_, before_;
+  std::vector<double> rate_, positions_before_;
   ForceBuffers buffers_;
-  std::vector<double> inverse_masses_, drags_;  // columns
+  std::vector<double> inverse_masses_, drags_;  // padded columns
   Strides strides_;
   bool in_columns_ = false, in_rows_ = false;
 };
 
 }  // namespace
 
-SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
-                            In<std::uint8_t, 1> torn, double origin, std::int64_t first,
-                            double cell, std::int64_t cells, int substeps,
-                            const std::optional<SpringColliders>& colliders) {
-  const Cells grid{origin, first, cell, cells};
+SpringStepResult step_springs(const SpringNetwork& network, In<double, 3> state,
+                              In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                              double cell, std::int64_t cells, int substeps,
+                              const std::optional<SpringColliders>& colliders) {
+  const CellGrid grid{origin, first, cell, cells};
   check_cells(grid, substeps);
   check::finite("state", state);
-  SpringRun run = begin_springs(network, state, torn);
+  SpringRun run = build_run(network, state, torn);
   SpringContacts contacts(colliders, network, cells);
   const double h = cell / substeps;
-  Explicit steps(run, contacts);
+  ExplicitStepper stepper(run, contacts);
   for (std::int64_t i = 0; i < cells; ++i) {
     contacts.begin_cell(i, substeps, h);
-    steps.advance_cell(grid.start(i), substeps, h);
-    steps.tear();
+    stepper.advance_cell(grid.start(i), substeps, h);
+    stepper.tear();
   }
-  steps.end();
-  return {ended_state(run), ended_torn(run), contacts.unresolved, contacts.impulses()};
+  stepper.sync_rows();
+  return {copy_state(run), copy_torn(run), contacts.unresolved, contacts.impulses()};
 }
 
 }  // namespace animtool

@@ -1,4 +1,4 @@
-// Edges and faces of surfaces against collider features finer than the cloth cells.
+// Collisions of edges and faces of surfaces with collider features that are finer than the edges.
 //
 // Particles collide separately. This handles features that pass between particles: thin spheres
 // and capsules, edges and corners of boxes and meshes. Tests are continuous over the step, in
@@ -17,76 +17,85 @@ namespace animtool {
 
 struct StepCollider;
 
-// Features of a collider in its frame: points, lines between them, and their radius [m].
+// Features of a collider in its local frame: points, lines between them, and their radius [m].
 struct FineFeatures {
   std::vector<collide::Vec> points;
   std::vector<std::array<std::int32_t, 2>> lines;
   double radius = 0;
   bool is_built = true;
-  // For a mesh: lines and points of each triangle, -1 for none.
-  std::vector<std::array<std::int32_t, 6>> of_triangle;
+  // For a mesh: the lines and points of each triangle, -1 for none.
+  std::vector<std::array<std::int32_t, 6>> triangle_features;
 
   bool any() const { return !points.empty(); }
 };
 
-// A step of all particles; velocities where the solver has them.
+// Positions of all particles before and after a step; velocities if the solver has them.
 struct StepRows {
   std::vector<double>&before, &x;
   std::vector<double>* v;
 };
 
+// Resolves contacts of the edges and faces of a surface with fine features of rigid colliders.
 class FaceContacts {
  public:
   FaceContacts(const SpringElements& elements, double radius);
 
-  // Adds the next collider; returns whether any has fine features.
+  // Adds the next collider with its fine features.
   void add(const collide::Collider& c);
-  // Adds a collider that collides only with particles.
-  void skip() { features_.emplace_back(); }
-  bool any() const { return any_; }
-  // Edges and faces of a particle this far from all colliders over a step cannot touch them.
-  double reach() const { return any_ ? reach_ : -collide::FAR; }
+  // Adds a collider without fine features.
+  void add_plain() { features_.emplace_back(); }
+  bool any() const { return has_features_; }
+  // Edges and faces of a particle farther than this from all colliders over a step cannot touch
+  // them.
+  double search_distance() const { return has_features_ ? search_distance_ : -collide::FAR; }
 
-  // Moves edges and faces out of the features of a collider; returns whether any moved.
-  // Moved particles are recorded with their change of velocity.
+  // Moves edges and faces out of the features of a collider; returns whether any moved. Records the
+  // moved particles.
   bool resolve(std::size_t index, const StepCollider& c, double h,
-               const std::vector<std::int32_t>& near, StepRows rows);
+               const std::vector<std::int32_t>& near_particles, StepRows rows);
+  // A particle, the length of its displacement, and its change of velocity.
   struct MovedParticle {
     std::int32_t particle;
-    double shift;
-    collide::Vec change;
+    double displacement;
+    collide::Vec velocity_change;
   };
-  std::vector<MovedParticle> moved;
+  std::vector<MovedParticle> moved_particles;
 
  private:
   struct Element {
-    FourParticles corners;  // indices in `from_`; two for an edge
+    FourParticles corners;  // slots of the corners; two for an edge
     int count;
-    collide::Vec low, high;  // about its way
+    collide::Vec low, high;  // bounds over the step
   };
 
-  bool is_near(const StepCollider& c, const std::vector<std::int32_t>& near,
+  // Whether an element near some particles may touch a mesh.
+  bool is_near(const StepCollider& c, const std::vector<std::int32_t>& near_particles,
                const StepRows& rows) const;
+  // Collects the elements near a collider, in its frame; returns whether there are any.
   bool collect_elements(const FineFeatures& features, const StepCollider& c,
-                        const std::vector<std::int32_t>& near, const StepRows& rows);
-  std::int32_t slot(std::int32_t particle, const StepCollider& c, const StepRows& rows);
+                        const std::vector<std::int32_t>& near_particles, const StepRows& rows);
+  // Index of a particle in the rows of this step; adds it if it is new.
+  std::int32_t slot_of(std::int32_t particle, const StepCollider& c, const StepRows& rows);
   void add_element(const std::int32_t* corners, int count, const StepCollider& c,
                    const StepRows& rows);
-  // The contacts that are possible in the step, at the current positions.
+  // Finds contacts that are possible in the step, at the current positions.
   void find_contacts(const FineFeatures& features, const StepCollider& c);
-  void add_contacts(const FineFeatures& features, const Element& one, std::int32_t feature);
+  void add_contacts(const FineFeatures& features, const Element& element, std::int32_t feature);
   template <class Shape>
-  void add_pair(const FourParticles& who, double distance);
+  void add_pair(const FourParticles& particles, double distance);
+  // Separates all contacts once; returns whether any elements were too close.
   bool separate(Separation& separation) const;
-  void write(const StepCollider& c, double h, StepRows& rows);
+  // Adds the corrections to the positions and velocities of particles.
+  void write_back(const StepCollider& c, double h, StepRows& rows);
 
   const SpringElements& network_;
-  double radius_, reach_ = 0;
-  bool any_ = false;
+  double radius_, search_distance_ = 0;
+  bool has_features_ = false;
   std::vector<FineFeatures> features_;  // of each collider
-  // Of this step: particles in a row, after these points of the collider.
+  // Of this step: the slot of each particle, -1 for none, and the particle of each slot; -1 for
+  // points of the collider, which come first or last.
   std::vector<std::int32_t> slots_, particles_;
-  std::vector<std::uint8_t> marked_;
+  std::vector<std::uint8_t> is_marked_;
   std::vector<double> from_, to_, start_, end_, inverse_masses_;
   std::vector<Element> elements_;
   std::vector<LayerHit> edges_, corners_;

@@ -11,24 +11,25 @@ namespace animtool {
 
 namespace {
 
-// A band has at least this many springs, one for at least half of its particles, and no larger gap.
-constexpr std::size_t MIN_SPRINGS = 4 * WIDE, MAX_GAP = 4 * WIDE;
+// A band has at least this many springs, at most this gap, and a spring for at least half of its
+// particles.
+constexpr std::size_t MIN_SPRINGS = 4 * SIMD_WIDTH, MAX_GAP = 4 * SIMD_WIDTH;
 
-std::size_t low(const Spring& spring) {
+std::size_t lower_end(const Spring& spring) {
   return static_cast<std::size_t>(std::min(spring.i, spring.j));
 }
 
-std::size_t offset(const Spring& spring) {
-  return static_cast<std::size_t>(std::max(spring.i, spring.j)) - low(spring);
+std::size_t index_offset(const Spring& spring) {
+  return static_cast<std::size_t>(std::max(spring.i, spring.j)) - lower_end(spring);
 }
 
-// Indices of springs, sorted by offset and then by first particle.
+// Indices of springs, sorted by index offset and then by lower end.
 std::vector<std::size_t> order_by_offset(const std::vector<Spring>& springs) {
   std::vector<std::size_t> order(springs.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
     const auto key = [&](std::size_t s) {
-      return std::array{offset(springs[s]), low(springs[s]), s};
+      return std::array{index_offset(springs[s]), lower_end(springs[s]), s};
     };
     return key(a) < key(b);
   });
@@ -39,24 +40,25 @@ std::vector<std::size_t> order_by_offset(const std::vector<Spring>& springs) {
 
 const SpringLoops& spring_loops() {
   static const SpringLoops* const quads = springs_in_quads();
-  return quads ? *quads : spring_loops_on<Plain>;
+  return quads ? *quads : spring_loops_on<Portable>;
 }
 
-void SpringForces::Numbers::add(double length, double stiff, double damps) {
-  rest.push_back(length);
-  stiffness.push_back(stiff);
-  damping.push_back(damps);
+void SpringForces::Coefficients::add(double rest_length, double spring_stiffness,
+                                     double spring_damping) {
+  rest.push_back(rest_length);
+  stiffness.push_back(spring_stiffness);
+  damping.push_back(spring_damping);
 }
 
 SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t particles)
     : particles_(particles) {
-  std::vector<std::size_t> banded;
-  std::vector<Band> bands = build_bands(springs, banded);
+  std::vector<std::size_t> banded_springs;
+  std::vector<Band> bands = build_bands(springs, banded_springs);
   // Bands have a cost for each particle, too.
-  if (2 * banded.size() < particles) banded.clear();
-  if (!banded.empty()) build_pieces(std::move(bands));
+  if (2 * banded_springs.size() < particles) banded_springs.clear();
+  if (!banded_springs.empty()) build_chunks(std::move(bands));
   std::vector<bool> is_banded(springs.size());
-  for (const std::size_t s : banded) is_banded[s] = true;
+  for (const std::size_t s : banded_springs) is_banded[s] = true;
   for (std::size_t s = 0; s < springs.size(); ++s) {
     if (is_banded[s]) continue;
     const Spring& spring = springs[s];
@@ -66,80 +68,83 @@ SpringForces::SpringForces(const std::vector<Spring>& springs, std::size_t parti
   }
 }
 
-std::vector<SpringForces::Band> SpringForces::build_bands(const std::vector<Spring>& springs,
-                                                          std::vector<std::size_t>& banded) const {
+std::vector<SpringForces::Band> SpringForces::build_bands(
+    const std::vector<Spring>& springs, std::vector<std::size_t>& banded_springs) const {
   const std::vector<std::size_t> order = order_by_offset(springs);
   std::vector<Band> bands;
   for (std::size_t k = 0; k < order.size();) {
-    std::vector<std::size_t> chosen{order[k]};
+    std::vector<std::size_t> band_springs{order[k]};
     const Spring& first = springs[order[k]];
     for (++k; k < order.size(); ++k) {
-      const Spring &last = springs[chosen.back()], &next = springs[order[k]];
-      if (offset(next) != offset(first) || low(next) > low(last) + MAX_GAP) break;
+      const Spring &last = springs[band_springs.back()], &next = springs[order[k]];
+      if (index_offset(next) != index_offset(first) || lower_end(next) > lower_end(last) + MAX_GAP)
+        break;
       // Of several springs between two particles, only one is in a band.
-      if (low(next) != low(last)) chosen.push_back(order[k]);
+      if (lower_end(next) != lower_end(last)) band_springs.push_back(order[k]);
     }
-    const std::size_t locations = low(springs[chosen.back()]) - low(first) + 1;
-    if (chosen.size() < MIN_SPRINGS || 2 * chosen.size() < locations) continue;
-    bands.push_back(band_of(springs, chosen));
-    banded.insert(banded.end(), chosen.begin(), chosen.end());
+    const std::size_t length = lower_end(springs[band_springs.back()]) - lower_end(first) + 1;
+    if (band_springs.size() < MIN_SPRINGS || 2 * band_springs.size() < length) continue;
+    bands.push_back(build_band(springs, band_springs));
+    banded_springs.insert(banded_springs.end(), band_springs.begin(), band_springs.end());
   }
   return bands;
 }
 
-SpringForces::Band SpringForces::band_of(const std::vector<Spring>& springs,
-                                         const std::vector<std::size_t>& chosen) {
-  const std::size_t first = low(springs[chosen.front()]) / WIDE * WIDE;
-  const std::size_t last = (low(springs[chosen.back()]) / WIDE + 1) * WIDE;
-  Band band{offset(springs[chosen.front()]), first, last, {}};
-  for (std::size_t n = first, c = 0; n < last; ++n) {
-    if (c == chosen.size() || low(springs[chosen[c]]) != n) {
-      band.numbers.add(0, 0, 0);
+SpringForces::Band SpringForces::build_band(const std::vector<Spring>& springs,
+                                            const std::vector<std::size_t>& band_springs) {
+  const std::size_t first = lower_end(springs[band_springs.front()]) / SIMD_WIDTH * SIMD_WIDTH;
+  const std::size_t last = (lower_end(springs[band_springs.back()]) / SIMD_WIDTH + 1) * SIMD_WIDTH;
+  Band band{index_offset(springs[band_springs.front()]), first, last, {}};
+  for (std::size_t n = first, next = 0; n < last; ++n) {
+    if (next == band_springs.size() || lower_end(springs[band_springs[next]]) != n) {
+      band.coefficients.add(0, 0, 0);
       continue;
     }
-    const Spring& spring = springs[chosen[c++]];
-    band.numbers.add(spring.rest, spring.stiffness, spring.damping);
+    const Spring& spring = springs[band_springs[next++]];
+    band.coefficients.add(spring.rest, spring.stiffness, spring.damping);
   }
   return band;
 }
 
-void SpringForces::build_pieces(std::vector<Band> bands) {
+void SpringForces::build_chunks(std::vector<Band> bands) {
   std::stable_sort(bands.begin(), bands.end(),
                    [](const Band& a, const Band& b) { return a.first < b.first; });
-  const std::size_t full = plane_height(particles_) - WIDE;
+  const std::size_t height = plane_height(particles_) - SIMD_WIDTH;
   std::vector<const Band*> active;
-  for (std::size_t begin = 0, next = 0, end; begin < full; begin = end) {
+  for (std::size_t begin = 0, next = 0, end; begin < height; begin = end) {
     std::erase_if(active, [&](const Band* band) { return band->last <= begin; });
     for (; next < bands.size() && bands[next].first == begin; ++next)
       active.push_back(&bands[next]);
-    end = std::min(full, begin + BAND_PIECE);
+    end = std::min(height, begin + MAX_CHUNK);
     if (next < bands.size()) end = std::min(end, bands[next].first);
     for (const Band* band : active) end = std::min(end, band->last);
-    build_piece(begin, end, active);
+    build_chunk(begin, end, active);
   }
 }
 
-void SpringForces::build_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands) {
+void SpringForces::build_chunk(std::size_t begin, std::size_t end, std::vector<const Band*> bands) {
   std::sort(bands.begin(), bands.end(),
             [](const Band* a, const Band* b) { return a->offset < b->offset; });
-  pieces_.push_back({begin, end, offsets_.size(), bands.size(), numbers_.size()});
+  chunks_.push_back({begin, end, offsets_.size(), bands.size(), coefficients_.size()});
   max_offsets_ = std::max(max_offsets_, bands.size());
   for (const Band* band : bands) offsets_.push_back(band->offset);
-  for (std::size_t n = begin; n < end; n += WIDE)
+  for (std::size_t n = begin; n < end; n += SIMD_WIDTH)
     for (const Band* band : bands) {
-      const Numbers& padded = band->numbers;
-      for (const std::vector<double>* column : {&padded.rest, &padded.stiffness, &padded.damping})
-        for (std::size_t l = 0; l < WIDE; ++l) numbers_.push_back((*column)[n - band->first + l]);
+      const Coefficients& columns = band->coefficients;
+      for (const std::vector<double>* column :
+           {&columns.rest, &columns.stiffness, &columns.damping})
+        for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
+          coefficients_.push_back((*column)[n - band->first + l]);
     }
 }
 
-BandPieces SpringForces::pieces() const {
-  return {pieces_.data(), pieces_.size(), offsets_.data(), numbers_.data()};
+BandChunks SpringForces::chunks() const {
+  return {chunks_.data(), chunks_.size(), offsets_.data(), coefficients_.data()};
 }
 
 BandPlanes SpringForces::planes(ForceBuffers& buffers) const {
   return {plane_height(particles_), buffers.x.data(), buffers.v.data(), buffers.f.data(),
-          buffers.stored.data()};
+          buffers.spring_forces.data()};
 }
 
 void SpringForces::allocate(ForceBuffers& buffers) const {
@@ -147,7 +152,7 @@ void SpringForces::allocate(ForceBuffers& buffers) const {
   buffers.x.resize(size);
   buffers.v.resize(size);
   buffers.f.assign(size, 0.0);
-  buffers.stored.resize(3 * max_offsets_ * STORED);
+  buffers.spring_forces.resize(3 * max_offsets_ * FORCE_COLUMN);
 }
 
 void SpringForces::read(const double* rows, std::vector<double>& columns) const {
@@ -158,15 +163,15 @@ void SpringForces::write(const std::vector<double>& columns, double* rows) const
   spring_loops().to_rows(columns.data(), particles_, plane_height(particles_), rows);
 }
 
-void SpringForces::set(const double* x, const double* v, ForceBuffers& buffers,
-                       double* forces) const {
+void SpringForces::compute(const double* x, const double* v, ForceBuffers& buffers,
+                           double* forces) const {
   if (!has_bands()) {
     std::fill_n(forces, ROW * particles_, 0.0);
   } else {
     allocate(buffers);
     read(x, buffers.x);
     read(v, buffers.v);
-    spring_loops().pull_planes(pieces(), planes(buffers));
+    spring_loops().add_plane_forces(chunks(), planes(buffers));
     write(buffers.f, forces);
   }
   add_unbanded(x, v, forces);
@@ -179,7 +184,7 @@ void SpringForces::add_unbanded(const double* x, const double* v, double* forces
 }
 
 void SpringForces::step(const PlaneSteps& steps, ForceBuffers& buffers) const {
-  spring_loops().step_planes(pieces(), steps, planes(buffers));
+  spring_loops().step_planes(chunks(), steps, planes(buffers));
 }
 
 }  // namespace animtool

@@ -10,68 +10,71 @@
 
 namespace animtool {
 
+// A spring between particles i and j.
 struct Spring {
   std::int32_t i, j;
-  double rest, stiffness, damping, limit;  // limit: the length at which it tears
+  double rest, stiffness, damping, limit;  // limit: length at which it tears
 };
 
-// Particles as columns, and the forces of springs between them.
+// Particles in columns: positions, velocities, forces; and the forces of a chunk's springs.
 struct ForceBuffers {
-  std::vector<double> x, v, f, stored;
+  std::vector<double> x, v, f, spring_forces;
 };
 
-// Springs for force computation: bands of equal index offset where there are many, the others four
-// at a time.
+// Computes the forces of springs: in bands of equal index offset where there are many, the others
+// four at a time.
 class SpringForces {
  public:
   SpringForces() = default;
   SpringForces(const std::vector<Spring>& springs, std::size_t particles);
 
-  // Whether there are bands, and springs outside them.
-  bool has_bands() const { return !pieces_.empty(); }
+  // Whether there are bands, and springs outside of bands.
+  bool has_bands() const { return !chunks_.empty(); }
   bool has_unbanded() const { return !unbanded_.rest.empty(); }
 
-  // Writes the forces on particles [N], in rows.
-  void set(const double* x, const double* v, ForceBuffers& buffers, double* forces) const;
+  // Computes the forces on particles [N], in rows.
+  void compute(const double* x, const double* v, ForceBuffers& buffers, double* forces) const;
 
   // Adds the forces of springs outside bands.
   void add_unbanded(const double* x, const double* v, double* forces) const;
 
-  // Advances particles in columns by a step, under the forces of the buffers and of bands; clears
+  // Advances particles in columns by a step, under the forces in the buffers and of bands; clears
   // the forces.
   void step(const PlaneSteps& steps, ForceBuffers& buffers) const;
 
-  // Allocates buffers without forces; converts rows to columns, and back.
+  // Allocates buffers with zero forces. `read` converts rows to columns, `write` converts back.
   void allocate(ForceBuffers& buffers) const;
   void read(const double* rows, std::vector<double>& columns) const;
   void write(const std::vector<double>& columns, double* rows) const;
 
  private:
-  struct Numbers {
+  struct Coefficients {
     std::vector<double> rest, stiffness, damping;
 
-    void add(double length, double stiff, double damps);
+    void add(double rest_length, double spring_stiffness, double spring_damping);
   };
-  // Springs from particles first to last, in multiples of four, to those an offset later.
+  // Springs from particles first to last, in multiples of four, to the particles an index offset
+  // later.
   struct Band {
     std::size_t offset, first, last;
-    Numbers numbers;
+    Coefficients coefficients;
   };
 
-  static Band band_of(const std::vector<Spring>& springs, const std::vector<std::size_t>& chosen);
+  static Band build_band(const std::vector<Spring>& springs,
+                         const std::vector<std::size_t>& band_springs);
   std::vector<Band> build_bands(const std::vector<Spring>& springs,
-                                std::vector<std::size_t>& banded) const;
-  void build_pieces(std::vector<Band> bands);
-  void build_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands);
-  BandPieces pieces() const;
+                                std::vector<std::size_t>& banded_springs) const;
+  void build_chunks(std::vector<Band> bands);
+  void build_chunk(std::size_t begin, std::size_t end, std::vector<const Band*> bands);
+  BandChunks chunks() const;
   BandPlanes planes(ForceBuffers& buffers) const;
 
   std::size_t particles_ = 0;
-  std::vector<BandPiece> pieces_;
-  std::size_t max_offsets_ = 0;  // of a piece
+  std::vector<BandChunk> chunks_;
+  std::size_t max_offsets_ = 0;  // largest number of a chunk
   std::vector<std::size_t> offsets_;
-  std::vector<double> numbers_;
-  Numbers unbanded_;
+  std::vector<double> coefficients_;
+  Coefficients unbanded_;
   std::vector<std::int32_t> unbanded_ends_;
 };
 

@@ -9,13 +9,13 @@
 
 namespace animtool {
 
-// Indices of points; ascending in each cell.
+// A spatial hash of points; indices ascend in each cell.
 class PointGrid {
  public:
-  // Builds it from rows of points, with a cell size.
-  void build(const double* rows, std::size_t count, double cell);
+  // Builds the hash from rows of points.
+  void build(const double* rows, std::size_t count, double cell_size);
 
-  // Calls a function with each point that may lie in a box, and its position.
+  // Calls a function with the index and position of each point that may be in a box.
   template <class Function>
   void visit(const double* low, const double* high, Function function) const;
 
@@ -27,13 +27,13 @@ class PointGrid {
   std::size_t bucket(std::uint64_t key) const {
     return static_cast<std::size_t>((key * 0x9e3779b97f4a7c15u) >> 32) & mask_;
   }
-  std::int64_t cell_of(double location, std::size_t axis) const {
-    // NaN is in the first cell.
-    const double cell = (location - low_[axis]) * inverse_cell_;
-    return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MAX_CELLS))) : 0;
+  std::int64_t cell_of(double coordinate, std::size_t axis) const {
+    // NaN is in cell 0.
+    const double index = (coordinate - low_[axis]) * inverse_cell_;
+    return index > 0 ? static_cast<std::int64_t>(std::min(index, double(MAX_CELLS))) : 0;
   }
 
-  // Largest cell number from the first in each direction.
+  // Largest cell index in each direction.
   static constexpr std::int64_t MAX_CELLS = (1 << 20) - 1;
 
   std::size_t count_ = 0, mask_ = 0;
@@ -41,7 +41,7 @@ class PointGrid {
   std::vector<std::uint32_t> starts_;
   std::vector<std::uint64_t> keys_;
   std::vector<std::int32_t> points_;
-  std::vector<double> locations_;  // as the rows, sorted
+  std::vector<double> positions_;  // rows of positions, sorted
 };
 
 template <class Function>
@@ -53,19 +53,19 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
     last[k] = cell_of(high[k], k);
     cells *= static_cast<double>(last[k] - first[k] + 1);
   }
-  // If a box has more cells than there are points, testing all points is faster.
+  // If a box has more cells than there are points, it is faster to test all points.
   if (cells > static_cast<double>(count_)) {
-    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &locations_[ROW * i]);
+    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &positions_[ROW * i]);
     return;
   }
-  std::int64_t at[3];
-  for (at[2] = first[2]; at[2] <= last[2]; ++at[2])
-    for (at[1] = first[1]; at[1] <= last[1]; ++at[1])
-      for (at[0] = first[0]; at[0] <= last[0]; ++at[0]) {
-        const std::uint64_t hash = key(at);
-        const std::size_t b = bucket(hash);
+  std::int64_t cell[3];
+  for (cell[2] = first[2]; cell[2] <= last[2]; ++cell[2])
+    for (cell[1] = first[1]; cell[1] <= last[1]; ++cell[1])
+      for (cell[0] = first[0]; cell[0] <= last[0]; ++cell[0]) {
+        const std::uint64_t cell_key = key(cell);
+        const std::size_t b = bucket(cell_key);
         for (std::size_t i = starts_[b]; i < starts_[b + 1]; ++i)
-          if (keys_[i] == hash) function(points_[i], &locations_[ROW * i]);
+          if (keys_[i] == cell_key) function(points_[i], &positions_[ROW * i]);
       }
 }
 

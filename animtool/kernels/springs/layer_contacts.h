@@ -1,4 +1,4 @@
-// Self-contact pairs of one kind over the steps of a run.
+// Self-contact of pairs of one kind over the steps of a run.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace animtool {
 
-// A piercing pair, and the side (1 or -1) that the first came from.
+// Two elements that pierce each other, and the side (1 or -1) from which the first came.
 struct Piercing {
   std::int32_t first, second, side;
 
@@ -19,201 +19,212 @@ struct Piercing {
   }
 };
 
-// Kind: TrianglesAndCorners or EdgesAndEdges. Neighbour lists only save time: contacts of a
-// step do not depend on when the lists were built.
+// Contacts between pairs of elements. Kind: TrianglesAndCorners or EdgesAndEdges. Pair lists only
+// save time: the contacts of a step do not depend on when the lists were built.
 template <class Kind>
 class LayerContacts {
  public:
   using Shape = typename Kind::Shape;
 
-  std::vector<Piercing> crossed;
-  void sort_crossed() { std::sort(crossed.begin(), crossed.end()); }
+  std::vector<Piercing> piercings;
+  void sort_piercings() { std::sort(piercings.begin(), piercings.end()); }
 
-  // Lists all pairs within a reach; and picks those that may be nearer now, given the displacements
-  // of particles since.
-  void list(const SpringLayers& layers, const std::vector<double>& x, double reach) {
-    listed_ = Kind::near(layers, x, reach);
+  // `list_pairs` lists all pairs within a distance. `pick_pairs` picks those that may be near now,
+  // given the displacements of particles since they were listed.
+  void list_pairs(const SpringLayers& layers, const std::vector<double>& x, double distance) {
+    listed_pairs_ = Kind::find_near(layers, x, distance);
   }
-  void pick(const SpringLayers& layers, const std::vector<double>& x,
-            const std::vector<double>& displacements, double reach);
+  void pick_pairs(const SpringLayers& layers, const std::vector<double>& x,
+                  const std::vector<double>& displacements, double distance);
 
-  // Finds contacts in a step: `most` is the largest tested relative displacement, `more` the extra
-  // distance of pairs that only return. Tangled pairs have no known side, and are skipped.
-  void find(const SpringLayers& layers, const std::vector<double>& before,
-            const std::vector<double>& x, double most, double more, const Tangles* tangles);
-  void forget() { hits_.clear(); }
+  // Finds the contacts of a step: `max_travel` is the largest tested relative displacement,
+  // `return_margin` the extra distance of pairs that only return to the contact distance. Tangled
+  // pairs have no known side, and are skipped.
+  void find_contacts(const SpringLayers& layers, const std::vector<double>& before,
+                     const std::vector<double>& x, double max_travel, double return_margin,
+                     const Tangles* tangles);
+  void clear_contacts() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
   void separate(const SpringLayers& layers, Separation& separation) const;
-  // Adds the picked pairs with a marked particle that passed through each other since the start of
+  // Collects picked pairs with a moved particle that passed through each other since the start of
   // the step.
-  void collect_passed(const SpringLayers& layers, const std::vector<double>& from,
-                      const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
-                      const Tangles& tangles, std::vector<LayerHit>& passed) const;
-  // Drops piercing pairs that are back on their side, or moved away.
+  void collect_tunnelling(const SpringLayers& layers, const std::vector<double>& from,
+                          const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
+                          const Tangles& tangles, std::vector<LayerHit>& tunnelling) const;
+  // Drops piercings that are resolved, or whose elements moved apart.
   void drop_resolved(const SpringLayers& layers, const std::vector<double>& x);
-  // Records pairs that changed sides since the start of the step.
-  void record_crossings(const std::vector<double>& before, const std::vector<double>& x);
+  // Records the pairs that pierce each other at the end of the step.
+  void record_piercings(const std::vector<double>& before, const std::vector<double>& x);
 
  private:
-  // The largest relative displacement of the elements.
-  static double relative_shift(const FourParticles& who, const std::vector<double>& before,
+  // The largest relative displacement of two elements in the step.
+  static double relative_shift(const FourParticles& particles, const std::vector<double>& before,
                                const std::vector<double>& x);
+  // The side from which the first element came; 0 if it did not cross the second.
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
                        const std::vector<double>& x) const;
-  static bool is_through(std::int32_t side, const Shape& now) {
-    return side * now.height() < 0 && now.nearest().inside;
+  // Whether the elements are on the wrong side of each other.
+  static bool is_pierced(std::int32_t side, const Shape& current) {
+    return side * current.height() < 0 && current.nearest().is_interior;
   }
-  bool is_next_to_crossed(const SpringLayers& layers, const LayerHit& hit) const;
+  // Whether one element has crossed a neighbour of the other, so that its side of the other is
+  // undefined.
+  bool is_next_to_crossing(const SpringLayers& layers, const LayerHit& hit) const;
 
-  std::vector<LayerPair> listed_, picked_;
+  std::vector<LayerPair> listed_pairs_, near_pairs_;
   std::vector<LayerHit> hits_;
-  Through through_;
+  Crossings crossings_;
 };
 
 template <class Kind>
-void LayerContacts<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
-                               const std::vector<double>& displacements, double reach) {
-  const auto most = [&](const std::int32_t* first, const std::int32_t* last) {
-    double far = 0;
+void LayerContacts<Kind>::pick_pairs(const SpringLayers& layers, const std::vector<double>& x,
+                                     const std::vector<double>& displacements, double distance) {
+  const auto max_displacement = [&](const std::int32_t* first, const std::int32_t* last) {
+    double largest = 0;
     for (; first != last; ++first)
-      far = std::max(far, displacements[static_cast<std::size_t>(*first)]);
-    return far;
+      largest = std::max(largest, displacements[static_cast<std::size_t>(*first)]);
+    return largest;
   };
-  picked_.clear();
-  for (const LayerPair& one : listed_) {
-    const FourParticles who = Kind::who(layers, one.first, one.second);
-    const double nearer =
-        most(&who[0], &who[Kind::FIRST]) + most(&who[Kind::FIRST], who.data() + 4);
-    if (one.gap - nearer - one.distance > reach) continue;
-    if (length(Shape(who.data(), x.data()).nearest().off) - one.distance <= reach)
-      picked_.push_back(one);
+  near_pairs_.clear();
+  for (const LayerPair& pair : listed_pairs_) {
+    const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
+    const double approach = max_displacement(&particles[0], &particles[Kind::FIRST_COUNT]) +
+                            max_displacement(&particles[Kind::FIRST_COUNT], particles.data() + 4);
+    if (pair.gap - approach - pair.distance > distance) continue;
+    if (length(Shape(particles.data(), x.data()).nearest().offset) - pair.distance <= distance)
+      near_pairs_.push_back(pair);
   }
 }
 
 template <class Kind>
-void LayerContacts<Kind>::find(const SpringLayers& layers, const std::vector<double>& before,
-                               const std::vector<double>& x, double most, double more,
-                               const Tangles* tangles) {
-  const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
-    return std::all_of(first, last, [&](std::int32_t n) { return tangles->has(n); });
+void LayerContacts<Kind>::find_contacts(const SpringLayers& layers,
+                                        const std::vector<double>& before,
+                                        const std::vector<double>& x, double max_travel,
+                                        double return_margin, const Tangles* tangles) {
+  const auto are_tangled = [&](const std::int32_t* first, const std::int32_t* last) {
+    return std::all_of(first, last, [&](std::int32_t n) { return tangles->is_tangled(n); });
   };
   hits_.clear();
-  through_.clear();
-  for (const LayerPair& one : picked_) {
-    const FourParticles who = Kind::who(layers, one.first, one.second);
-    const shapes::Nearest near = Shape(who.data(), x.data()).nearest();
-    const double gap = length(near.off);
-    if (!(gap < one.distance + most + more)) continue;
-    const double travel = relative_shift(who, before, x);
-    if (!(gap < one.distance + travel + more)) continue;
-    LayerHit hit{one.first, one.second, 0, who, gap, travel, one.distance};
+  crossings_.clear();
+  for (const LayerPair& pair : near_pairs_) {
+    const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
+    const shapes::Nearest nearest = Shape(particles.data(), x.data()).nearest();
+    const double gap = length(nearest.offset);
+    if (!(gap < pair.distance + max_travel + return_margin)) continue;
+    const double travel = relative_shift(particles, before, x);
+    if (!(gap < pair.distance + travel + return_margin)) continue;
+    LayerHit hit{pair.first, pair.second, 0, particles, gap, travel, pair.distance};
     hit.side = side_of(hit, before, x);
-    if (!hit.side && !near.inside) continue;
-    if (tangles && !hit.side && tangled(&who[0], &who[Kind::FIRST]) &&
-        tangled(&who[Kind::FIRST], who.data() + who.size()))
+    if (!hit.side && !nearest.is_interior) continue;
+    if (tangles && !hit.side && are_tangled(&particles[0], &particles[Kind::FIRST_COUNT]) &&
+        are_tangled(&particles[Kind::FIRST_COUNT], particles.data() + particles.size()))
       continue;
     hits_.push_back(hit);
-    if (hit.side) Kind::note(through_, hit.first, hit.second);
+    if (hit.side) Kind::record_crossing(crossings_, hit.first, hit.second);
   }
-  std::sort(through_.begin(), through_.end());
+  std::sort(crossings_.begin(), crossings_.end());
 }
 
 template <class Kind>
-double LayerContacts<Kind>::relative_shift(const FourParticles& who,
+double LayerContacts<Kind>::relative_shift(const FourParticles& particles,
                                            const std::vector<double>& before,
                                            const std::vector<double>& x) {
-  collide::Vec shifts[4];
+  collide::Vec displacements[4];
   for (std::size_t k = 0; k < 4; ++k)
-    shifts[k] = shapes::row_of(x.data(), who[k]) - shapes::row_of(before.data(), who[k]);
-  double most = 0;
-  for (std::size_t i = 0; i < Kind::FIRST; ++i)
-    for (std::size_t j = Kind::FIRST; j < 4; ++j) {
-      const collide::Vec over = shifts[i] - shifts[j];
-      most = std::max(most, dot(over, over));
+    displacements[k] =
+        shapes::row_of(x.data(), particles[k]) - shapes::row_of(before.data(), particles[k]);
+  double max_square = 0;
+  for (std::size_t i = 0; i < Kind::FIRST_COUNT; ++i)
+    for (std::size_t j = Kind::FIRST_COUNT; j < 4; ++j) {
+      const collide::Vec difference = displacements[i] - displacements[j];
+      max_square = std::max(max_square, dot(difference, difference));
     }
-  return std::sqrt(most);
+  return std::sqrt(max_square);
 }
 
 template <class Kind>
 std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
                                           const std::vector<double>& x) const {
-  const auto known =
-      std::lower_bound(crossed.begin(), crossed.end(), Piercing{hit.first, hit.second, 0});
-  if (known != crossed.end() && known->first == hit.first && known->second == hit.second)
-    return known->side;
-  if (hit.gap > hit.travel) return 0;
-  return shapes::crossed_from(Shape(hit.who.data(), before.data()),
-                              Shape(hit.who.data(), x.data()));
+  const auto piercing =
+      std::lower_bound(piercings.begin(), piercings.end(), Piercing{hit.first, hit.second, 0});
+  if (piercing != piercings.end() && piercing->first == hit.first && piercing->second == hit.second)
+    return piercing->side;
+  if (hit.gap > hit.relative_travel) return 0;
+  return shapes::crossing_side(Shape(hit.particles.data(), before.data()),
+                               Shape(hit.particles.data(), x.data()));
 }
 
-// Whether one of them is on the wrong side of a neighbour of the other, so that its side of the
-// other means nothing.
+// Whether one element has crossed a neighbour of the other, so that its side of the other is
+// undefined.
 template <class Kind>
-bool LayerContacts<Kind>::is_next_to_crossed(const SpringLayers& layers,
-                                             const LayerHit& hit) const {
-  const auto is_through = [&](std::int32_t who, const auto& touches) {
-    auto one = std::lower_bound(through_.begin(), through_.end(), std::pair(who, -1));
-    for (; one != through_.end() && one->first == who; ++one)
-      if (touches(one->second)) return true;
+bool LayerContacts<Kind>::is_next_to_crossing(const SpringLayers& layers,
+                                              const LayerHit& hit) const {
+  const auto has_crossed = [&](std::int32_t element, const auto& is_neighbour) {
+    auto crossing = std::lower_bound(crossings_.begin(), crossings_.end(), std::pair(element, -1));
+    for (; crossing != crossings_.end() && crossing->first == element; ++crossing)
+      if (is_neighbour(crossing->second)) return true;
     return false;
   };
-  return Kind::is_next_to_crossed(layers, hit.first, hit.second, is_through);
+  return Kind::is_next_to_crossing(layers, hit.first, hit.second, has_crossed);
 }
 
 template <class Kind>
 void LayerContacts<Kind>::separate(const SpringLayers& layers, Separation& separation) const {
   for (const LayerHit& hit : hits_)
-    if (hit.side || through_.empty() || !is_next_to_crossed(layers, hit))
+    if (hit.side || crossings_.empty() || !is_next_to_crossing(layers, hit))
       separation.separate<Shape>(hit);
 }
 
 template <class Kind>
-void LayerContacts<Kind>::collect_passed(const SpringLayers& layers,
-                                         const std::vector<double>& from,
-                                         const std::vector<double>& x,
-                                         const std::vector<std::uint8_t>& moved,
-                                         const Tangles& tangles,
-                                         std::vector<LayerHit>& passed) const {
-  const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
-    return std::all_of(first, last, [&](std::int32_t n) { return tangles.has(n); });
+void LayerContacts<Kind>::collect_tunnelling(const SpringLayers& layers,
+                                             const std::vector<double>& from,
+                                             const std::vector<double>& x,
+                                             const std::vector<std::uint8_t>& moved,
+                                             const Tangles& tangles,
+                                             std::vector<LayerHit>& tunnelling) const {
+  const auto are_tangled = [&](const std::int32_t* first, const std::int32_t* last) {
+    return std::all_of(first, last, [&](std::int32_t n) { return tangles.is_tangled(n); });
   };
-  for (const LayerPair& one : picked_) {
-    const FourParticles who = Kind::who(layers, one.first, one.second);
-    if (std::none_of(who.begin(), who.end(),
+  for (const LayerPair& pair : near_pairs_) {
+    const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
+    if (std::none_of(particles.begin(), particles.end(),
                      [&](std::int32_t n) { return moved[static_cast<std::size_t>(n)]; }))
       continue;
-    if (!shapes::paths_overlap(who.data(), Kind::FIRST, from.data(), x.data())) continue;
-    const std::int32_t side =
-        shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));
+    if (!shapes::paths_overlap(particles.data(), Kind::FIRST_COUNT, from.data(), x.data()))
+      continue;
+    const std::int32_t side = shapes::passing_side(Shape(particles.data(), from.data()),
+                                                   Shape(particles.data(), x.data()));
     if (!side) continue;
     // Tangled pairs have no known side.
-    if (tangled(&who[0], &who[Kind::FIRST]) && tangled(&who[Kind::FIRST], who.data() + 4)) continue;
-    passed.push_back({one.first, one.second, side, who, 0, 0, one.distance});
+    if (are_tangled(&particles[0], &particles[Kind::FIRST_COUNT]) &&
+        are_tangled(&particles[Kind::FIRST_COUNT], particles.data() + 4))
+      continue;
+    tunnelling.push_back({pair.first, pair.second, side, particles, 0, 0, pair.distance});
   }
 }
 
 template <class Kind>
 void LayerContacts<Kind>::drop_resolved(const SpringLayers& layers, const std::vector<double>& x) {
-  std::erase_if(crossed, [&](const Piercing& one) {
-    const Shape now(Kind::who(layers, one.first, one.second).data(), x.data());
-    return !is_through(one.side, now);
+  std::erase_if(piercings, [&](const Piercing& piercing) {
+    const Shape current(Kind::particles(layers, piercing.first, piercing.second).data(), x.data());
+    return !is_pierced(piercing.side, current);
   });
 }
 
 template <class Kind>
-void LayerContacts<Kind>::record_crossings(const std::vector<double>& before,
+void LayerContacts<Kind>::record_piercings(const std::vector<double>& before,
                                            const std::vector<double>& x) {
-  crossed.clear();
+  piercings.clear();
   for (const LayerHit& hit : hits_) {
-    if (!hit.side && hit.gap > 2 * hit.travel) continue;
-    const Shape now(hit.who.data(), x.data());
+    if (!hit.side && hit.gap > 2 * hit.relative_travel) continue;
+    const Shape current(hit.particles.data(), x.data());
     std::int32_t side = hit.side;
     if (side) {
-      if (!is_through(side, now)) side = 0;
+      if (!is_pierced(side, current)) side = 0;
     } else {
-      side = shapes::crossed_from(Shape(hit.who.data(), before.data()), now);
+      side = shapes::crossing_side(Shape(hit.particles.data(), before.data()), current);
     }
-    if (side) crossed.push_back({hit.first, hit.second, side});
+    if (side) piercings.push_back({hit.first, hit.second, side});
   }
 }
 

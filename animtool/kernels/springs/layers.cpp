@@ -15,67 +15,67 @@ namespace {
 using collide::Vec;
 using shapes::row_of;
 
-// Largest rest distance along the surface of close particles, over the contact distance [1].
-constexpr double NEIGHBOURS = 1.5;
+// Largest rest distance along the surface of adjacent particles, over the contact distance [1].
+constexpr double ADJACENT_RATIO = 1.5;
 // Largest ratio of a path along edges to the straight distance.
-constexpr double DETOUR = 2;
+constexpr double MAX_DETOUR = 2;
 // Contact distance of edges, over the thickness: resting layers are supported by their particles
-// alone, and edges touch only where ridges would cut into each other.
-constexpr double EDGES = 0.75;
+// only, and edges touch only where ridges would cut into each other.
+constexpr double EDGE_FACTOR = 0.75;
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// Neighbours of particles along edges and springs, with path lengths.
+// Shortest path lengths between particles along edges and springs.
 class PathLengths {
  public:
   PathLengths(const SpringNetwork& network, const std::vector<double>& rest)
-      : adjacent_(network.particles()),
-        longest_(network.particles(), 0),
-        away_(network.particles(), INFINITE) {
-    const auto join = [&](std::int32_t i, std::int32_t j, bool edge) {
-      const double shift = length(row_of(rest.data(), i) - row_of(rest.data(), j));
+      : neighbours_(network.particles()),
+        longest_edges_(network.particles(), 0),
+        path_lengths_(network.particles(), INFINITE) {
+    const auto add_link = [&](std::int32_t i, std::int32_t j, bool is_edge) {
+      const double link_length = length(row_of(rest.data(), i) - row_of(rest.data(), j));
       for (const auto& [from, to] : {std::pair(i, j), std::pair(j, i)}) {
         const std::size_t n = static_cast<std::size_t>(from);
-        adjacent_[n].push_back({to, shift});
-        if (edge) longest_[n] = std::max(longest_[n], shift);
+        neighbours_[n].push_back({to, link_length});
+        if (is_edge) longest_edges_[n] = std::max(longest_edges_[n], link_length);
       }
     };
     const auto& corners = network.triangles;
     for (std::size_t t = 0; t < corners.size(); t += 3)
-      for (std::size_t k = 0; k < 3; ++k) join(corners[t + k], corners[t + (k + 1) % 3], true);
-    for (const Spring& spring : network.lines.springs) join(spring.i, spring.j, false);
+      for (std::size_t k = 0; k < 3; ++k) add_link(corners[t + k], corners[t + (k + 1) % 3], true);
+    for (const Spring& spring : network.lines.springs) add_link(spring.i, spring.j, false);
   }
 
-  // Particles within this path length of one, plus its longest edge; ascending.
-  const std::vector<std::int32_t>& around(std::int32_t from, double farthest) {
-    for (const std::int32_t n : hits_) away(n) = INFINITE;
-    hits_.clear();
-    farthest += longest_[static_cast<std::size_t>(from)];
-    using Shift = std::pair<double, std::int32_t>;
-    std::priority_queue<Shift, std::vector<Shift>, std::greater<Shift>> waiting;
-    const auto reach = [&](std::int32_t n, double shift) {
-      if (shift > farthest || shift >= away(n)) return;
-      if (away(n) == INFINITE) hits_.push_back(n);
-      away(n) = shift;
-      waiting.push({shift, n});
+  // Particles within a path length of one, plus its longest edge; ascending.
+  const std::vector<std::int32_t>& find_within(std::int32_t from, double max_length) {
+    for (const std::int32_t n : near_particles_) path_length(n) = INFINITE;
+    near_particles_.clear();
+    max_length += longest_edges_[static_cast<std::size_t>(from)];
+    using QueueEntry = std::pair<double, std::int32_t>;
+    std::priority_queue<QueueEntry, std::vector<QueueEntry>, std::greater<QueueEntry>> queue;
+    const auto visit = [&](std::int32_t n, double distance) {
+      if (distance > max_length || distance >= path_length(n)) return;
+      if (path_length(n) == INFINITE) near_particles_.push_back(n);
+      path_length(n) = distance;
+      queue.push({distance, n});
     };
-    reach(from, 0);
-    while (!waiting.empty()) {
-      const auto [shift, n] = waiting.top();
-      waiting.pop();
-      if (shift > away(n)) continue;
-      for (const auto& [next, step] : adjacent_[static_cast<std::size_t>(n)])
-        reach(next, shift + step);
+    visit(from, 0);
+    while (!queue.empty()) {
+      const auto [distance, n] = queue.top();
+      queue.pop();
+      if (distance > path_length(n)) continue;
+      for (const auto& [next, link_length] : neighbours_[static_cast<std::size_t>(n)])
+        visit(next, distance + link_length);
     }
-    std::sort(hits_.begin(), hits_.end());
-    return hits_;
+    std::sort(near_particles_.begin(), near_particles_.end());
+    return near_particles_;
   }
 
  private:
-  double& away(std::int32_t n) { return away_[static_cast<std::size_t>(n)]; }
+  double& path_length(std::int32_t n) { return path_lengths_[static_cast<std::size_t>(n)]; }
 
-  std::vector<std::vector<std::pair<std::int32_t, double>>> adjacent_;
-  std::vector<double> longest_, away_;
-  std::vector<std::int32_t> hits_;
+  std::vector<std::vector<std::pair<std::int32_t, double>>> neighbours_;
+  std::vector<double> longest_edges_, path_lengths_;
+  std::vector<std::int32_t> near_particles_;
 };
 
 }  // namespace
@@ -100,41 +100,45 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest, dou
 }
 
 void SpringLayers::collect_edges() {
-  std::vector<std::pair<std::int32_t, std::int32_t>> hit;
+  std::vector<std::pair<std::int32_t, std::int32_t>> edge_pairs;
   for (std::size_t t = 0; t < corners_.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k)
-      hit.push_back(std::minmax({corners_[t + k], corners_[t + (k + 1) % 3]}));
-  std::sort(hit.begin(), hit.end());
-  hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
-  for (const auto& [i, j] : hit) ends_.insert(ends_.end(), {i, j});
+      edge_pairs.push_back(std::minmax({corners_[t + k], corners_[t + (k + 1) % 3]}));
+  std::sort(edge_pairs.begin(), edge_pairs.end());
+  edge_pairs.erase(std::unique(edge_pairs.begin(), edge_pairs.end()), edge_pairs.end());
+  for (const auto& [i, j] : edge_pairs) ends_.insert(ends_.end(), {i, j});
 }
 
 void SpringLayers::collect_adjacent(const SpringNetwork& network) {
-  PathLengths shifts(network, rest_);
+  PathLengths path_lengths(network, rest_);
   for (std::size_t n = 0; n < particles_; ++n) {
-    const auto& hit = shifts.around(static_cast<std::int32_t>(n), DETOUR * NEIGHBOURS * thickness);
-    adjacent_.insert(adjacent_.end(), hit.begin(), hit.end());
+    const auto& adjacent_particles = path_lengths.find_within(
+        static_cast<std::int32_t>(n), MAX_DETOUR * ADJACENT_RATIO * thickness);
+    adjacent_.insert(adjacent_.end(), adjacent_particles.begin(), adjacent_particles.end());
     adjacent_starts_.push_back(adjacent_.size());
   }
 }
 
-bool SpringLayers::joined(std::int32_t i, std::int32_t j) const {
+bool SpringLayers::is_adjacent(std::int32_t i, std::int32_t j) const {
   const auto from = static_cast<std::size_t>(i);
   return std::binary_search(
       adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from]),
       adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from + 1]), j);
 }
 
-double SpringLayers::reduced(double at_rest, bool joined) const {
-  return std::min(thickness, joined ? at_rest / NEIGHBOURS : at_rest);
+double SpringLayers::contact_distance(double rest_gap, bool is_adjacent) const {
+  return std::min(thickness, is_adjacent ? rest_gap / ADJACENT_RATIO : rest_gap);
 }
 
 double SpringLayers::distance(std::size_t triangle, std::int32_t particle) const {
-  const std::int32_t* of = corners(triangle);
-  if (std::find(of, of + 3, particle) != of + 3) return 0;
-  const double gap = shapes::Triangle(of, rest_.data()).distance(row_of(rest_.data(), particle));
-  if (!(gap < NEIGHBOURS * thickness)) return thickness;
-  return reduced(gap, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
+  const std::int32_t* triangle_corners = corners(triangle);
+  if (std::find(triangle_corners, triangle_corners + 3, particle) != triangle_corners + 3) return 0;
+  const double rest_gap =
+      shapes::Triangle(triangle_corners, rest_.data()).distance(row_of(rest_.data(), particle));
+  if (!(rest_gap < ADJACENT_RATIO * thickness)) return thickness;
+  return contact_distance(rest_gap,
+                          std::any_of(triangle_corners, triangle_corners + 3,
+                                      [&](std::int32_t n) { return is_adjacent(n, particle); }));
 }
 
 double SpringLayers::checked_distance(std::int64_t triangle, std::int64_t particle) const {
@@ -149,16 +153,21 @@ double SpringLayers::checked_edge_distance(std::int64_t first, std::int64_t seco
   return edge_distance(static_cast<std::size_t>(first), static_cast<std::size_t>(second));
 }
 
-double SpringLayers::max_edge_distance() const { return EDGES * thickness; }
+double SpringLayers::max_edge_distance() const { return EDGE_FACTOR * thickness; }
 
 double SpringLayers::edge_distance(std::size_t first, std::size_t second) const {
-  const std::int32_t *one = ends(first), *other = ends(second);
-  const std::int32_t who[4] = {one[0], one[1], other[0], other[1]};
-  if (who[0] == who[2] || who[0] == who[3] || who[1] == who[2] || who[1] == who[3]) return 0;
-  const double gap = length(shapes::EdgePair(who, rest_.data()).nearest().off);
-  if (!(gap < NEIGHBOURS * thickness)) return max_edge_distance();
-  const auto relative = [&](std::int32_t n) { return joined(n, who[2]) || joined(n, who[3]); };
-  return EDGES * reduced(gap, relative(who[0]) || relative(who[1]));
+  const std::int32_t *first_ends = ends(first), *second_ends = ends(second);
+  const std::int32_t particles[4] = {first_ends[0], first_ends[1], second_ends[0], second_ends[1]};
+  if (particles[0] == particles[2] || particles[0] == particles[3] ||
+      particles[1] == particles[2] || particles[1] == particles[3])
+    return 0;
+  const double rest_gap = length(shapes::EdgePair(particles, rest_.data()).nearest().offset);
+  if (!(rest_gap < ADJACENT_RATIO * thickness)) return max_edge_distance();
+  const auto is_adjacent_to_second = [&](std::int32_t n) {
+    return is_adjacent(n, particles[2]) || is_adjacent(n, particles[3]);
+  };
+  return EDGE_FACTOR * contact_distance(rest_gap, is_adjacent_to_second(particles[0]) ||
+                                                      is_adjacent_to_second(particles[1]));
 }
 
 }  // namespace animtool

@@ -8,6 +8,7 @@
 
 namespace animtool {
 
+// The loops for one type of processor.
 struct SpringLoops {
   void (*add_forces)(const SpringColumns&, std::size_t, const double*, const double*, double*);
   void (*accelerate)(const ParticleColumns&, std::size_t, const double*, const double*, double*);
@@ -17,17 +18,18 @@ struct SpringLoops {
   // Conversion between rows and planes, and loops over planes.
   void (*to_planes)(const double* rows, std::size_t count, std::size_t height, double* planes);
   void (*to_rows)(const double* planes, std::size_t count, std::size_t height, double* rows);
-  void (*pull_planes)(const BandPieces&, const BandPlanes&);
-  void (*step_planes)(const BandPieces&, const PlaneSteps&, const BandPlanes&);
+  void (*add_plane_forces)(const BandChunks&, const BandPlanes&);
+  void (*step_planes)(const BandChunks&, const PlaneSteps&, const BandPlanes&);
   void (*advance_bundle)(const StrandSteps&, StrandBundle&);
 };
 
-template <class On>
-constexpr SpringLoops spring_loops_on{add_forces<On>,  accelerate_rows<On>, advance_rows<On>,
-                                      project_all<On>, rows_to_planes<On>,  planes_to_rows<On>,
-                                      pull_planes<On>, step_planes<On>,     advance_bundle<On>};
+template <class Simd>
+constexpr SpringLoops spring_loops_on{
+    add_forces<Simd>,       accelerate_rows<Simd>, advance_rows<Simd>,
+    project_all<Simd>,      rows_to_planes<Simd>,  planes_to_rows<Simd>,
+    add_plane_forces<Simd>, step_planes<Simd>,     advance_bundle<Simd>};
 
-const SpringLoops* springs_in_quads();  // null where the processor has no such registers
-const SpringLoops& spring_loops();      // those for this processor
+const SpringLoops* springs_in_quads();  // null if the processor has no such registers
+const SpringLoops& spring_loops();      // the loops for this processor
 
 }  // namespace animtool

@@ -1,4 +1,4 @@
-// Mesh collisions of particles, with caches over the steps.
+// Collisions of particles with meshes, with caches over the steps.
 #pragma once
 
 #include <array>
@@ -12,41 +12,41 @@
 
 namespace animtool {
 
-// The motion of a mesh so far: a common drift, and the largest displacement relative to it.
-struct MeshShift {
+// The motion of a mesh so far: its mean displacement, and the largest displacement relative to it.
+struct MeshMotion {
   collide::Vec drift;
   double spread = 0;
-  // The current interval of linear motion, -1 for none, and the elapsed fraction of it.
+  // The current knot interval, in which motion is linear, -1 for none; and its elapsed fraction.
   std::int64_t knot = -1;
   double fraction = 0;
 };
 
-// A mesh in such an interval: boxes of its nodes at the start, and of the displacements of their
+// A mesh in a knot interval: boxes of its nodes at the start, boxes of the displacements of their
 // points, and how far back in time particles are tested [fraction of the interval].
 struct KnotBoxes {
-  const double *begins, *shifts;
-  double back;
+  const double *start_bounds, *shift_bounds;
+  double lookback;
 };
 
-// Cache of mesh parts near each particle. Filled by the tree, and valid as long as particle and
-// mesh move less than a slack; the slack does not change the result.
+// Caches the triangles near each particle. A cache is filled by the tree, and is valid as long as
+// particle and mesh move less than a slack. The slack does not change the result.
 class MeshPatches {
  public:
   struct PatchHit {
     collide::Sample sample;
-    std::int32_t triangle = -1;  // none where the distance is only a bound
+    std::int32_t triangle = -1;  // -1 if the distance is only a bound
   };
 
-  // `slack` is the initial one.
+  // `slack` is the initial displacement for which a cache is valid.
   MeshPatches(std::size_t particles, double slack) : patches_(particles) {
     for (Patch& patch : patches_) patch.next_slack = slack;
   }
 
-  // The distance of the mesh from a point of its frame; with `bound`, a lower bound suffices if it
-  // exceeds the contact distance.
+  // The distance of the mesh from a point in its frame. With `allow_bound`, returns a lower bound
+  // if that exceeds the contact distance.
   PatchHit query(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
-                 const MeshShift& motion, const KnotBoxes* boxes, double contact_distance,
-                 bool bound);
+                 const MeshMotion& motion, const KnotBoxes* boxes, double contact_distance,
+                 bool allow_bound);
   // Invalidates the cache.
   void invalidate();
 
@@ -58,51 +58,55 @@ class MeshPatches {
   };
   // Nearest first.
   using Candidates = std::array<Candidate, MAX_CANDIDATES>;
+  // The cache of one particle.
   struct Patch {
-    collide::Vec at;
-    MeshShift motion;
-    // Displacement for which it is valid, negative if it is not; the slack of the next one.
+    collide::Vec position;
+    MeshMotion motion;
+    // Displacement for which the cache is valid, negative if invalid; the slack of the next cache.
     double slack = -1, next_slack = 0;
     double distance = 0;
-    // The same for the rest of the interval, relative to the nearest triangle.
-    double knot_slack = -1, min_distance = 0, back = 0;
-    collide::Vec shift;
-    std::int32_t count = 0, location = -1;
-    std::int32_t last = -1;  // a nearby triangle
+    // Slack and smallest distance over the remaining knot interval, relative to the nearest
+    // triangle.
+    double knot_slack = -1, min_distance = 0, lookback = 0;
+    collide::Vec triangle_shift;
+    std::int32_t count = 0, candidates_index = -1;
+    std::int32_t seed_triangle = -1;  // a nearby triangle, where the next search starts
   };
-  // A triangle near a particle: its distance, and the smallest in the rest of the interval.
+  // A triangle near a particle: its distance now, and the smallest in the remaining knot interval.
   struct NearbyTriangle {
     double distance, min_distance;
     std::int32_t triangle;
   };
 
-  // Displacement since the cache was filled, negative if it is invalid; `in_knot` tells whether it
+  // Displacement since the cache was filled, negative if the cache is invalid; sets `in_knot` if it
   // is relative to the nearest triangle.
-  static double displacement_since(const Patch& patch, collide::Vec p, const MeshShift& motion,
+  static double displacement_since(const Patch& patch, collide::Vec p, const MeshMotion& motion,
                                    bool& in_knot);
+  // The nearest cached triangle.
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
                            double displacement) const;
+  // Fills the cache of a particle; returns its distance from the mesh.
   PatchHit gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
-                  const KnotBoxes* boxes, double contact_distance, bool bound);
-  // The nearest triangle, starting from the last one, and all nearby ones.
+                  const KnotBoxes* boxes, double contact_distance, bool allow_bound);
+  // Finds the nearest triangle, starting from a recent one, and all nearby ones.
   collide::Nearest search(Patch& patch, const collide::Mesh& mesh, std::int32_t root,
                           collide::Vec p, const KnotBoxes* boxes, double contact_distance);
-  // Stores nearby triangles, if they are few: by their distance in the rest of the interval, or
-  // now.
-  bool store_candidates(Patch& patch, double reach, bool in_knot);
+  // Stores nearby triangles, if there are few, by their distance now or in the remaining knot
+  // interval.
+  bool store_candidates(Patch& patch, double max_distance, bool in_knot);
 
   std::vector<Patch> patches_;
-  // Of patches with nearby triangles.
+  // Cached triangles of particles that have any.
   std::vector<Candidates> candidates_;
-  // Of the last search: nearby triangles, and the smallest distance in the interval.
+  // Results of the last search: nearby triangles, and the smallest distance in the knot interval.
   std::vector<NearbyTriangle> nearby_;
   double min_distance_ = 0;
-  std::int32_t last_ = -1;  // the nearest triangle of the last search
+  std::int32_t last_triangle_ = -1;  // the nearest triangle of the last search
 };
 
 // A mesh whose points move: positions at knots of time (K, P, 3), linear between them; restitution,
-// friction, margin, depenetration speed and teleport speed; cells of time per knot interval, and
-// elapsed cells of the first one.
+// friction, margin, depenetration speed and teleport speed; cells of time per knot interval; and
+// elapsed cells of the first interval.
 using SpringSurface = std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>,
                                  std::int64_t, std::int64_t>;
 
@@ -111,37 +115,42 @@ class MovingSurface {
  public:
   MovingSurface(const SpringSurface& surface, std::int64_t cells);
 
-  // Moves on to a cell. Returns whether the motion is continuous.
+  // Advances to a cell. Returns whether the motion is continuous.
   bool begin_cell(std::int64_t cell, double length);
   // The elapsed fraction of the knot interval at a fraction of the cell.
   double knot_fraction(double fraction) const {
     return knot_start_ + fraction / static_cast<double>(cells_per_knot_);
   }
-  // The collider at a fraction of the knot interval, and its motion until then.
+  // The collider at a fraction of the knot interval, and the motion of the mesh up to it.
   collide::Collider collider(double fraction) const;
-  MeshShift shift_until(double fraction) const;
-  // Boxes of the knot interval; tested `back` in time.
-  KnotBoxes boxes(double back) const { return {begins_.data(), shift_bounds_.data(), back}; }
+  MeshMotion motion_until(double fraction) const;
+  // Boxes of the knot interval, for tests that go back by a fraction of it.
+  KnotBoxes boxes(double lookback) const {
+    return {start_bounds_.data(), shift_bounds_.data(), lookback};
+  }
   // The largest displacement of a point in the knot interval.
-  double travel() const { return travel_; }
-  // The largest displacement of a point relative to a drift, over a fraction of the interval.
-  double relative_travel(collide::Vec drift, double fraction) const;
+  double max_displacement() const { return max_displacement_; }
+  // The largest displacement of a point relative to a drift, over a fraction of the knot interval.
+  double max_relative_displacement(collide::Vec drift, double fraction) const;
+  // The box of all triangles.
   const double* box() const { return bounds_.data(); }
-  double margin() const { return numbers_[2]; }
-  collide::Vec shift(const collide::Mesh& mesh, std::int32_t triangle, collide::Vec p) const;
+  double margin() const { return settings_[2]; }
+  // Displacement of the point of a triangle nearest to p, in the knot interval.
+  collide::Vec surface_shift(const collide::Mesh& mesh, std::int32_t triangle,
+                             collide::Vec p) const;
 
  private:
-  void measure(const double* begin, const double* end);
+  void measure_motion(const double* begin, const double* end);
 
   const MeshSurface* surface_;
   In<double, 3> points_;
-  std::array<double, 5> numbers_;
-  std::vector<double> shifts_, bounds_, begins_, shift_bounds_;
-  std::int64_t cells_per_knot_, first_;
-  const double* begin_ = nullptr;
-  MeshShift before_, full_;  // until the knot interval, and in it
-  double travel_ = 0, knot_start_ = 0;
-  std::int64_t last_ = -1;
+  std::array<double, 5> settings_;
+  std::vector<double> shifts_, bounds_, start_bounds_, shift_bounds_;
+  std::int64_t cells_per_knot_, first_cell_;
+  const double* knot_points_ = nullptr;
+  MeshMotion past_motion_, knot_motion_;  // before the knot interval, and in it
+  double max_displacement_ = 0, knot_start_ = 0;
+  std::int64_t knot_ = -1;
 };
 
 }  // namespace animtool

@@ -13,19 +13,22 @@ namespace animtool {
 
 namespace {
 
-std::vector<std::int32_t> particles_of(const char* name, const std::int64_t* values,
-                                       std::size_t size, std::size_t particles) {
+// Checks and converts indices of particles.
+std::vector<std::int32_t> read_particles(const char* name, const std::int64_t* values,
+                                         std::size_t size, std::size_t particles) {
   check::indices(name, values, size, 0, static_cast<std::int64_t>(particles));
   return {values, values + size};
 }
 
-Track track_of(const char* name, const In<double, 3>& path, std::size_t points, std::size_t knots) {
+// Checks and copies a path of points.
+Track read_track(const char* name, const In<double, 3>& path, std::size_t points,
+                 std::size_t knots) {
   check::shape(name, path, {path.shape(0) == 1 ? 1 : knots, points, 3});
   check::finite(name, path);
   return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
 }
 
-// Checks a column of springs: not negative.
+// Checks that the numbers of a column of springs are not negative.
 void check_column(const char* name, const In<double, 1>& column, std::size_t springs,
                   bool finite = true) {
   check::shape(name, column, {springs});
@@ -42,21 +45,21 @@ std::vector<double> finite_column(const char* name, const In<double, 1>& column,
   return {column.data(), column.data() + column.size()};
 }
 
-std::vector<double> copied(const In<double, 1>& column) {
+std::vector<double> to_vector(const In<double, 1>& column) {
   return {column.data(), column.data() + column.size()};
 }
 
 }  // namespace
 
 SpringNetwork::SpringNetwork(const SpringArrays& arrays)
-    : SpringElements{copied(arrays.inverse_masses), {}, {}, 0},
-      drags(copied(arrays.drags)),
+    : SpringElements{to_vector(arrays.inverse_masses), {}, {}, 0},
+      drags(to_vector(arrays.drags)),
       air_drag(arrays.air_drag),
       air_lift(arrays.air_lift),
-      knots(copied(arrays.knots)) {
-  const auto& [masses, particle_drags, ends, rest, stiffness, damping, limit, faces, pull, drag,
-               lift, times, pins, pinned_path, anchor_particles, anchor_stiffnesses,
-               anchor_dampings, anchor_path, winds] = arrays;
+      knots(to_vector(arrays.knots)) {
+  const auto& [masses, particle_drags, ends, rest, stiffness, damping, limit, faces, gravity_vector,
+               drag_coefficient, lift_coefficient, times, pins, pinned_path, anchor_particles,
+               anchor_stiffnesses, anchor_dampings, anchor_path, winds] = arrays;
   const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MAX_ROWS);
@@ -71,9 +74,9 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   check_column("limit", limit, springs, false);
   check::shape("triangles", faces, {check::ANY, 3});
   check::at_most("triangles", faces.shape(0), check::MAX_ROWS);
-  check::numbers("gravity", pull, {3});
-  check::finite("air_drag", drag);
-  check::finite("air_lift", lift);
+  check::numbers("gravity", gravity_vector, {3});
+  check::finite("air_drag", drag_coefficient);
+  check::finite("air_lift", lift_coefficient);
   check::shape("knots", times, {check::ANY});
   if (knots.empty()) check::refuse("knots", "there is none");
   check::finite("knots", times);
@@ -88,47 +91,47 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
     lines.springs.push_back({static_cast<std::int32_t>(pair[0]), static_cast<std::int32_t>(pair[1]),
                              rest.data()[s], stiffness.data()[s], damping.data()[s],
                              limit.data()[s]});
-    lines.numbers.push_back(static_cast<std::int32_t>(s));
+    lines.indices.push_back(static_cast<std::int32_t>(s));
   }
   lines.prepare(count);
-  triangles = particles_of("triangles", faces.data(), faces.size(), count);
-  std::copy_n(pull.data(), 3, gravity);
-  pinned = particles_of("pinned", pins.data(), pins.size(), count);
-  pinned_track = track_of("pinned_path", pinned_path, pinned.size(), knots.size());
-  anchors = particles_of("anchors", anchor_particles.data(), anchor_particles.size(), count);
-  anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
-  wind_track = track_of("winds", winds, 1, knots.size());
+  triangles = read_particles("triangles", faces.data(), faces.size(), count);
+  std::copy_n(gravity_vector.data(), 3, gravity);
+  pinned = read_particles("pinned", pins.data(), pins.size(), count);
+  pinned_track = read_track("pinned_path", pinned_path, pinned.size(), knots.size());
+  anchors = read_particles("anchors", anchor_particles.data(), anchor_particles.size(), count);
+  anchor_track = read_track("anchor_path", anchor_path, anchors.size(), knots.size());
+  wind_track = read_track("winds", winds, 1, knots.size());
   collect_edges();
 }
 
 void SpringNetwork::collect_edges() {
-  std::vector<std::array<std::int32_t, 2>> hit;
+  std::vector<std::array<std::int32_t, 2>> edge_pairs;
   for (std::size_t t = 0; t < triangles.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k) {
       const auto [i, j] = std::minmax(triangles[t + k], triangles[t + (k + 1) % 3]);
-      hit.push_back({i, j});
+      edge_pairs.push_back({i, j});
     }
   // Without triangles these are ropes and strands: springs between consecutive particles.
   for (std::size_t s = 0; triangles.empty() && s < lines.springs.size(); ++s) {
     const auto [i, j] = std::minmax(lines.springs[s].i, lines.springs[s].j);
-    if (j == i + 1) hit.push_back({i, j});
+    if (j == i + 1) edge_pairs.push_back({i, j});
   }
-  std::sort(hit.begin(), hit.end());
-  hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
-  for (const auto& pair : hit) edges.insert(edges.end(), pair.begin(), pair.end());
-  if (hit.empty()) return;
+  std::sort(edge_pairs.begin(), edge_pairs.end());
+  edge_pairs.erase(std::unique(edge_pairs.begin(), edge_pairs.end()), edge_pairs.end());
+  for (const auto& edge : edge_pairs) edges.insert(edges.end(), edge.begin(), edge.end());
+  if (edge_pairs.empty()) return;
   for (const Spring& spring : lines.springs) {
     if (!(spring.rest > longest_edge)) continue;
     const auto [i, j] = std::minmax(spring.i, spring.j);
-    if (std::binary_search(hit.begin(), hit.end(), std::array<std::int32_t, 2>{i, j}))
+    if (std::binary_search(edge_pairs.begin(), edge_pairs.end(), std::array<std::int32_t, 2>{i, j}))
       longest_edge = spring.rest;
   }
 }
 
 void SpringNetwork::set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path) {
-  Track holds = track_of("pinned_path", pinned_path, pinned.size(), knots.size());
-  anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
-  pinned_track = std::move(holds);
+  Track new_pinned_track = read_track("pinned_path", pinned_path, pinned.size(), knots.size());
+  anchor_track = read_track("anchor_path", anchor_path, anchors.size(), knots.size());
+  pinned_track = std::move(new_pinned_track);
 }
 
 KnotPosition knot_position(const std::vector<double>& knots, double t) {
@@ -139,23 +142,23 @@ KnotPosition knot_position(const std::vector<double>& knots, double t) {
   return {row, (t - knots[row]) / (knots[row + 1] - knots[row])};
 }
 
-void SpringNetwork::sample_track(const Track& track, const KnotPosition& spot, double* out) {
+void SpringNetwork::sample_track(const Track& track, const KnotPosition& position, double* out) {
   const std::size_t width = 3 * track.points;
-  const double* a = track.rows.data() + (track.constant ? 0 : spot.row * width);
-  if (track.constant || spot.fraction == 0) {
+  const double* a = track.rows.data() + (track.is_constant ? 0 : position.row * width);
+  if (track.is_constant || position.fraction == 0) {
     std::copy_n(a, width, out);
     return;
   }
-  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.fraction;
+  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * position.fraction;
 }
 
-void SpringNetwork::add_anchor_forces(const double* points, const double* speeds, const double* x,
-                                      const double* v, double* forces) const {
+void SpringNetwork::add_anchor_forces(const double* anchor_points, const double* anchor_velocities,
+                                      const double* x, const double* v, double* forces) const {
   for (std::size_t a = 0; a < anchors.size(); ++a) {
-    const std::size_t at = ROW * static_cast<std::size_t>(anchors[a]);
+    const std::size_t row = ROW * static_cast<std::size_t>(anchors[a]);
     for (std::size_t k = 0; k < 3; ++k)
-      forces[at + k] += anchor_stiffness[a] * (points[3 * a + k] - x[at + k]) +
-                        anchor_damping[a] * (speeds[3 * a + k] - v[at + k]);
+      forces[row + k] += anchor_stiffness[a] * (anchor_points[3 * a + k] - x[row + k]) +
+                         anchor_damping[a] * (anchor_velocities[3 * a + k] - v[row + k]);
   }
 }
 
@@ -177,12 +180,13 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
                          a[0] * b[1] - a[1] * b[0]};
     const double area = std::sqrt(dot3(n, n)), speed = std::sqrt(dot3(flow, flow));
     if (!(area > 0) || !(speed > 0)) continue;
-    const double through = dot3(flow, n) / area;
-    const double along = air_drag * std::abs(through) - air_lift * through * through / speed;
-    const double across = air_lift * through * speed / area;
+    const double normal_speed = dot3(flow, n) / area;
+    const double drag_scale =
+        air_drag * std::abs(normal_speed) - air_lift * normal_speed * normal_speed / speed;
+    const double lift_scale = air_lift * normal_speed * speed / area;
     for (std::size_t k = 0; k < 3; ++k) {
       // n is twice the area; each corner gets a third of the force.
-      const double force = (along * flow[k] + across * n[k]) * (area / 6);
+      const double force = (drag_scale * flow[k] + lift_scale * n[k]) * (area / 6);
       for (const std::size_t corner : corners) forces[corner + k] += force;
     }
   }
@@ -191,18 +195,18 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
 void SpringNetwork::set_pinned(double t, double h, const double* before, double* x, double* v,
                                const Strides& strides) const {
   if (pinned.empty()) return;
-  const KnotPosition now = spot(t);
+  const KnotPosition knot = knot_at(t);
   const std::size_t width = 3 * pinned.size();
-  const double* a = pinned_track.rows.data() + (pinned_track.constant ? 0 : now.row * width);
-  const bool between = !pinned_track.constant && now.fraction != 0;
+  const double* a = pinned_track.rows.data() + (pinned_track.is_constant ? 0 : knot.row * width);
+  const bool is_interpolated = !pinned_track.is_constant && knot.fraction != 0;
   for (std::size_t p = 0; p < pinned.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
-      const std::size_t at =
-          strides.particle * static_cast<std::size_t>(pinned[p]) + strides.number * k;
-      double here = a[3 * p + k];
-      if (between) here += (a[width + 3 * p + k] - here) * now.fraction;
-      v[at] = (here - before[at]) / h;
-      x[at] = here;
+      const std::size_t index =
+          strides.particle * static_cast<std::size_t>(pinned[p]) + strides.component * k;
+      double coordinate = a[3 * p + k];
+      if (is_interpolated) coordinate += (a[width + 3 * p + k] - coordinate) * knot.fraction;
+      v[index] = (coordinate - before[index]) / h;
+      x[index] = coordinate;
     }
 }
 
@@ -213,106 +217,111 @@ SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const doubl
       x(size),
       v(size),
       torn(torn0, torn0 + network.lines.springs.size()),
-      points(3 * network.anchors.size()),
-      points_before(3 * network.anchors.size()),
-      speeds(3 * network.anchors.size()) {
+      anchor_points(3 * network.anchors.size()),
+      anchor_points_before(3 * network.anchors.size()),
+      anchor_velocities(3 * network.anchors.size()) {
   for (std::size_t n = 0; n < network.particles(); ++n) {
     std::copy_n(x0 + 3 * n, 3, x.data() + ROW * n);
     std::copy_n(v0 + 3 * n, 3, v.data() + ROW * n);
   }
-  if (std::find(torn.begin(), torn.end(), 1) != torn.end()) exclude_torn();
+  if (std::find(torn.begin(), torn.end(), 1) != torn.end()) remove_torn();
 }
 
 bool SpringRun::tear() {
-  if (!lines().tear) return false;
-  bool hit = false;
-  const SpringLines& now = lines();
-  for (std::size_t s = 0; s < now.springs.size(); ++s) {
-    const Spring& spring = now.springs[s];
+  if (!lines().can_tear) return false;
+  bool has_torn = false;
+  const SpringLines& current = lines();
+  for (std::size_t s = 0; s < current.springs.size(); ++s) {
+    const Spring& spring = current.springs[s];
     const double* p = x.data() + ROW * static_cast<std::size_t>(spring.i);
     const double* q = x.data() + ROW * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
     if (!(dot3(d, d) > spring.limit * spring.limit)) continue;
-    torn[static_cast<std::size_t>(now.numbers[s])] = 1;
-    hit = true;
+    torn[static_cast<std::size_t>(current.indices[s])] = 1;
+    has_torn = true;
   }
-  if (hit) exclude_torn();
-  return hit;
+  if (has_torn) remove_torn();
+  return has_torn;
 }
 
-void SpringRun::exclude_torn() {
+void SpringRun::remove_torn() {
   SpringLines remaining;
   for (std::size_t s = 0; s < torn.size(); ++s) {
     if (torn[s]) continue;
     remaining.springs.push_back(network.lines.springs[s]);
-    remaining.numbers.push_back(static_cast<std::int32_t>(s));
+    remaining.indices.push_back(static_cast<std::int32_t>(s));
   }
   remaining.prepare(network.particles());
-  untorn_ = std::move(remaining);
+  intact_lines_ = std::move(remaining);
 }
 
 void SpringLines::prepare(std::size_t particles) {
-  pulls = SpringForces(springs, particles);
+  forces = SpringForces(springs, particles);
   const std::size_t count = springs.size();
   for (const Spring& spring : springs) {
     ends.push_back(spring.i);
     ends.push_back(spring.j);
     rest.push_back(spring.rest);
-    tear = tear || std::isfinite(spring.limit);
+    can_tear = can_tear || std::isfinite(spring.limit);
   }
   const auto is_independent = [&](std::size_t s) {
-    if (s + WIDE > count) return false;
-    for (std::size_t a = 2 * s; a < 2 * (s + WIDE); ++a)
+    if (s + SIMD_WIDTH > count) return false;
+    for (std::size_t a = 2 * s; a < 2 * (s + SIMD_WIDTH); ++a)
       for (std::size_t b = 2 * s; b < a; ++b)
         if (ends[a] == ends[b]) return false;
     return true;
   };
   for (std::size_t s = 0; s < count;) {
     SpringRunLength run{s, 0, 0};
-    for (; is_independent(s); s += WIDE) ++run.fours;
-    for (; s < count && !is_independent(s); ++s) ++run.ones;
+    for (; is_independent(s); s += SIMD_WIDTH) ++run.group_count;
+    for (; s < count && !is_independent(s); ++s) ++run.single_count;
     runs.push_back(run);
   }
 }
 
 void SpringRun::sample_surroundings(double t, double h) {
-  const KnotPosition now = network.spot(t);
-  SpringNetwork::sample_track(network.wind_track, now, wind);
+  const KnotPosition knot = network.knot_at(t);
+  SpringNetwork::sample_track(network.wind_track, knot, wind);
   if (network.anchors.empty()) return;
-  SpringNetwork::sample_track(network.anchor_track, now, points.data());
-  if (network.anchor_track.constant) {
-    points_before = points;
+  SpringNetwork::sample_track(network.anchor_track, knot, anchor_points.data());
+  if (network.anchor_track.is_constant) {
+    anchor_points_before = anchor_points;
     return;
   }
-  SpringNetwork::sample_track(network.anchor_track, network.spot(t - h), points_before.data());
-  for (std::size_t k = 0; k < points.size(); ++k) speeds[k] = (points[k] - points_before[k]) / h;
+  SpringNetwork::sample_track(network.anchor_track, network.knot_at(t - h),
+                              anchor_points_before.data());
+  for (std::size_t k = 0; k < anchor_points.size(); ++k)
+    anchor_velocities[k] = (anchor_points[k] - anchor_points_before[k]) / h;
 }
 
 bool SpringRun::has_other_forces() const {
-  const bool windy = network.air_drag != 0 || network.air_lift != 0;
-  return lines().pulls.has_unbanded() || !network.anchors.empty() || windy;
+  const bool has_air_forces = network.air_drag != 0 || network.air_lift != 0;
+  return lines().forces.has_unbanded() || !network.anchors.empty() || has_air_forces;
 }
 
-void SpringRun::set_other_forces(const double* at, const double* velocities, double* forces) const {
+void SpringRun::compute_other_forces(const double* positions, const double* velocities,
+                                     double* forces) const {
   std::fill_n(forces, size, 0.0);
-  lines().pulls.add_unbanded(at, velocities, forces);
-  network.add_anchor_forces(points.data(), speeds.data(), at, velocities, forces);
-  network.add_air_forces(wind, at, velocities, forces);
+  lines().forces.add_unbanded(positions, velocities, forces);
+  network.add_anchor_forces(anchor_points.data(), anchor_velocities.data(), positions, velocities,
+                            forces);
+  network.add_air_forces(wind, positions, velocities, forces);
 }
 
-void SpringRun::accelerate(const double* at, const double* velocities, double* out) {
-  lines().pulls.set(at, velocities, buffers_, out);
-  network.add_anchor_forces(points.data(), speeds.data(), at, velocities, out);
-  network.add_air_forces(wind, at, velocities, out);
-  const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
+void SpringRun::accelerate(const double* positions, const double* velocities, double* out) {
+  lines().forces.compute(positions, velocities, buffers_, out);
+  network.add_anchor_forces(anchor_points.data(), anchor_velocities.data(), positions, velocities,
+                            out);
+  network.add_air_forces(wind, positions, velocities, out);
+  const double gravity_row[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
   const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
-  spring_loops().accelerate(particles, network.particles(), fall, velocities, out);
+  spring_loops().accelerate(particles, network.particles(), gravity_row, velocities, out);
 }
 
 namespace {
 
-// Smallest and largest number of springs of a block: springs solved together are close in memory.
-constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
+// Smallest and largest number of springs in a block: springs solved together are close in memory.
+constexpr std::int64_t MIN_BLOCK = 512, MAX_BLOCK = 8192;
 
 }  // namespace
 
@@ -320,13 +329,13 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
                                         std::size_t particles) {
   Groups components(particles);
   for (std::size_t s = 0; s < springs; ++s)
-    components.join(static_cast<std::size_t>(ends[2 * s]),
-                    static_cast<std::size_t>(ends[2 * s + 1]));
+    components.merge(static_cast<std::size_t>(ends[2 * s]),
+                     static_cast<std::size_t>(ends[2 * s + 1]));
   const auto low = [&](std::int64_t s) { return std::min(ends[2 * s], ends[2 * s + 1]); };
   std::vector<std::int64_t> component(springs);
   for (std::size_t s = 0; s < springs; ++s)
     component[s] =
-        static_cast<std::int64_t>(components.first_of(static_cast<std::size_t>(ends[2 * s])));
+        static_cast<std::int64_t>(components.find_root(static_cast<std::size_t>(ends[2 * s])));
   const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
   std::vector<std::int64_t> order(springs), level(springs), block(springs);
   for (std::size_t s = 0; s < springs; ++s) order[s] = static_cast<std::int64_t>(s);
@@ -339,16 +348,17 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
   });
   // A spring is solved after the earlier ones that share a particle with it.
   std::vector<std::int64_t> levels(particles, 0);
-  std::int64_t full = 0, filled = 0, last = -1;
+  std::int64_t block_index = 0, block_size = 0, last_component = -1;
   for (const std::int64_t s : order) {
-    const std::int64_t from = component[static_cast<std::size_t>(s)];
-    if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++full, filled = 0;
-    last = from;
-    ++filled;
+    const std::int64_t spring_component = component[static_cast<std::size_t>(s)];
+    if ((spring_component != last_component && block_size >= MIN_BLOCK) || block_size >= MAX_BLOCK)
+      ++block_index, block_size = 0;
+    last_component = spring_component;
+    ++block_size;
     std::int64_t& a = levels[static_cast<std::size_t>(low(s))];
     std::int64_t& b = levels[static_cast<std::size_t>(high(s))];
     level[static_cast<std::size_t>(s)] = std::max(a, b);
-    block[static_cast<std::size_t>(s)] = full;
+    block[static_cast<std::size_t>(s)] = block_index;
     a = b = std::max(a, b) + 1;
   }
   std::stable_sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {

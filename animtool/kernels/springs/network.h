@@ -13,27 +13,28 @@
 
 namespace animtool {
 
-// Springs in solver order, as columns.
+// Springs in solver order, with their numbers as columns.
 struct SpringLines {
   std::vector<Spring> springs;
-  std::vector<std::int32_t> numbers;  // their indices in the network
+  std::vector<std::int32_t> indices;  // of the springs in the network
   std::vector<std::int32_t> ends;
   std::vector<double> rest;
   std::vector<SpringRunLength> runs;  // groups of four springs without a shared end
-  SpringForces pulls;
-  bool tear = false;  // whether any spring can tear
+  SpringForces forces;
+  bool can_tear = false;  // whether any spring can tear
 
+  // Fills the columns and runs from `springs`.
   void prepare(std::size_t particles);
 };
 
-// Points over knots of time, linear between them and constant outside.
+// Paths of points over knots of time: linear between knots, constant outside of them.
 struct Track {
   std::vector<double> rows;  // (K or 1, P, 3)
   std::size_t points = 0;
-  bool constant = true;
+  bool is_constant = true;
 };
 
-// The knot interval of a time, and the fraction of it.
+// The knot interval that a time is in, and the fraction of it.
 struct KnotPosition {
   std::size_t row;
   double fraction;
@@ -41,12 +42,12 @@ struct KnotPosition {
 
 KnotPosition knot_position(const std::vector<double>& knots, double t);
 
-// Strides between particles, and between the components of one.
+// Array strides from one particle to the next, and from one component to the next.
 struct Strides {
-  std::size_t particle, number;
+  std::size_t particle, component;
 };
 
-// Arrays of a network.
+// Arrays that define a network.
 struct SpringArrays {
   In<double, 1> inverse_masses, drags;
   In<std::int64_t, 2> ends;
@@ -66,13 +67,14 @@ struct SpringArrays {
 struct SpringElements {
   std::vector<double> inverse_masses;
   std::vector<std::int32_t> triangles;
-  // Pairs of particles, ascending: of triangles, or, if there are none, of ropes and strands.
+  // Pairs of particles, ascending: of triangles, or without triangles of ropes and strands.
   std::vector<std::int32_t> edges;
   double longest_edge = 0;  // largest rest length of a spring along an edge [m]
 
   std::size_t particles() const { return inverse_masses.size(); }
 };
 
+// Particles, springs between them, and external forces.
 class SpringNetwork : public SpringElements {
  public:
   explicit SpringNetwork(const SpringArrays& arrays);
@@ -80,18 +82,18 @@ class SpringNetwork : public SpringElements {
   // Replaces the paths of pinned particles and anchors over the same knots.
   void set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
-  KnotPosition spot(double t) const { return knot_position(knots, t); }
-  // Writes the points of a track at a time (P, 3).
-  static void sample_track(const Track& track, const KnotPosition& spot, double* out);
+  KnotPosition knot_at(double t) const { return knot_position(knots, t); }
+  // Computes the points of a track at a time (P, 3).
+  static void sample_track(const Track& track, const KnotPosition& position, double* out);
 
-  // Adds forces [N] of anchors, with their positions and velocities, and of air, with the wind, to
-  // rows of particles.
-  void add_anchor_forces(const double* points, const double* speeds, const double* x,
-                         const double* v, double* forces) const;
+  // Add the forces [N] of anchors, given their positions and velocities, and of air, given the
+  // wind, to rows of particles.
+  void add_anchor_forces(const double* anchor_points, const double* anchor_velocities,
+                         const double* x, const double* v, double* forces) const;
   void add_air_forces(const double* wind, const double* x, const double* v, double* forces) const;
 
-  // Moves pinned particles to their track at a time, with the velocity from their positions before,
-  // which may be the same array.
+  // Moves pinned particles to their track at a time. Their velocity is the displacement from
+  // `before` over h; `before` may be the same array as x.
   void set_pinned(double t, double h, const double* before, double* x, double* v) const {
     set_pinned(t, h, before, x, v, {ROW, 1});
   }
@@ -128,26 +130,26 @@ class SpringRun {
   std::vector<double> x, v;  // in rows
   std::vector<std::uint8_t> torn;
 
-  // Springs that are not torn.
-  const SpringLines& lines() const { return untorn_ ? *untorn_ : network.lines; }
+  // The springs that are not torn.
+  const SpringLines& lines() const { return intact_lines_ ? *intact_lines_ : network.lines; }
 
-  // Samples anchors and wind at a time; velocities are those of the preceding h.
+  // Samples anchors and wind at a time; velocities are those over the preceding h.
   void sample_surroundings(double t, double h);
-  std::vector<double> points, points_before, speeds;
+  std::vector<double> anchor_points, anchor_points_before, anchor_velocities;
   double wind[3] = {0, 0, 0};
 
-  // Whether there are forces other than those of bands, and these forces [N].
+  // Whether there are forces other than those of bands; and computes these forces [N].
   bool has_other_forces() const;
-  void set_other_forces(const double* x, const double* v, double* forces) const;
+  void compute_other_forces(const double* x, const double* v, double* forces) const;
 
-  // Accelerations at a state, in rows; 0 for pinned particles.
+  // Computes accelerations at a state, in rows; 0 for pinned particles.
   void accelerate(const double* x, const double* v, double* out);
 
  private:
-  void exclude_torn();
+  void remove_torn();
 
-  // Springs that are not torn, if some are.
-  std::optional<SpringLines> untorn_;
+  // The springs that are not torn; unset if none is torn.
+  std::optional<SpringLines> intact_lines_;
   ForceBuffers buffers_;
 };
 

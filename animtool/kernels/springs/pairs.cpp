@@ -1,4 +1,4 @@
-// Broad phase of self-contact by a grid.
+// Broad phase of self-contact, by a grid.
 #include "springs/pairs.h"
 
 #include <initializer_list>
@@ -15,131 +15,143 @@ using collide::load;
 using collide::Vec;
 using shapes::row_of;
 
-// A bounding box of points, enlarged by a reach.
+// A bounding box of points, enlarged by a margin.
 struct Box {
   double low[3], high[3];
 
-  Box(std::initializer_list<Vec> points, double reach) {
+  Box(std::initializer_list<Vec> points, double margin) {
     std::fill_n(low, 3, std::numeric_limits<double>::infinity());
     std::fill_n(high, 3, -std::numeric_limits<double>::infinity());
     for (const Vec p : points) {
-      const double at[3] = {p.x, p.y, p.z};
+      const double coordinates[3] = {p.x, p.y, p.z};
       for (std::size_t k = 0; k < 3; ++k) {
-        low[k] = std::min(low[k], at[k] - reach);
-        high[k] = std::max(high[k], at[k] + reach);
+        low[k] = std::min(low[k], coordinates[k] - margin);
+        high[k] = std::max(high[k], coordinates[k] + margin);
       }
     }
   }
 
-  double widest() const { return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]}); }
-  // Whether it overlaps the bounding box of two points.
+  double max_width() const {
+    return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]});
+  }
+  // Whether the box overlaps the bounding box of two points.
   bool overlaps(Vec a, Vec b) const {
     return std::max(a.x, b.x) >= low[0] && std::min(a.x, b.x) <= high[0] &&
            std::max(a.y, b.y) >= low[1] && std::min(a.y, b.y) <= high[1] &&
            std::max(a.z, b.z) >= low[2] && std::min(a.z, b.z) <= high[2];
   }
-  bool has(const double* p) const {
+  // Whether it contains a point.
+  bool contains(const double* p) const {
     return p[0] >= low[0] && p[0] <= high[0] && p[1] >= low[1] && p[1] <= high[1] &&
            p[2] >= low[2] && p[2] <= high[2];
   }
 };
 
 // Builds a grid of points with cells half as wide as the mean box.
-void fill(PointGrid& grid, const std::vector<double>& rows, double widths, std::size_t boxes) {
-  const double mean = widths / static_cast<double>(std::max<std::size_t>(boxes, 1));
+void build_grid(PointGrid& grid, const std::vector<double>& rows, double width_sum,
+                std::size_t box_count) {
+  const double mean = width_sum / static_cast<double>(std::max<std::size_t>(box_count, 1));
   grid.build(rows.data(), rows.size() / ROW, mean / 2);
 }
 
-// Sorts pairs; first indices are below a count.
-void sort(std::vector<LayerPair>& pairs, std::size_t count) {
+// Sorts pairs by both indices; first indices are below `count`.
+void sort_pairs(std::vector<LayerPair>& pairs, std::size_t count) {
   std::vector<std::size_t> starts(count + 1, 0);
-  for (const LayerPair& one : pairs) ++starts[static_cast<std::size_t>(one.first) + 1];
+  for (const LayerPair& pair : pairs) ++starts[static_cast<std::size_t>(pair.first) + 1];
   for (std::size_t i = 0; i < count; ++i) starts[i + 1] += starts[i];
-  std::vector<LayerPair> sorted(pairs.size());
+  std::vector<LayerPair> sorted_pairs(pairs.size());
   std::vector<std::size_t> next(starts.begin(), starts.end() - 1);
-  for (const LayerPair& one : pairs) sorted[next[static_cast<std::size_t>(one.first)]++] = one;
+  for (const LayerPair& pair : pairs)
+    sorted_pairs[next[static_cast<std::size_t>(pair.first)]++] = pair;
   for (std::size_t i = 0; i < count; ++i)
-    std::sort(sorted.begin() + static_cast<std::ptrdiff_t>(starts[i]),
-              sorted.begin() + static_cast<std::ptrdiff_t>(starts[i + 1]),
+    std::sort(sorted_pairs.begin() + static_cast<std::ptrdiff_t>(starts[i]),
+              sorted_pairs.begin() + static_cast<std::ptrdiff_t>(starts[i + 1]),
               [](const LayerPair& a, const LayerPair& b) { return a.second < b.second; });
-  pairs = std::move(sorted);
+  pairs = std::move(sorted_pairs);
 }
 
 }  // namespace
 
-std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
-                                                 const std::vector<double>& x, double reach) {
-  const double max_gap = layers.thickness + reach;
-  const auto box = [&](const shapes::Triangle& t) { return Box({t.a, t.b, t.c}, max_gap); };
-  double widths = 0;
+std::vector<LayerPair> TrianglesAndCorners::find_near(const SpringLayers& layers,
+                                                      const std::vector<double>& x, double margin) {
+  const double max_gap = layers.thickness + margin;
+  const auto triangle_box = [&](const shapes::Triangle& t) {
+    return Box({t.a, t.b, t.c}, max_gap);
+  };
+  double width_sum = 0;
   for (std::size_t t = 0; t < layers.triangles(); ++t)
-    widths += box(shapes::Triangle(layers.corners(t), x.data())).widest();
+    width_sum += triangle_box(shapes::Triangle(layers.corners(t), x.data())).max_width();
   PointGrid grid;
-  fill(grid, x, widths, layers.triangles());
-  std::vector<LayerPair> hit;
+  build_grid(grid, x, width_sum, layers.triangles());
+  std::vector<LayerPair> pairs;
   for (std::size_t t = 0; t < layers.triangles(); ++t) {
     const std::int32_t* corners = layers.corners(t);
     const shapes::Triangle triangle(corners, x.data());
-    const Box bounds = box(triangle);
-    grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* location) {
-      if (!bounds.has(location) || std::find(corners, corners + 3, n) != corners + 3) return;
-      const double gap = triangle.distance(load(location));
+    const Box bounds = triangle_box(triangle);
+    grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* position) {
+      if (!bounds.contains(position) || std::find(corners, corners + 3, n) != corners + 3) return;
+      const double gap = triangle.distance(load(position));
       if (!(gap <= max_gap)) return;
       const double distance = layers.distance(t, n);
-      if (distance > 0 && gap - distance <= reach)
-        hit.push_back({static_cast<std::int32_t>(t), n, distance, gap});
+      if (distance > 0 && gap - distance <= margin)
+        pairs.push_back({static_cast<std::int32_t>(t), n, distance, gap});
     });
   }
-  sort(hit, layers.triangles());
-  return hit;
+  sort_pairs(pairs, layers.triangles());
+  return pairs;
 }
 
-std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers, const std::vector<double>& x,
-                                           double reach) {
-  const double max_gap = layers.max_edge_distance() + reach;
-  std::vector<double> middles(ROW * layers.edges()), lengths(layers.edges());
-  // The longer of two edges finds the shorter, whose midpoint is within this distance.
-  const auto box = [&](const shapes::Segment& edge, double along) {
-    return Box({edge.a, edge.b}, max_gap + along / 2);
+std::vector<LayerPair> EdgesAndEdges::find_near(const SpringLayers& layers,
+                                                const std::vector<double>& x, double margin) {
+  const double max_gap = layers.max_edge_distance() + margin;
+  std::vector<double> midpoints(ROW * layers.edges()), lengths(layers.edges());
+  // The longer of two edges finds the shorter one, whose midpoint is in this box.
+  const auto edge_box = [&](const shapes::Segment& edge, double edge_length) {
+    return Box({edge.a, edge.b}, max_gap + edge_length / 2);
   };
-  double widths = 0;
+  double width_sum = 0;
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const shapes::Segment edge(layers.ends(e), x.data());
-    collide::store(edge.at(0.5), &middles[ROW * e]);
-    lengths[e] = middles[ROW * e + 3] = length(edge.shift());
-    widths += box(edge, lengths[e]).widest();
+    collide::store(edge.point_at(0.5), &midpoints[ROW * e]);
+    lengths[e] = midpoints[ROW * e + 3] = length(edge.vector());
+    width_sum += edge_box(edge, lengths[e]).max_width();
   }
   PointGrid grid;
-  fill(grid, middles, widths, layers.edges());
-  std::vector<LayerPair> hit;
+  build_grid(grid, midpoints, width_sum, layers.edges());
+  std::vector<LayerPair> pairs;
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const std::int32_t* ends = layers.ends(e);
     const shapes::Segment edge(ends, x.data());
-    const Box bounds = box(edge, lengths[e]), close = box(edge, 0);
-    const Vec middle = load(&middles[ROW * e]);
-    grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* location) {
-      // The length follows the midpoint.
-      const double other = location[3], most = max_gap + (lengths[e] + other) / 2;
-      const Vec off = load(location) - middle;
-      if (dot(off, off) > most * most) return;
+    const Box bounds = edge_box(edge, lengths[e]), tight_box = edge_box(edge, 0);
+    const Vec midpoint = load(&midpoints[ROW * e]);
+    grid.visit(bounds.low, bounds.high, [&](std::int32_t n, const double* position) {
+      // The length is stored after the midpoint.
+      const double other_length = position[3],
+                   max_distance = max_gap + (lengths[e] + other_length) / 2;
+      const Vec offset = load(position) - midpoint;
+      if (dot(offset, offset) > max_distance * max_distance) return;
       const auto f = static_cast<std::size_t>(n);
-      if (!(other < lengths[e] || (other == lengths[e] && f < e))) return;
+      if (!(other_length < lengths[e] || (other_length == lengths[e] && f < e))) return;
       const auto [first, second] = std::minmax(e, f);
-      const std::int32_t *one = layers.ends(first), *two = layers.ends(second);
-      if (one[0] == two[0] || one[0] == two[1] || one[1] == two[0] || one[1] == two[1]) return;
-      const std::int32_t* others = layers.ends(f);
-      if (!close.overlaps(row_of(x.data(), others[0]), row_of(x.data(), others[1]))) return;
-      const std::int32_t who[4] = {one[0], one[1], two[0], two[1]};
-      const double gap = length(shapes::EdgePair(who, x.data()).nearest().off);
+      const std::int32_t *first_ends = layers.ends(first), *second_ends = layers.ends(second);
+      if (first_ends[0] == second_ends[0] || first_ends[0] == second_ends[1] ||
+          first_ends[1] == second_ends[0] || first_ends[1] == second_ends[1])
+        return;
+      const std::int32_t* other_ends = layers.ends(f);
+      if (!tight_box.overlaps(row_of(x.data(), other_ends[0]), row_of(x.data(), other_ends[1])))
+        return;
+      const std::int32_t particles[4] = {first_ends[0], first_ends[1], second_ends[0],
+                                         second_ends[1]};
+      const double gap = length(shapes::EdgePair(particles, x.data()).nearest().offset);
       if (!(gap <= max_gap)) return;
       const double distance = layers.edge_distance(first, second);
-      if (distance > 0 && gap - distance <= reach)
-        hit.push_back(
+      if (distance > 0 && gap - distance <= margin)
+        pairs.push_back(
             {static_cast<std::int32_t>(first), static_cast<std::int32_t>(second), distance, gap});
     });
   }
-  sort(hit, layers.edges());
-  return hit;
+  sort_pairs(pairs, layers.edges());
+  return pairs;
 }
 
 }  // namespace animtool

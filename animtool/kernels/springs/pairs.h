@@ -12,73 +12,75 @@
 
 namespace animtool {
 
-// Indices of a triangle and a corner, or of two edges, the distance that they keep, and their gap.
+// A triangle and a corner, or two edges: their indices, the distance that they keep, and their gap.
 struct LayerPair {
   std::int32_t first, second;
   double distance, gap;
 };
 
 using FourParticles = std::array<std::int32_t, 4>;
-// Elements, and the elements that they pierce.
-using Through = std::vector<std::pair<std::int32_t, std::int32_t>>;
+// Elements, each with an element that it crosses; sorted.
+using Crossings = std::vector<std::pair<std::int32_t, std::int32_t>>;
 
-// Triangles, and corners of others.
+// Triangles, and corners of other triangles.
 struct TrianglesAndCorners {
   using Shape = shapes::CornerPair;
-  static constexpr std::size_t FIRST =
+  static constexpr std::size_t FIRST_COUNT =
       1;  // number of the four particles that belong to the first element
 
-  static FourParticles who(const SpringLayers& layers, std::int32_t triangle,
-                           std::int32_t particle) {
-    const std::int32_t* of = layers.corners(static_cast<std::size_t>(triangle));
-    return {particle, of[0], of[1], of[2]};
+  static FourParticles particles(const SpringLayers& layers, std::int32_t triangle,
+                                 std::int32_t particle) {
+    const std::int32_t* corners = layers.corners(static_cast<std::size_t>(triangle));
+    return {particle, corners[0], corners[1], corners[2]};
   }
-  // Records a piercing, and tests whether a pair is next to one.
-  static void note(Through& through, std::int32_t triangle, std::int32_t particle) {
-    through.push_back({particle, triangle});
+  // Records a crossing; and tests whether a pair is next to one.
+  static void record_crossing(Crossings& crossings, std::int32_t triangle, std::int32_t particle) {
+    crossings.push_back({particle, triangle});
   }
-  template <class IsThrough>
-  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t triangle,
-                                 std::int32_t particle, IsThrough is_through) {
-    return is_through(particle, [&](std::int32_t other) {
-      const std::int32_t *one = layers.corners(static_cast<std::size_t>(triangle)),
-                         *two = layers.corners(static_cast<std::size_t>(other));
-      return std::find_first_of(one, one + 3, two, two + 3) != one + 3;
+  template <class HasCrossed>
+  static bool is_next_to_crossing(const SpringLayers& layers, std::int32_t triangle,
+                                  std::int32_t particle, HasCrossed has_crossed) {
+    return has_crossed(particle, [&](std::int32_t other) {
+      const std::int32_t *corners = layers.corners(static_cast<std::size_t>(triangle)),
+                         *other_corners = layers.corners(static_cast<std::size_t>(other));
+      return std::find_first_of(corners, corners + 3, other_corners, other_corners + 3) !=
+             corners + 3;
     });
   }
-  // Pairs within a reach beyond their contact distance, sorted.
-  static std::vector<LayerPair> near(const SpringLayers& layers, const std::vector<double>& x,
-                                     double reach);
+  // Pairs that are closer than their contact distance plus a margin, sorted.
+  static std::vector<LayerPair> find_near(const SpringLayers& layers, const std::vector<double>& x,
+                                          double margin);
 };
 
 // Edges, and edges with a higher index.
 struct EdgesAndEdges {
   using Shape = shapes::EdgePair;
-  static constexpr std::size_t FIRST = 2;
+  static constexpr std::size_t FIRST_COUNT = 2;
 
-  static FourParticles who(const SpringLayers& layers, std::int32_t first, std::int32_t second) {
-    const std::int32_t *one = layers.ends(static_cast<std::size_t>(first)),
-                       *other = layers.ends(static_cast<std::size_t>(second));
-    return {one[0], one[1], other[0], other[1]};
+  static FourParticles particles(const SpringLayers& layers, std::int32_t first,
+                                 std::int32_t second) {
+    const std::int32_t *first_ends = layers.ends(static_cast<std::size_t>(first)),
+                       *second_ends = layers.ends(static_cast<std::size_t>(second));
+    return {first_ends[0], first_ends[1], second_ends[0], second_ends[1]};
   }
-  static void note(Through& through, std::int32_t first, std::int32_t second) {
-    through.push_back({first, second});
-    through.push_back({second, first});
+  static void record_crossing(Crossings& crossings, std::int32_t first, std::int32_t second) {
+    crossings.push_back({first, second});
+    crossings.push_back({second, first});
   }
-  template <class IsThrough>
-  static bool is_next_to_crossed(const SpringLayers& layers, std::int32_t first,
-                                 std::int32_t second, IsThrough is_through) {
-    const auto relative = [&](std::int32_t edge) {
+  template <class HasCrossed>
+  static bool is_next_to_crossing(const SpringLayers& layers, std::int32_t first,
+                                  std::int32_t second, HasCrossed has_crossed) {
+    const auto touches_edge = [&](std::int32_t edge) {
       return [&layers, edge](std::int32_t other) {
-        const std::int32_t *one = layers.ends(static_cast<std::size_t>(edge)),
-                           *two = layers.ends(static_cast<std::size_t>(other));
-        return std::find_first_of(one, one + 2, two, two + 2) != one + 2;
+        const std::int32_t *ends = layers.ends(static_cast<std::size_t>(edge)),
+                           *other_ends = layers.ends(static_cast<std::size_t>(other));
+        return std::find_first_of(ends, ends + 2, other_ends, other_ends + 2) != ends + 2;
       };
     };
-    return is_through(first, relative(second)) || is_through(second, relative(first));
+    return has_crossed(first, touches_edge(second)) || has_crossed(second, touches_edge(first));
   }
-  static std::vector<LayerPair> near(const SpringLayers& layers, const std::vector<double>& x,
-                                     double reach);
+  static std::vector<LayerPair> find_near(const SpringLayers& layers, const std::vector<double>& x,
+                                          double margin);
 };
 
 }  // namespace animtool

@@ -1,4 +1,4 @@
-// Edges that pierce triangles.
+// Counts edges that pierce triangles.
 #include <algorithm>
 #include <optional>
 #include <utility>
@@ -12,18 +12,20 @@ namespace animtool {
 
 namespace {
 
-std::vector<std::int32_t> edges_of(const std::vector<std::int32_t>& corners) {
-  std::vector<std::pair<std::int32_t, std::int32_t>> hit;
+// The edges of triangles, as pairs of corners.
+std::vector<std::int32_t> collect_edges(const std::vector<std::int32_t>& corners) {
+  std::vector<std::pair<std::int32_t, std::int32_t>> edge_pairs;
   for (std::size_t t = 0; t < corners.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k)
-      hit.push_back(std::minmax({corners[t + k], corners[t + (k + 1) % 3]}));
-  std::sort(hit.begin(), hit.end());
-  hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
+      edge_pairs.push_back(std::minmax({corners[t + k], corners[t + (k + 1) % 3]}));
+  std::sort(edge_pairs.begin(), edge_pairs.end());
+  edge_pairs.erase(std::unique(edge_pairs.begin(), edge_pairs.end()), edge_pairs.end());
   std::vector<std::int32_t> ends;
-  for (const auto& [i, j] : hit) ends.insert(ends.end(), {i, j});
+  for (const auto& [i, j] : edge_pairs) ends.insert(ends.end(), {i, j});
   return ends;
 }
 
+// Checks and converts the corners of triangles.
 std::vector<std::int32_t> checked_corners(const char* name, In<std::int64_t, 2> triangles,
                                           std::size_t count) {
   check::shape(name, triangles, {check::ANY, 3});
@@ -43,13 +45,14 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
   std::vector<double> x(ROW * count);
   for (std::size_t n = 0; n < count; ++n)
     std::copy_n(positions.data() + 3 * n, 3, x.data() + ROW * n);
-  const auto pierced = [&x](const std::vector<std::int32_t>& by,
-                            const std::vector<std::int32_t>& in) {
-    return static_cast<std::int64_t>(pierced_pairs(x, edges_of(by), in).size());
+  const auto count_piercings = [&x](const std::vector<std::int32_t>& edge_corners,
+                                    const std::vector<std::int32_t>& face_corners) {
+    return static_cast<std::int64_t>(
+        find_piercings(x, collect_edges(edge_corners), face_corners).size());
   };
-  if (!others) return pierced(corners, corners);
-  const std::vector<std::int32_t> more = checked_corners("others", *others, count);
-  return pierced(corners, more) + pierced(more, corners);
+  if (!others) return count_piercings(corners, corners);
+  const std::vector<std::int32_t> other_corners = checked_corners("others", *others, count);
+  return count_piercings(corners, other_corners) + count_piercings(other_corners, corners);
 }
 
 }  // namespace animtool

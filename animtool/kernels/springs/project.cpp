@@ -16,34 +16,36 @@ namespace animtool {
 
 namespace {
 
-// Calm cells after which half as many steps are tried.
+// Number of consecutive calm cells after which half as many steps are tried.
 constexpr int RELAXED_CELLS = 120;
 // Strain, relative to the limit, below which a cell is calm.
 constexpr double RELAXED_FRACTION = 0.125;
-// Ratio of strain to its part beyond compliance above which it counts as compliance.
-constexpr double COMPLIANT = 2;
-// Springs with a compliance below this fraction of the correction count as stiff [1].
-constexpr double RIGID = 0.1;
+// A strain counts as compliance if it exceeds the strain beyond the compliance by this factor.
+constexpr double COMPLIANT_RATIO = 2;
+// Springs count as stiff if their compliance is below this fraction of the correction [1].
+constexpr double STIFF_FRACTION = 0.1;
 // Passes of strain limiting in a step.
 constexpr int LIMIT_PASSES = 4;
-// Strain that contacts may add, over the limit, and passes of reducing it.
-constexpr double LAST_LIMIT = 1.4;
-constexpr int LAST_PASSES = 2;
-// Strain over the limit above which a cell is repeated in shorter steps, and ratio of strains
-// below which these help.
-constexpr double BEYOND_LIMIT = 2, MIN_IMPROVEMENT = 0.7;
+// Strain that contacts may cause, over the limit; and passes that reduce it.
+constexpr double CONTACT_LIMIT = 1.4;
+constexpr int CONTACT_PASSES = 2;
+// A cell is repeated in shorter steps if its strain exceeds the limit by this factor; shorter steps
+// help if they reduce the strain to this ratio.
+constexpr double MAX_EXCESS = 2, MIN_IMPROVEMENT = 0.7;
 
-// Correction factors of a spring in a step of h: of its elongation, and of the change of it.
+// Correction factors of a spring in a step of h: of its elongation, and of the change of its
+// elongation.
 struct Compliance {
   double length, change;
 };
 
 Compliance compliance_of(double stiffness, double damping, double weight, double h) {
   const double k = stiffness * h * h, c = damping * h;
-  const double full = (k + c) * weight + 1;
-  return {k / full, c / full};
+  const double divisor = (k + c) * weight + 1;
+  return {k / divisor, c / divisor};
 }
 
+// Advances a run by projecting springs.
 class Projection {
  public:
   Projection(SpringRun& run, double cell, double limit, SpringContacts& contacts,
@@ -53,228 +55,242 @@ class Projection {
         self_(self),
         cell_(cell),
         limit_(limit),
-        before_(run.size) {}
+        positions_before_(run.size) {}
 
-  // Advances a cell in a number of steps; returns the largest strain of a spring that is not mostly
+  // Advances a cell in a number of steps. Returns the largest strain of a spring that is not mostly
   // due to its own compliance under load.
   double advance_cell(std::int64_t index, double start, int substeps) {
     prepare(substeps);
     const double h = cell_ / substeps;
     contacts_.begin_cell(index, substeps, h);
     self_.begin_cell(index, run_.x);
-    for (int j = 0; j < substeps; ++j) {
-      const double t = start + j * h;
+    for (int step = 0; step < substeps; ++step) {
+      const double t = start + step * h;
       run_.sample_surroundings(t + h, h);
-      if (limit_ > 0) start_ = run_.x;
+      if (limit_ > 0) step_start_ = run_.x;
       predict(h);
-      run_.network.set_pinned(t + h, h, before_.data(), run_.x.data(), run_.v.data());
-      project(j + 1 < substeps ? nullptr : excess_.data());
+      run_.network.set_pinned(t + h, h, positions_before_.data(), run_.x.data(), run_.v.data());
+      project(step + 1 < substeps ? nullptr : elongations_.data());
       pull_anchors();
       limit_strains(limit_);
-      self_.separate(h, before_, run_.x);
-      resolve(j, h);
-      self_.record_crossings(before_, run_.x);
+      self_.separate(h, positions_before_, run_.x);
+      resolve(step, h);
+      self_.record_piercings(positions_before_, run_.x);
       const double rate = 1 / h;
-      for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
-      damp_edge_speeds();
+      for (std::size_t k = 0; k < run_.size; ++k)
+        run_.v[k] = (run_.x[k] - positions_before_[k]) * rate;
+      damp_stiff_springs();
     }
-    return largest_strain();
+    return max_strain();
   }
 
-  void forget() { prepared_ = 0; }
+  // Recomputes the factors of springs before the next cell.
+  void invalidate() { prepared_substeps_ = 0; }
 
  private:
+  // Computes the factors of springs for a number of steps per cell.
   void prepare(int substeps) {
-    if (prepared_ == substeps) return;
-    prepared_ = substeps;
+    if (prepared_substeps_ == substeps) return;
+    prepared_substeps_ = substeps;
     const double h = cell_ / substeps;
     const auto& masses = run_.network.inverse_masses;
-    lengths_.clear();
-    changes_.clear();
+    length_factors_.clear();
+    change_factors_.clear();
     weights_.clear();
     for (const Spring& spring : run_.lines().springs) {
       weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
       weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
-      const double both = *(weights_.end() - 2) + weights_.back();
-      const Compliance compliance = compliance_of(spring.stiffness, spring.damping, both, h);
-      lengths_.push_back(compliance.length);
-      changes_.push_back(compliance.change);
+      const double weight_sum = *(weights_.end() - 2) + weights_.back();
+      const Compliance compliance = compliance_of(spring.stiffness, spring.damping, weight_sum, h);
+      length_factors_.push_back(compliance.length);
+      change_factors_.push_back(compliance.change);
     }
-    anchor_compliances_.clear();
+    anchor_factors_.clear();
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
-      anchor_compliances_.push_back(
+      anchor_factors_.push_back(
           compliance_of(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
                         masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
-    excess_.assign(run_.lines().springs.size(), 0.0);
-    collect_limited();
+    elongations_.assign(run_.lines().springs.size(), 0.0);
+    collect_stiff_springs();
   }
 
   // Collects stiff springs, with the weights of their ends.
-  void collect_limited() {
-    limited_.clear();
+  void collect_stiff_springs() {
+    stiff_springs_.clear();
     if (!(limit_ > 0)) return;
     for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
       const Spring& spring = run_.lines().springs[s];
-      const double first = weights_[2 * s], last = weights_[2 * s + 1], both = first + last;
-      if (!(spring.rest > 0) || !(lengths_[s] * both > 1 - RIGID)) continue;
-      limited_.push_back({ROW * static_cast<std::size_t>(spring.i),
-                          ROW * static_cast<std::size_t>(spring.j), spring.rest, first / both,
-                          last / both});
+      const double first_weight = weights_[2 * s], last_weight = weights_[2 * s + 1],
+                   weight_sum = first_weight + last_weight;
+      if (!(spring.rest > 0) || !(length_factors_[s] * weight_sum > 1 - STIFF_FRACTION)) continue;
+      stiff_springs_.push_back({ROW * static_cast<std::size_t>(spring.i),
+                                ROW * static_cast<std::size_t>(spring.j), spring.rest,
+                                first_weight / weight_sum, last_weight / weight_sum});
     }
   }
 
+  // Moves particles by their velocities, gravity, air and drag.
   void predict(double h) {
     const SpringNetwork& network = run_.network;
-    before_ = run_.x;
-    const bool windy =
+    positions_before_ = run_.x;
+    const bool has_air_forces =
         (network.air_drag != 0 || network.air_lift != 0) && !network.triangles.empty();
-    if (windy) {
+    if (has_air_forces) {
       forces_.assign(run_.size, 0.0);
       network.add_air_forces(run_.wind, run_.x.data(), run_.v.data(), forces_.data());
     }
-    const double fall[3] = {h * network.gravity[0], h * network.gravity[1], h * network.gravity[2]};
+    const double gravity_step[3] = {h * network.gravity[0], h * network.gravity[1],
+                                    h * network.gravity[2]};
     double *x = run_.x.data(), *v = run_.v.data();
     for (std::size_t n = 0; n < network.particles(); ++n) {
-      const double inverse = network.inverse_masses[n];
-      if (inverse == 0) continue;
-      const double slowed = 1 / (1 + h * network.drags[n]);
+      const double inverse_mass = network.inverse_masses[n];
+      if (inverse_mass == 0) continue;
+      const double drag_factor = 1 / (1 + h * network.drags[n]);
       for (std::size_t k = 0; k < 3; ++k) {
-        double speed = v[ROW * n + k] + fall[k];
-        if (windy) speed += h * inverse * forces_[ROW * n + k];
-        x[ROW * n + k] += h * (speed * slowed);
+        double velocity = v[ROW * n + k] + gravity_step[k];
+        if (has_air_forces) velocity += h * inverse_mass * forces_[ROW * n + k];
+        x[ROW * n + k] += h * (velocity * drag_factor);
       }
     }
   }
 
-  void project(double* excess) {
+  // Corrects all springs once; stores their elongations unless null.
+  void project(double* elongations) {
     const SpringLines& lines = run_.lines();
-    const ComplianceColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
-                                    changes_.data(), weights_.data()};
+    const ComplianceColumns columns{lines.ends.data(), lines.rest.data(), length_factors_.data(),
+                                    change_factors_.data(), weights_.data()};
     spring_loops().project(columns, lines.runs.data(), lines.runs.size(), run_.x.data(),
-                           before_.data(), excess);
+                           positions_before_.data(), elongations);
   }
 
-  // Resolves contacts with colliders and, if strain is limited, piercing and the strain that
-  // contacts caused.
+  // Resolves contacts with colliders. If strain is limited, also prevents piercing, and reduces the
+  // strain that contacts cause.
   void resolve(int step, double h) {
-    contacts_.resolve(step, before_, run_.x, nullptr);
+    contacts_.resolve(step, positions_before_, run_.x, nullptr);
     if (!(limit_ > 0)) return;
     const auto resolve_contacts = [&] {
-      contacts_.resolve(step, before_, run_.x, nullptr, &moved_);
+      contacts_.resolve(step, positions_before_, run_.x, nullptr, &is_moved_);
     };
-    moved_.assign(run_.network.particles(), 1);
-    self_.prevent_piercing(h, start_, before_, run_.x, moved_, resolve_contacts);
-    for (int pass = 0; pass < LAST_PASSES; ++pass) {
-      std::fill(moved_.begin(), moved_.end(), 0);
-      if (!limit_strains(LAST_LIMIT * limit_, &moved_)) return;
+    is_moved_.assign(run_.network.particles(), 1);
+    self_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_, resolve_contacts);
+    for (int pass = 0; pass < CONTACT_PASSES; ++pass) {
+      std::fill(is_moved_.begin(), is_moved_.end(), 0);
+      if (!limit_strains(CONTACT_LIMIT * limit_, &is_moved_)) return;
       resolve_contacts();
-      self_.prevent_piercing(h, start_, before_, run_.x, moved_, resolve_contacts);
+      self_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
+                             resolve_contacts);
     }
   }
 
   void pull_anchors() {
     const SpringNetwork& network = run_.network;
     for (std::size_t a = 0; a < network.anchors.size(); ++a) {
-      const std::size_t at = ROW * static_cast<std::size_t>(network.anchors[a]);
-      const double inverse = network.inverse_masses[at / ROW];
+      const std::size_t row = ROW * static_cast<std::size_t>(network.anchors[a]);
+      const double inverse_mass = network.inverse_masses[row / ROW];
       for (std::size_t k = 0; k < 3; ++k) {
-        const double off = run_.points[3 * a + k] - run_.x[at + k];
-        const double displacement = off - (run_.points_before[3 * a + k] - before_[at + k]);
-        run_.x[at + k] += inverse * (anchor_compliances_[a].length * off +
-                                     anchor_compliances_[a].change * displacement);
+        const double offset = run_.anchor_points[3 * a + k] - run_.x[row + k];
+        const double offset_change =
+            offset - (run_.anchor_points_before[3 * a + k] - positions_before_[row + k]);
+        run_.x[row + k] += inverse_mass * (anchor_factors_[a].length * offset +
+                                           anchor_factors_[a].change * offset_change);
       }
     }
   }
 
-  // Clamps the strain of stiff springs; both ends move, so that momentum is conserved. Returns
-  // whether any moved; those are marked.
+  // Clamps the strain of stiff springs. Both ends move, so that momentum is conserved. Returns
+  // whether any particle moved, and marks those that did.
   bool limit_strains(double limit, std::vector<std::uint8_t>* marks = nullptr) {
-    bool moved = false;
+    bool has_moved = false;
     for (int pass = 0; pass < LIMIT_PASSES; ++pass) {
-      bool any = false;
-      for (const LimitedEdge& one : limited_) {
-        double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
+      bool has_corrected = false;
+      for (const StiffSpring& spring : stiff_springs_) {
+        double *p = run_.x.data() + spring.i, *q = run_.x.data() + spring.j;
         const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-        const double square = dot3(d, d), low = one.rest * (1 - limit),
-                     high = one.rest * (1 + limit);
-        if (!(square > high * high || (square < low * low && square > 0))) continue;
+        const double square = dot3(d, d), min_length = spring.rest_length * (1 - limit),
+                     max_length = spring.rest_length * (1 + limit);
+        if (!(square > max_length * max_length || (square < min_length * min_length && square > 0)))
+          continue;
         const double length = std::sqrt(square);
-        const double by = (length - std::clamp(length, low, high)) / length;
+        const double correction = (length - std::clamp(length, min_length, max_length)) / length;
         for (std::size_t k = 0; k < 3; ++k) {
-          p[k] += one.first * by * d[k];
-          q[k] -= one.last * by * d[k];
+          p[k] += spring.first_weight * correction * d[k];
+          q[k] -= spring.last_weight * correction * d[k];
         }
-        if (marks) (*marks)[one.i / ROW] = (*marks)[one.j / ROW] = 1;
-        any = true;
+        if (marks) (*marks)[spring.i / ROW] = (*marks)[spring.j / ROW] = 1;
+        has_corrected = true;
       }
-      if (!any) break;
-      moved = true;
+      if (!has_corrected) break;
+      has_moved = true;
     }
-    return moved;
+    return has_moved;
   }
 
-  // Removes the relative speed of ends along stiff edges, so that strain limiting adds no speed.
-  void damp_edge_speeds() {
-    for (const LimitedEdge& one : limited_) {
-      const double *p = run_.x.data() + one.i, *q = run_.x.data() + one.j;
-      double *u = run_.v.data() + one.i, *v = run_.v.data() + one.j;
+  // Removes the relative velocity of ends along stiff springs, so that strain limiting adds no
+  // speed.
+  void damp_stiff_springs() {
+    for (const StiffSpring& spring : stiff_springs_) {
+      const double *p = run_.x.data() + spring.i, *q = run_.x.data() + spring.j;
+      double *u = run_.v.data() + spring.i, *v = run_.v.data() + spring.j;
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-      const double over[3] = {v[0] - u[0], v[1] - u[1], v[2] - u[2]};
+      const double relative[3] = {v[0] - u[0], v[1] - u[1], v[2] - u[2]};
       const double square = dot3(d, d);
       if (!(square > 0)) continue;
-      const double by = dot3(d, over) / square;
+      const double correction = dot3(d, relative) / square;
       for (std::size_t k = 0; k < 3; ++k) {
-        u[k] += one.first * by * d[k];
-        v[k] -= one.last * by * d[k];
+        u[k] += spring.first_weight * correction * d[k];
+        v[k] -= spring.last_weight * correction * d[k];
       }
     }
   }
 
-  double largest_strain() const {
-    double most = 0;
+  // Largest strain that is not mostly due to compliance.
+  double max_strain() const {
+    double largest = 0;
     for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
       const Spring& spring = run_.lines().springs[s];
       if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
       const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
       const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-      const double square = dot3(d, d), bound = spring.rest * (1 + most);
+      const double square = dot3(d, d), bound = spring.rest * (1 + largest);
       if (square <= bound * bound) continue;
-      const double beyond = std::sqrt(square) - spring.rest;
-      const double compliance = std::max(0.0, excess_[s]);
-      most = std::max(most, std::min(beyond, COMPLIANT * (beyond - compliance)) / spring.rest);
+      const double elongation = std::sqrt(square) - spring.rest;
+      const double load_elongation = std::max(0.0, elongations_[s]);
+      largest =
+          std::max(largest, std::min(elongation, COMPLIANT_RATIO * (elongation - load_elongation)) /
+                                spring.rest);
       if (square != square) return std::numeric_limits<double>::infinity();
     }
-    return most;
+    return largest;
   }
 
   SpringRun& run_;
   SpringContacts& contacts_;
   SelfContacts& self_;
   double cell_, limit_;
-  int prepared_ = 0;
-  struct LimitedEdge {
-    std::size_t i, j;  // rows
-    double rest, first, last;
+  int prepared_substeps_ = 0;
+  struct StiffSpring {
+    std::size_t i, j;  // offsets of rows
+    double rest_length, first_weight, last_weight;
   };
-  std::vector<LimitedEdge> limited_;
-  std::vector<double> start_;        // positions at the start of a step
-  std::vector<std::uint8_t> moved_;  // particles moved since the last test
-  std::vector<double> before_, forces_, lengths_, changes_, weights_;
-  std::vector<double> excess_;  // elongation of springs right after their correction
-  std::vector<Compliance> anchor_compliances_;
+  std::vector<StiffSpring> stiff_springs_;
+  std::vector<double> step_start_;      // positions at the start of a step
+  std::vector<std::uint8_t> is_moved_;  // particles moved since the last test
+  std::vector<double> positions_before_, forces_, length_factors_, change_factors_, weights_;
+  std::vector<double> elongations_;  // elongation of springs right after their correction
+  std::vector<Compliance> anchor_factors_;
 };
 
 }  // namespace
 
-SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
-                                 In<std::uint8_t, 1> torn, double origin, std::int64_t first,
-                                 double cell, std::int64_t cells, int substeps, int calm,
-                                 int min_substeps, int max_substeps, double stretch,
-                                 const std::optional<SpringColliders>& colliders,
-                                 const SpringLayers* layers, In<std::int64_t, 2> crossed,
-                                 double limit) {
-  const Cells grid{origin, first, cell, cells};
+SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> state,
+                                    In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                                    double cell, std::int64_t cells, int substeps, int calm,
+                                    int min_substeps, int max_substeps, double stretch,
+                                    const std::optional<SpringColliders>& colliders,
+                                    const SpringLayers* layers, In<std::int64_t, 2> crossed,
+                                    double limit) {
+  const CellGrid grid{origin, first, cell, cells};
   check::between("max_substeps", max_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check::between("min_substeps", min_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check_cells(grid, substeps);
@@ -283,7 +299,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
   check::not_negative("limit", limit);
   check::finite("state", state);
-  SpringRun run = begin_springs(network, state, torn);
+  SpringRun run = build_run(network, state, torn);
   SpringContacts contacts(colliders, network, cells, limit > 0);
   SelfContacts self(layers, network, crossed, limit > 0);
   double largest_strain = 0;
@@ -295,36 +311,37 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     v = run.v;
     double strain = projection.advance_cell(i, grid.start(i), substeps);
     total_steps += substeps;
-    const double bound = limit > 0 ? std::max(stretch, BEYOND_LIMIT * limit) : stretch;
-    const auto has_new_crossings = [&] {
-      return limit > 0 && self.crossings() > self.start_crossings();
+    const double bound = limit > 0 ? std::max(stretch, MAX_EXCESS * limit) : stretch;
+    const auto has_new_piercings = [&] {
+      return limit > 0 && self.piercing_count() > self.start_piercing_count();
     };
-    bool improves = true;
-    while ((!(strain <= bound) || has_new_crossings()) && substeps < max_substeps && improves) {
+    bool is_improving = true;
+    while ((!(strain <= bound) || has_new_piercings()) && substeps < max_substeps && is_improving) {
       substeps = std::min(2 * substeps, max_substeps);
       calm = 0;
       run.x = x;
       run.v = v;
-      const double last = strain;
+      const double previous_strain = strain;
       strain = projection.advance_cell(i, grid.start(i), substeps);
       total_steps += substeps;
       // Shorter steps do not reduce the strain that contacts and pinned particles impose.
-      if (limit > 0) improves = has_new_crossings() || strain <= MIN_IMPROVEMENT * last;
+      if (limit > 0)
+        is_improving = has_new_piercings() || strain <= MIN_IMPROVEMENT * previous_strain;
     }
-    if (limit > 0 && strain <= bound && !has_new_crossings() && substeps > min_substeps)
+    if (limit > 0 && strain <= bound && !has_new_piercings() && substeps > min_substeps)
       substeps = std::max(substeps / 2, min_substeps);
     largest_strain = std::max(largest_strain, strain);
-    self.record_piercing();
+    self.update_max_counts();
     calm = strain <= RELAXED_FRACTION * stretch ? calm + 1 : 0;
     if (calm >= RELAXED_CELLS && substeps > min_substeps) {
       substeps = std::max(substeps / 2, min_substeps);
       calm = 0;
     }
-    if (run.tear()) projection.forget();
+    if (run.tear()) projection.invalidate();
   }
-  return {ended_state(run), ended_torn(run), substeps,           calm,
-          largest_strain,   total_steps,     contacts.touched,   contacts.unresolved,
-          self.ended(),     self.piercing(), contacts.impulses()};
+  return {copy_state(run),  copy_torn(run),    substeps,           calm,
+          largest_strain,   total_steps,       contacts.touched,   contacts.unresolved,
+          self.piercings(), self.max_counts(), contacts.impulses()};
 }
 
 }  // namespace animtool

@@ -1,4 +1,4 @@
-// Springs four at a time: rows of particles (N, 4), of which the last number is 0.
+// Loops over springs, four at a time, on rows of particles (N, 4); the last number of a row is 0.
 #pragma once
 
 #include <cstddef>
@@ -8,183 +8,192 @@
 
 namespace animtool {
 
-// Numbers of a particle.
+// Doubles per particle.
 constexpr std::size_t ROW = 4;
 
-// Springs as columns; both ends are adjacent.
+// Springs as columns; the ends of a spring are adjacent.
 struct SpringColumns {
   const std::int32_t* ends;
   const double *rest, *stiffness, *damping;
 };
 
-// Springs in a step of extended position based dynamics.
+// Springs as columns, for a step of extended position based dynamics.
 struct ComplianceColumns {
   const std::int32_t* ends;
-  const double *rest, *length, *change;
-  // Weights of both ends, adjacent.
+  const double *rest, *length_factors, *change_factors;
+  // Inverse masses of both ends, adjacent.
   const double* weights;
 };
 
-// Forces of springs over their lengths, from squared lengths, and from relative velocities of the
-// ends dotted with the offsets. Coincident ends have no direction, and no force.
+// Forces of springs over their lengths, from squared lengths, and from dot products of relative
+// velocities and offsets of the ends. Coincident ends have no direction, and no force.
 template <class N>
-N force_over_length(const N& rest, const N& stiffness, const N& damping, const N& square,
-                    const N& closing) {
-  const N over = inverse(square), length = rest * (sqrt(square) * over);
-  return stiffness * (1.0 - length) + damping * (closing * over);
+N force_over_length(const N& rest, const N& stiffness, const N& damping, const N& squared_length,
+                    const N& velocity_dot_offset) {
+  const N inverse_square = inverse(squared_length),
+          rest_ratio = rest * (sqrt(squared_length) * inverse_square);
+  return stiffness * (1.0 - rest_ratio) + damping * (velocity_dot_offset * inverse_square);
 }
 
-// A single particle or spring, for code that works on several.
-template <class On>
-using One = Wide<double, 1, On>;
+// A single number, for templates that also work on several.
+template <class Simd>
+using Single = Wide<double, 1, Simd>;
 
-template <class On>
-Vector3<One<On>> row_at(const double* from) {
-  return {from[0], from[1], from[2]};
+// Loads the first three numbers of a row.
+template <class Simd>
+Vector3<Single<Simd>> load_row(const double* row) {
+  return {row[0], row[1], row[2]};
 }
-template <class On>
-void add_to_row(const Vector3<One<On>>& shift, double* row) {
-  (One<On>::of(row) + shift.x).store(row);
-  (One<On>::of(row + 1) + shift.y).store(row + 1);
-  (One<On>::of(row + 2) + shift.z).store(row + 2);
+template <class Simd>
+void add_to_row(const Vector3<Single<Simd>>& change, double* row) {
+  (Single<Simd>::load(row) + change.x).store(row);
+  (Single<Simd>::load(row + 1) + change.y).store(row + 1);
+  (Single<Simd>::load(row + 2) + change.z).store(row + 2);
 }
 
 // Adds the forces of springs to rows of particles.
-template <class On>
+template <class Simd>
 void add_forces(const SpringColumns& springs, std::size_t count, const double* x, const double* v,
                 double* forces) {
-  using N = Four<On>;
+  using N = Four<Simd>;
   std::size_t s = 0;
-  for (; s + WIDE <= count; s += WIDE) {
+  for (; s + SIMD_WIDTH <= count; s += SIMD_WIDTH) {
     const std::int32_t* ends = springs.ends + 2 * s;
-    N d[WIDE], e[WIDE];
-    for (std::size_t l = 0; l < WIDE; ++l) {
+    N d[SIMD_WIDTH], e[SIMD_WIDTH];
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
       const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
       const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-      d[l] = N::of(x + j) - N::of(x + i);
-      e[l] = N::of(v + j) - N::of(v + i);
+      d[l] = N::load(x + j) - N::load(x + i);
+      e[l] = N::load(v + j) - N::load(v + i);
     }
-    double pulls[WIDE];
-    force_over_length(N::of(springs.rest + s), N::of(springs.stiffness + s),
-                      N::of(springs.damping + s), dots(d, d), dots(d, e))
-        .store(pulls);
-    for (std::size_t l = 0; l < WIDE; ++l) {
+    double factors[SIMD_WIDTH];
+    force_over_length(N::load(springs.rest + s), N::load(springs.stiffness + s),
+                      N::load(springs.damping + s), dots(d, d), dots(d, e))
+        .store(factors);
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
       double* f = forces + ROW * static_cast<std::size_t>(ends[2 * l]);
       double* g = forces + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-      const N force = pulls[l] * d[l];
-      (N::of(f) + force).store(f);
-      (N::of(g) - force).store(g);
+      const N force = factors[l] * d[l];
+      (N::load(f) + force).store(f);
+      (N::load(g) - force).store(g);
     }
   }
   for (; s < count; ++s) {
     const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
     const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
-    const auto d = row_at<On>(x + j) - row_at<On>(x + i);
-    const auto e = row_at<On>(v + j) - row_at<On>(v + i);
-    const auto force = d * force_over_length<One<On>>(springs.rest[s], springs.stiffness[s],
-                                                      springs.damping[s], dot(d, d), dot(d, e));
-    add_to_row<On>(force, forces + i);
-    add_to_row<On>(-force, forces + j);
+    const auto d = load_row<Simd>(x + j) - load_row<Simd>(x + i);
+    const auto e = load_row<Simd>(v + j) - load_row<Simd>(v + i);
+    const auto force =
+        d * force_over_length<Single<Simd>>(springs.rest[s], springs.stiffness[s],
+                                            springs.damping[s], dot(d, d), dot(d, e));
+    add_to_row<Simd>(force, forces + i);
+    add_to_row<Simd>(-force, forces + j);
   }
 }
 
-// Particles as columns.
+// Constants of particles as columns.
 struct ParticleColumns {
   const double *inverse_masses, *drags;
 };
 
-// Converts rows of forces to accelerations, 0 for pinned particles. `fall` is the gravity, as a
-// row.
-template <class On>
-void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* fall,
+// Converts rows of forces to accelerations, 0 for pinned particles. `gravity` is a row.
+template <class Simd>
+void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* gravity,
                      const double* v, double* rows) {
-  using N = Four<On>;
-  const N falling = N::of(fall);
+  using N = Four<Simd>;
+  const N gravity_row = N::load(gravity);
   for (std::size_t n = 0; n < count; ++n, v += ROW, rows += ROW) {
-    const double inverse = particles.inverse_masses[n];
-    const N full = N::of(rows) * inverse + (falling - particles.drags[n] * N::of(v));
-    (inverse > 0 ? full : N(0.0)).store(rows);
+    const double inverse_mass = particles.inverse_masses[n];
+    const N acceleration =
+        N::load(rows) * inverse_mass + (gravity_row - particles.drags[n] * N::load(v));
+    (inverse_mass > 0 ? acceleration : N(0.0)).store(rows);
   }
 }
 
-// Takes a step: velocities first, then positions with the new velocities.
-template <class On>
-void advance_rows(std::size_t count, double h, const double* rates, double* x, double* v) {
-  using N = Four<On>;
+// Advances by a step: velocities first, then positions with the new velocities.
+template <class Simd>
+void advance_rows(std::size_t count, double h, const double* accelerations, double* x, double* v) {
+  using N = Four<Simd>;
   for (std::size_t k = 0; k < ROW * count; k += ROW) {
-    const N speed = N::of(v + k) + h * N::of(rates + k);
-    speed.store(v + k);
-    (N::of(x + k) + h * speed).store(x + k);
+    const N new_velocity = N::load(v + k) + h * N::load(accelerations + k);
+    new_velocity.store(v + k);
+    (N::load(x + k) + h * new_velocity).store(x + k);
   }
 }
 
-// Corrects four springs without a shared end, and stores how much longer than at rest they are
-// right after.
-template <class On>
+// Corrects four springs without a shared end. Stores their elongations right after the correction,
+// unless null.
+template <class Simd>
 void project_four(const ComplianceColumns& springs, std::size_t s, double* x, const double* before,
-                  double* excess) {
-  using N = Four<On>;
+                  double* elongations) {
+  using N = Four<Simd>;
   const std::int32_t* ends = springs.ends + 2 * s;
-  N d[WIDE], e[WIDE];
-  for (std::size_t l = 0; l < WIDE; ++l) {
+  N d[SIMD_WIDTH], e[SIMD_WIDTH];
+  for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
     const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
     const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-    d[l] = N::of(x + j) - N::of(x + i);
-    e[l] = d[l] - (N::of(before + j) - N::of(before + i));
+    d[l] = N::load(x + j) - N::load(x + i);
+    e[l] = d[l] - (N::load(before + j) - N::load(before + i));
   }
-  const N square = dots(d, d), over = inverse(square), size = sqrt(square);
-  const N beyond = if_distinct(square, 1.0 - N::of(springs.rest + s) * (size * over));
+  const N square = dots(d, d), inverse_square = inverse(square), length = sqrt(square);
+  const N strain =
+      zero_if_coincident(square, 1.0 - N::load(springs.rest + s) * (length * inverse_square));
   // The correction over the length, which moves the ends together.
-  double pulls[WIDE];
-  (N::of(springs.length + s) * beyond + N::of(springs.change + s) * (dots(d, e) * over))
-      .store(pulls);
+  double factors[SIMD_WIDTH];
+  (N::load(springs.length_factors + s) * strain +
+   N::load(springs.change_factors + s) * (dots(d, e) * inverse_square))
+      .store(factors);
   const double* weights = springs.weights + 2 * s;
-  if (excess) {
-    double longer[WIDE], lengths[WIDE];
-    (beyond * size).store(longer);
-    size.store(lengths);
-    for (std::size_t l = 0; l < WIDE; ++l)
-      excess[s + l] = longer[l] - pulls[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
+  if (elongations) {
+    double old_elongations[SIMD_WIDTH], lengths[SIMD_WIDTH];
+    (strain * length).store(old_elongations);
+    length.store(lengths);
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
+      elongations[s + l] =
+          old_elongations[l] - factors[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
   }
-  for (std::size_t l = 0; l < WIDE; ++l) {
+  for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
     double* p = x + ROW * static_cast<std::size_t>(ends[2 * l]);
     double* q = x + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
-    (N::of(p) + pulls[l] * weights[2 * l] * d[l]).store(p);
-    (N::of(q) - pulls[l] * weights[2 * l + 1] * d[l]).store(q);
+    (N::load(p) + factors[l] * weights[2 * l] * d[l]).store(p);
+    (N::load(q) - factors[l] * weights[2 * l + 1] * d[l]).store(q);
   }
 }
 
-template <class On>
+// Corrects one spring.
+template <class Simd>
 void project_one(const ComplianceColumns& springs, std::size_t s, double* x, const double* before,
-                 double* excess) {
-  using N = One<On>;
+                 double* elongations) {
+  using N = Single<Simd>;
   const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
   const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
-  const auto d = row_at<On>(x + j) - row_at<On>(x + i);
-  const auto e = d - (row_at<On>(before + j) - row_at<On>(before + i));
-  const N square = dot(d, d), over = inverse(square), size = sqrt(square);
-  const N beyond = if_distinct(square, 1.0 - springs.rest[s] * (size * over));
-  const N pull = springs.length[s] * beyond + springs.change[s] * (dot(d, e) * over);
+  const auto d = load_row<Simd>(x + j) - load_row<Simd>(x + i);
+  const auto e = d - (load_row<Simd>(before + j) - load_row<Simd>(before + i));
+  const N square = dot(d, d), inverse_square = inverse(square), length = sqrt(square);
+  const N strain = zero_if_coincident(square, 1.0 - springs.rest[s] * (length * inverse_square));
+  const N factor =
+      springs.length_factors[s] * strain + springs.change_factors[s] * (dot(d, e) * inverse_square);
   const double* weights = springs.weights + 2 * s;
-  if (excess) ((beyond - pull * (weights[0] + weights[1])) * size).store(excess + s);
-  add_to_row<On>(d * (pull * weights[0]), x + i);
-  add_to_row<On>(-(d * (pull * weights[1])), x + j);
+  if (elongations) ((strain - factor * (weights[0] + weights[1])) * length).store(elongations + s);
+  add_to_row<Simd>(d * (factor * weights[0]), x + i);
+  add_to_row<Simd>(-(d * (factor * weights[1])), x + j);
 }
 
-// A run of springs: groups of four without a shared end, then single ones.
+// A run of springs: groups of four without a shared end, followed by single springs.
 struct SpringRunLength {
-  std::size_t begin, fours, ones;
+  std::size_t begin, group_count, single_count;
 };
 
-template <class On>
+// Corrects all springs in order.
+template <class Simd>
 void project_all(const ComplianceColumns& springs, const SpringRunLength* runs, std::size_t count,
-                 double* x, const double* before, double* excess) {
+                 double* x, const double* before, double* elongations) {
   for (std::size_t r = 0; r < count; ++r) {
     std::size_t s = runs[r].begin;
-    for (std::size_t n = 0; n < runs[r].fours; ++n, s += WIDE)
-      project_four<On>(springs, s, x, before, excess);
-    for (std::size_t n = 0; n < runs[r].ones; ++n, ++s)
-      project_one<On>(springs, s, x, before, excess);
+    for (std::size_t n = 0; n < runs[r].group_count; ++n, s += SIMD_WIDTH)
+      project_four<Simd>(springs, s, x, before, elongations);
+    for (std::size_t n = 0; n < runs[r].single_count; ++n, ++s)
+      project_one<Simd>(springs, s, x, before, elongations);
   }
 }
 

@@ -15,17 +15,19 @@ namespace {
 using collide::load;
 using collide::Vec;
 
-// Largest relative displacement in a step that is tested for crossings [thickness].
+// Largest relative displacement in a step for which crossings are tested [thickness].
 constexpr double MAX_TRAVEL = 4;
-// Extra reach of the list of pairs [thickness].
+// Extra distance up to which pairs are listed [thickness].
 constexpr double LIST_MARGIN = 4;
-// Steps for which near pairs are picked from the list, and bounds of their reach [thickness].
+// Number of steps for which near pairs are picked from the list; bounds of their distance
+// [thickness].
 constexpr double PICK_STEPS = 6, MIN_PICK = 0.03, MAX_PICK = 0.5;
 // Speed of untangling [m/s].
 constexpr double UNTANGLING_SPEED = 1;
-// Width of the cells of nearby elements [longest edge, thickness].
-constexpr double CELL_EDGES = 4, CELL = 8;
+// Width of the cells of nearby elements: so many longest edges plus so many thicknesses.
+constexpr double CELL_EDGE_FACTOR = 4, CELL_THICKNESS_FACTOR = 8;
 
+// The rigid motion that fits the displacements of all particles.
 RigidMotion common_motion(const std::vector<double>& from, const std::vector<double>& to) {
   return {from.size() / ROW, [&](std::size_t n) { return load(&from[ROW * n]); },
           [&](std::size_t n) { return load(&to[ROW * n]); }, [](std::size_t) { return 1.0; }};
@@ -51,177 +53,191 @@ SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& netw
     zones_.emplace(network.inverse_masses);
   }
   check::shape("crossed", crossed, {check::ANY, 3});
-  read(crossed);
+  read_piercings(crossed);
 }
 
-void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
-  const auto within = [](std::int64_t n, std::size_t count) {
+void SelfContacts::read_piercings(const In<std::int64_t, 2>& crossed) {
+  const auto is_index = [](std::int64_t n, std::size_t count) {
     return n >= 0 && n < static_cast<std::int64_t>(count);
   };
   for (std::size_t c = 0; c < crossed.size(); c += 3) {
-    const std::int64_t* one = crossed.data() + c;
-    const bool corner =
-        layers_ && within(one[0], layers_->particles()) && within(one[1], layers_->triangles());
+    const std::int64_t* row = crossed.data() + c;
+    const bool is_corner =
+        layers_ && is_index(row[0], layers_->particles()) && is_index(row[1], layers_->triangles());
     const std::int64_t edge =
-        layers_ && one[0] >= 0 ? one[0] - std::int64_t(layers_->particles()) : -1;
-    const bool edges = layers_ && within(edge, layers_->edges()) && edge < one[1] &&
-                       within(one[1], layers_->edges());
-    if (!(edges || corner) || (one[2] != 1 && one[2] != -1))
+        layers_ && row[0] >= 0 ? row[0] - std::int64_t(layers_->particles()) : -1;
+    const bool is_edge = layers_ && is_index(edge, layers_->edges()) && edge < row[1] &&
+                         is_index(row[1], layers_->edges());
+    if (!(is_edge || is_corner) || (row[2] != 1 && row[2] != -1))
       check::refuse("crossed", "row " + check::text(c / 3) + " is no passage of the layers");
-    const auto second = static_cast<std::int32_t>(one[1]), side = static_cast<std::int32_t>(one[2]);
-    if (edges)
-      edges_.crossed.push_back({static_cast<std::int32_t>(edge), second, side});
+    const auto second = static_cast<std::int32_t>(row[1]), side = static_cast<std::int32_t>(row[2]);
+    if (is_edge)
+      edges_.piercings.push_back({static_cast<std::int32_t>(edge), second, side});
     else
-      corners_.crossed.push_back({second, static_cast<std::int32_t>(one[0]), side});
+      corners_.piercings.push_back({second, static_cast<std::int32_t>(row[0]), side});
   }
-  corners_.sort_crossed();
-  edges_.sort_crossed();
+  corners_.sort_piercings();
+  edges_.sort_piercings();
 }
 
 void SelfContacts::begin_cell(std::int64_t cell, const std::vector<double>& x) {
-  // A surface without piercing stays so.
-  if (tangles_ && cell != cell_ && (cell_ < 0 || tangles_->any() || crossings() > 0))
+  // A surface without piercings cannot become tangled.
+  if (tangles_ && cell != cell_ && (cell_ < 0 || tangles_->any() || piercing_count() > 0))
     tangles_->find(x);
   if (cell == cell_) {
-    corners_.crossed = start_corners_;
-    edges_.crossed = start_edges_;
+    corners_.piercings = start_corners_;
+    edges_.piercings = start_edges_;
   } else {
-    start_corners_ = corners_.crossed;
-    start_edges_ = edges_.crossed;
+    start_corners_ = corners_.piercings;
+    start_edges_ = edges_.piercings;
   }
   cell_ = cell;
 }
 
 void SelfContacts::rebuild_cells(double h, const std::vector<double>& before,
                                  const std::vector<double>& x) {
-  longest_ = 0;
+  longest_edge_ = 0;
   for (std::size_t e = 0; e < layers_->edges(); ++e)
-    longest_ = std::max(longest_, length(shapes::Segment(layers_->ends(e), x.data()).shift()));
-  const double back = layers_->speed * h;
-  motion_.build(x, CELL_EDGES * longest_ + CELL * layers_->thickness + 2 * back);
-  pair_list_.reach = near_list_.reach = -1;
+    longest_edge_ =
+        std::max(longest_edge_, length(shapes::Segment(layers_->ends(e), x.data()).vector()));
+  const double return_distance = layers_->speed * h;
+  motion_.build(x, CELL_EDGE_FACTOR * longest_edge_ + CELL_THICKNESS_FACTOR * layers_->thickness +
+                       2 * return_distance);
+  pair_list_.distance = near_list_.distance = -1;
   measure(h, before, x);
 }
 
 void SelfContacts::measure(double h, const std::vector<double>& before,
                            const std::vector<double>& x) {
-  travel_ = motion_.between(before, x).near;
-  max_travel_ = std::min(travel_, MAX_TRAVEL * layers_->thickness);
-  need_ = max_travel_ + layers_->speed * h;
+  travel_ = motion_.measure(before, x).nearby;
+  tested_travel_ = std::min(travel_, MAX_TRAVEL * layers_->thickness);
+  required_distance_ = tested_travel_ + layers_->speed * h;
   total_drift_ = 0;
-  if (pair_list_.reach < 0) return;
-  const Drift drift = motion_.between(pair_list_.at, x, common_motion(pair_list_.at, x));
-  pair_list_.drift = drift.near, total_drift_ = drift.all;
-  near_list_.drift = motion_.between(near_list_.at, x, common_motion(near_list_.at, x)).near;
+  if (pair_list_.distance < 0) return;
+  const Drift drift =
+      motion_.measure(pair_list_.positions, x, common_motion(pair_list_.positions, x));
+  pair_list_.drift = drift.nearby, total_drift_ = drift.any;
+  near_list_.drift =
+      motion_.measure(near_list_.positions, x, common_motion(near_list_.positions, x)).nearby;
 }
 
-bool SelfContacts::cells_suffice() const {
-  return total_drift_ + need_ + layers_->thickness + 2 * longest_ <= motion_.width();
+bool SelfContacts::are_cells_sufficient() const {
+  return total_drift_ + required_distance_ + layers_->thickness + 2 * longest_edge_ <=
+         motion_.width();
 }
 
-void SelfContacts::list(double h, const std::vector<double>& before, const std::vector<double>& x) {
-  if (cells_suffice() && near_list_.covers(need_)) return;
-  const double d = layers_->thickness;
-  if (!cells_suffice() || !pair_list_.covers(need_)) {
+void SelfContacts::update_lists(double h, const std::vector<double>& before,
+                                const std::vector<double>& x) {
+  if (are_cells_sufficient() && near_list_.covers(required_distance_)) return;
+  const double thickness = layers_->thickness;
+  if (!are_cells_sufficient() || !pair_list_.covers(required_distance_)) {
     rebuild_cells(h, before, x);
-    pair_list_.begin(x, need_ + LIST_MARGIN * d);
-    corners_.list(*layers_, x, pair_list_.reach);
-    edges_.list(*layers_, x, pair_list_.reach);
+    pair_list_.reset(x, required_distance_ + LIST_MARGIN * thickness);
+    corners_.list_pairs(*layers_, x, pair_list_.distance);
+    edges_.list_pairs(*layers_, x, pair_list_.distance);
   }
-  const double reach = need_ + std::clamp(PICK_STEPS * travel_, MIN_PICK * d, MAX_PICK * d);
-  near_list_.begin(x, std::min(reach, pair_list_.reach - pair_list_.drift));
-  const RigidMotion shift = common_motion(pair_list_.at, x);
+  const double distance =
+      required_distance_ +
+      std::clamp(PICK_STEPS * travel_, MIN_PICK * thickness, MAX_PICK * thickness);
+  near_list_.reset(x, std::min(distance, pair_list_.distance - pair_list_.drift));
+  const RigidMotion motion = common_motion(pair_list_.positions, x);
   displacements_.resize(x.size() / ROW);
   for (std::size_t n = 0; n < displacements_.size(); ++n)
-    displacements_[n] = length(load(&x[ROW * n]) - shift(load(&pair_list_.at[ROW * n])));
-  corners_.pick(*layers_, x, displacements_, near_list_.reach);
-  edges_.pick(*layers_, x, displacements_, near_list_.reach);
+    displacements_[n] = length(load(&x[ROW * n]) - motion(load(&pair_list_.positions[ROW * n])));
+  corners_.pick_pairs(*layers_, x, displacements_, near_list_.distance);
+  edges_.pick_pairs(*layers_, x, displacements_, near_list_.distance);
 }
 
 void SelfContacts::separate(double h, std::vector<double>& before, std::vector<double>& x) {
   if (!layers_ || x.empty()) return;
-  corners_.forget();
-  edges_.forget();
+  corners_.clear_contacts();
+  edges_.clear_contacts();
   // After divergence, no side is known.
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return;
-  if (pair_list_.reach < 0)
+  if (pair_list_.distance < 0)
     rebuild_cells(h, before, x);
   else
     measure(h, before, x);
-  list(h, before, x);
-  const double most = MAX_TRAVEL * layers_->thickness, more = layers_->speed * h;
-  if (travel_ > most) rate_needed_ = std::max(rate_needed_, travel_ / (most * h));
+  update_lists(h, before, x);
+  const double max_travel = MAX_TRAVEL * layers_->thickness, return_distance = layers_->speed * h;
+  if (travel_ > max_travel) required_rate_ = std::max(required_rate_, travel_ / (max_travel * h));
   const Tangles* tangles = tangles_ && tangles_->any() ? &*tangles_ : nullptr;
-  if (tangles) tangles->part(UNTANGLING_SPEED * h, before, x);
-  corners_.find(*layers_, before, x, max_travel_, more, tangles);
-  edges_.find(*layers_, before, x, max_travel_, more, tangles);
+  if (tangles) tangles->untangle(UNTANGLING_SPEED * h, before, x);
+  corners_.find_contacts(*layers_, before, x, tested_travel_, return_distance, tangles);
+  edges_.find_contacts(*layers_, before, x, tested_travel_, return_distance, tangles);
   if (!corners_.any() && !edges_.any()) return;
   Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
   corners_.separate(*layers_, separation);
   edges_.separate(*layers_, separation);
-  separation.end();
+  separation.finish();
 }
 
-bool SelfContacts::find_passed(double h, const std::vector<double>& from,
-                               const std::vector<double>& x, std::vector<std::uint8_t>& moved) {
-  passed_corners_.clear();
-  passed_edges_.clear();
+bool SelfContacts::find_tunnelling(double h, const std::vector<double>& from,
+                                   const std::vector<double>& x,
+                                   std::vector<std::uint8_t>& is_moved) {
+  tunnelling_corners_.clear();
+  tunnelling_edges_.clear();
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return false;
   measure(h, from, x);
-  list(h, from, x);
-  corners_.collect_passed(*layers_, from, x, moved, *tangles_, passed_corners_);
-  edges_.collect_passed(*layers_, from, x, moved, *tangles_, passed_edges_);
-  std::fill(moved.begin(), moved.end(), 0);
-  for (const auto* passed : {&passed_corners_, &passed_edges_})
-    for (const LayerHit& hit : *passed)
-      for (const std::int32_t n : hit.who) moved[static_cast<std::size_t>(n)] = 1;
-  return !passed_corners_.empty() || !passed_edges_.empty();
+  update_lists(h, from, x);
+  corners_.collect_tunnelling(*layers_, from, x, is_moved, *tangles_, tunnelling_corners_);
+  edges_.collect_tunnelling(*layers_, from, x, is_moved, *tangles_, tunnelling_edges_);
+  std::fill(is_moved.begin(), is_moved.end(), 0);
+  for (const auto* contacts : {&tunnelling_corners_, &tunnelling_edges_})
+    for (const LayerHit& hit : *contacts)
+      for (const std::int32_t n : hit.particles) is_moved[static_cast<std::size_t>(n)] = 1;
+  return !tunnelling_corners_.empty() || !tunnelling_edges_.empty();
 }
 
-void SelfContacts::separate_passed(double h, std::vector<double>& before,
-                                   std::vector<double>& x) const {
+void SelfContacts::separate_tunnelling(double h, std::vector<double>& before,
+                                       std::vector<double>& x) const {
   Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x,
                         true);
-  for (const LayerHit& hit : passed_corners_) separation.separate<TrianglesAndCorners::Shape>(hit);
-  for (const LayerHit& hit : passed_edges_) separation.separate<EdgesAndEdges::Shape>(hit);
-  separation.end();
+  for (const LayerHit& hit : tunnelling_corners_)
+    separation.separate<TrianglesAndCorners::Shape>(hit);
+  for (const LayerHit& hit : tunnelling_edges_) separation.separate<EdgesAndEdges::Shape>(hit);
+  separation.finish();
 }
 
-void SelfContacts::record_passed() {
-  for (const LayerHit& hit : passed_corners_)
-    corners_.crossed.push_back({hit.first, hit.second, hit.side});
-  for (const LayerHit& hit : passed_edges_)
-    edges_.crossed.push_back({hit.first, hit.second, hit.side});
-  corners_.sort_crossed();
-  edges_.sort_crossed();
+void SelfContacts::record_tunnelling() {
+  for (const LayerHit& hit : tunnelling_corners_)
+    corners_.piercings.push_back({hit.first, hit.second, hit.side});
+  for (const LayerHit& hit : tunnelling_edges_)
+    edges_.piercings.push_back({hit.first, hit.second, hit.side});
+  corners_.sort_piercings();
+  edges_.sort_piercings();
 }
 
-void SelfContacts::record_crossings(const std::vector<double>& before,
+void SelfContacts::record_piercings(const std::vector<double>& before,
                                     const std::vector<double>& x) {
   if (!layers_ || tangles_) return;
-  corners_.record_crossings(before, x);
-  edges_.record_crossings(before, x);
+  corners_.record_piercings(before, x);
+  edges_.record_piercings(before, x);
 }
 
-Out<std::int64_t, 2> SelfContacts::ended() const {
-  const std::size_t count = corners_.crossed.size() + edges_.crossed.size();
+Out<std::int64_t, 2> SelfContacts::piercings() const {
+  const std::size_t count = corners_.piercings.size() + edges_.piercings.size();
   Out<std::int64_t, 2> result(count, 3);
-  std::int64_t* to = result.get();
-  const auto add = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
-    for (const std::int64_t number : {first, second, side}) *to++ = number;
+  std::int64_t* out = result.get();
+  const auto add_row = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
+    for (const std::int64_t number : {first, second, side}) *out++ = number;
   };
-  for (const Piercing& one : corners_.crossed) add(one.second, one.first, one.side);
-  for (const Piercing& one : edges_.crossed)
-    add(std::int64_t(layers_->particles()) + one.first, one.second, one.side);
+  for (const Piercing& piercing : corners_.piercings)
+    add_row(piercing.second, piercing.first, piercing.side);
+  for (const Piercing& piercing : edges_.piercings)
+    add_row(std::int64_t(layers_->particles()) + piercing.first, piercing.second, piercing.side);
   return result;
 }
 
-void SelfContacts::record_piercing() {
-  std::vector<std::int32_t> who;
-  for (const Piercing& one : corners_.crossed) who.push_back(one.second);
-  std::sort(who.begin(), who.end());
-  passed_ = std::max<std::int64_t>(passed_, std::unique(who.begin(), who.end()) - who.begin());
-  cut_ = std::max(cut_, static_cast<std::int64_t>(edges_.crossed.size()));
+void SelfContacts::update_max_counts() {
+  std::vector<std::int32_t> pierced_particles;
+  for (const Piercing& piercing : corners_.piercings) pierced_particles.push_back(piercing.second);
+  std::sort(pierced_particles.begin(), pierced_particles.end());
+  max_corner_piercings_ = std::max<std::int64_t>(
+      max_corner_piercings_,
+      std::unique(pierced_particles.begin(), pierced_particles.end()) - pierced_particles.begin());
+  max_edge_piercings_ =
+      std::max(max_edge_piercings_, static_cast<std::int64_t>(edges_.piercings.size()));
 }
 
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
@@ -238,14 +254,14 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
   }
   Out<double, 3> result(2, count, 3);
   SelfContacts(layers, network).separate(h, from, x);
-  const double *locations = after.data(), *speeds = locations + 3 * count;
+  const double *positions = after.data(), *velocities = positions + 3 * count;
   for (std::size_t n = 0; n < count; ++n)
     for (std::size_t k = 0; k < 3; ++k) {
-      const std::size_t row = ROW * n + k, at = 3 * n + k;
+      const std::size_t row = ROW * n + k, index = 3 * n + k;
       // The velocity changes by the correction of the displacement.
-      const double taken = (x[row] - locations[at]) - (from[row] - before.data()[at]);
-      result.get()[at] = x[row];
-      result.get()[3 * count + at] = speeds[at] + taken / h;
+      const double correction = (x[row] - positions[index]) - (from[row] - before.data()[index]);
+      result.get()[index] = x[row];
+      result.get()[3 * count + index] = velocities[index] + correction / h;
     }
   return result;
 }

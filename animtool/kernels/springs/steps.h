@@ -1,4 +1,4 @@
-// Steps of networks of springs.
+// Solvers for networks of springs.
 #pragma once
 
 #include <optional>
@@ -9,80 +9,88 @@
 
 namespace animtool {
 
-// Uniform cells of time, each of several steps: cell i begins at origin + (first + i) cell.
-struct Cells {
+// Uniform cells of time, each of several steps: cell i begins at origin + (first_cell + i)
+// duration.
+struct CellGrid {
   double origin;
-  std::int64_t first;
-  double cell;
+  std::int64_t first_cell;
+  double duration;
   std::int64_t count;
 
-  double start(std::int64_t i) const { return origin + static_cast<double>(first + i) * cell; }
+  double start(std::int64_t i) const {
+    return origin + static_cast<double>(first_cell + i) * duration;
+  }
 };
 
-// Largest number of steps of a cell and of a call, and of cells from the origin.
+// Largest number of steps of a cell and of a call, and largest index of a cell.
 constexpr std::int64_t MAX_SUBSTEPS = std::int64_t{1} << 20;
 constexpr std::int64_t MAX_STEPS = std::int64_t{1} << 24;
-constexpr std::int64_t FARTHEST_CELL = std::int64_t{1} << 52;
+constexpr std::int64_t MAX_CELL_INDEX = std::int64_t{1} << 52;
 
-// Refuses cells without steps, with steps below the resolution of times, or with absurdly many.
-void check_cells(const Cells& cells, std::int64_t substeps);
+// Refuses cells without steps, with steps below the resolution of times, or with too many steps.
+void check_cells(const CellGrid& cells, std::int64_t substeps);
 
-// states (2, N, 3), torn springs, particles left inside colliders, and on each collider (C, 7):
-// impulse, moment about the origin, and the largest mass in contact
-using SpringsStepped =
+// states (2, N, 3), torn springs, number of particles inside colliders, and impulses on each
+// collider (C, 7): impulse, moment about the origin, and the largest mass in contact
+using SpringStepResult =
     std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t, Out<double, 2>>;
-// states, torn springs, steps per cell, calm cells so far, largest strain, total steps, particles
-// in contact and left inside colliders, piercings of the surface by itself (C, 3), their counts,
-// impulses on colliders
-using SpringsProjected =
+// states, torn springs, steps per cell, number of calm cells so far, largest strain, total steps,
+// numbers of particles in contact with and inside colliders, piercings of the surface by itself (C,
+// 3), their counts, impulses on colliders
+using SpringProjectResult =
     std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double, std::int64_t, std::int64_t,
-               std::int64_t, Out<std::int64_t, 2>, SelfPiercing, Out<double, 2>>;
-// states, states before, whether these are known, torn springs, steps, corrections, unsolved cells,
-// particles left inside colliders, impulses on colliders, and, on request, on the carriers of
-// pinned particles (2, H, 6): impulses and moments about the origin of all steps, then of the last
-using SpringsSolved =
+               std::int64_t, Out<std::int64_t, 2>, PiercingCounts, Out<double, 2>>;
+// states, previous states, whether these are valid, torn springs, steps, corrections, unsolved
+// cells, number of particles inside colliders, impulses on colliders, and, if requested, on the
+// carriers of pinned particles (2, H, 6): impulses and moments about the origin of all steps, then
+// of the last
+using SpringSolveResult =
     std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>, std::int64_t,
                std::int64_t, std::int64_t, std::int64_t, Out<double, 2>, Out<double, 3>>;
 
+// The order in which springs are solved.
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
 
+// Accelerations of particles at a state (N, 3).
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn);
 
 // energy of springs [J], and the largest ratio of length to rest length, 0 without springs
 std::tuple<double, double> spring_energy(const SpringNetwork& network, In<double, 2> positions);
 
-SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
-                            In<std::uint8_t, 1> torn, double origin, std::int64_t first,
-                            double cell, std::int64_t cells, int substeps,
-                            const std::optional<SpringColliders>& colliders);
+SpringStepResult step_springs(const SpringNetwork& network, In<double, 3> state,
+                              In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                              double cell, std::int64_t cells, int substeps,
+                              const std::optional<SpringColliders>& colliders);
 
-SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
-                                 In<std::uint8_t, 1> torn, double origin, std::int64_t first,
-                                 double cell, std::int64_t cells, int substeps, int calm,
-                                 int min_substeps, int max_substeps, double stretch,
-                                 const std::optional<SpringColliders>& colliders,
-                                 const SpringLayers* layers, In<std::int64_t, 2> crossed,
-                                 double limit);
+SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> state,
+                                    In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                                    double cell, std::int64_t cells, int substeps, int calm,
+                                    int min_substeps, int max_substeps, double stretch,
+                                    const std::optional<SpringColliders>& colliders,
+                                    const SpringLayers* layers, In<std::int64_t, 2> crossed,
+                                    double limit);
 
-// One step of self-contact, from positions (N, 3) to a state (2, N, 3).
+// Separates self-contacts in one step from positions (N, 3) to a state (2, N, 3); returns the
+// state.
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
                             In<double, 2> before, In<double, 3> after, double h);
 
-// Number of edges through triangles that have neither of their ends, at positions (N, 3).
+// Number of pairs of an edge and a triangle that it pierces, without a shared particle, at
+// positions (N, 3).
 std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles,
                            const std::optional<In<std::int64_t, 2>>& others);
 
-SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
-                            std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,
-                            double origin, std::int64_t first, double cell, std::int64_t cells,
-                            int substeps, bool two_steps, double tolerance,
-                            const std::optional<SpringColliders>& colliders,
-                            std::optional<In<double, 2>> pulls);
+SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> state,
+                                std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,
+                                double origin, std::int64_t first, double cell, std::int64_t cells,
+                                int substeps, bool two_steps, double tolerance,
+                                const std::optional<SpringColliders>& colliders,
+                                std::optional<In<double, 2>> pulls);
 
-SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state,
-                        const In<std::uint8_t, 1>& torn);
-Out<double, 3> ended_state(const SpringRun& run);
-Out<std::uint8_t, 1> ended_torn(const SpringRun& run);
+SpringRun build_run(const SpringNetwork& network, const In<double, 3>& state,
+                    const In<std::uint8_t, 1>& torn);
+Out<double, 3> copy_state(const SpringRun& run);
+Out<std::uint8_t, 1> copy_torn(const SpringRun& run);
 
 }  // namespace animtool

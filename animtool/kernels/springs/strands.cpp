@@ -1,5 +1,5 @@
-// Strands over a frame, four at a time from its start to its end, so that their data stays in the
-// cache.
+// Advances strands over a frame, four at a time from its start to its end, so that their data stays
+// in the cache.
 #include "springs/strands.h"
 
 #include <algorithm>
@@ -19,144 +19,150 @@ using collide::load;
 using collide::store;
 using collide::Vec;
 
-std::size_t bundles_of(std::size_t strands) { return (strands + WIDE - 1) / WIDE; }
+std::size_t count_bundles(std::size_t strands) { return (strands + SIMD_WIDTH - 1) / SIMD_WIDTH; }
 
-// Padding strands repeat the last one.
+// Index of a strand; padding strands repeat the last one.
 std::size_t strand_of(std::size_t bundle, std::size_t lane, std::size_t strands) {
-  return std::min(bundle * WIDE + lane, strands - 1);
+  return std::min(bundle * SIMD_WIDTH + lane, strands - 1);
 }
 
 // Rows of strands (S, count), interleaved by bundle and padded to `width`.
-std::vector<double> interleaved(In<double, 2> rows, std::size_t strands, std::size_t width) {
-  std::vector<double> built(bundles_of(strands) * WIDE * width);
-  for (std::size_t b = 0; b < bundles_of(strands); ++b)
-    for (std::size_t l = 0; l < WIDE; ++l)
+std::vector<double> interleave(In<double, 2> rows, std::size_t strands, std::size_t width) {
+  std::vector<double> result(count_bundles(strands) * SIMD_WIDTH * width);
+  for (std::size_t b = 0; b < count_bundles(strands); ++b)
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l)
       for (std::size_t k = 0; k < rows.shape(1); ++k)
-        built[(b * width + k) * WIDE + l] =
+        result[(b * width + k) * SIMD_WIDTH + l] =
             rows.data()[strand_of(b, l, strands) * rows.shape(1) + k];
-  return built;
+  return result;
 }
 
-// Colliders of all steps of a frame, in the layout of bundle loops.
+// The colliders of all steps of a frame, in the layout of bundle loops.
 class FrameColliders {
  public:
-  // The common drift is that of the first particle, whose path is known.
+  // The common drift is the displacement of the first particle, whose path is given.
   FrameColliders(const MovingColliders& colliders, const std::optional<SpringColliders>& arrays,
                  std::size_t cells, int substeps, double h, const double* targets,
                  std::size_t particles)
       : colliders_(colliders), h_(h), count_(colliders.size()) {
     const auto surfaces = arrays ? std::get<5>(*arrays).size() : 0;
     count_ += surfaces;
-    moving_.reserve(surfaces * cells);
-    std::vector<StepCollider> rigid;
+    surfaces_.reserve(surfaces * cells);
+    std::vector<StepCollider> rigid_steps;
     for (std::size_t cell = 0; cell < cells; ++cell) {
-      const double* now = targets + 3 * particles * cell;
+      const double* positions = targets + 3 * particles * cell;
       double drift[3];
-      for (std::size_t k = 0; k < 3; ++k) drift[k] = (now[3 * particles + k] - now[k]) / substeps;
-      rigid.clear();
-      colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rigid);
+      for (std::size_t k = 0; k < 3; ++k)
+        drift[k] = (positions[3 * particles + k] - positions[k]) / substeps;
+      rigid_steps.clear();
+      colliders.append_steps(static_cast<std::int64_t>(cell), substeps, h, rigid_steps);
       for (std::size_t s = 0; s < surfaces; ++s) {
-        moving_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(cells));
-        moving_.back().begin_cell(static_cast<std::int64_t>(cell), h * substeps);
+        surfaces_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(cells));
+        surfaces_.back().begin_cell(static_cast<std::int64_t>(cell), h * substeps);
       }
-      for (int j = 0; j < substeps; ++j) {
-        const auto first = rigid.begin() + j * static_cast<std::ptrdiff_t>(colliders.size());
-        rows_.insert(rows_.end(), first, first + static_cast<std::ptrdiff_t>(colliders.size()));
+      for (int step = 0; step < substeps; ++step) {
+        const auto first =
+            rigid_steps.begin() + step * static_cast<std::ptrdiff_t>(colliders.size());
+        steps_.insert(steps_.end(), first, first + static_cast<std::ptrdiff_t>(colliders.size()));
         for (std::size_t s = 0; s < surfaces; ++s)
-          rows_.push_back(step_of(moving_[moving_.size() - surfaces + s],
-                                  static_cast<std::int32_t>(s), j, substeps, load(drift)));
+          steps_.push_back(surface_step(surfaces_[surfaces_.size() - surfaces + s],
+                                        static_cast<std::int32_t>(s), step, substeps, load(drift)));
         drifts_.insert(drifts_.end(), drift, drift + 3);
       }
     }
-    for (const StepCollider& one : rows_) rods_.push_back(one.rod);
+    for (const StepCollider& collider : steps_) capsules_.push_back(collider.capsule);
     for (std::size_t c = 0; c < count_; ++c) {
-      thicknesses_.push_back(rows_[c].thickness(colliders.radius()));
-      is_rod_.push_back(rows_[c].is_rod);
-      is_bounded_.push_back(rows_[c].is_rod || rows_[c].surface >= 0);
+      thicknesses_.push_back(steps_[c].thickness(colliders.radius()));
+      is_capsule_.push_back(steps_[c].is_capsule);
+      is_bounded_.push_back(steps_[c].is_capsule || steps_[c].surface >= 0);
     }
-    fill_lookahead();
+    fill_remaining_shifts();
   }
 
   const StepCollider& row(std::size_t step, std::size_t c) const {
-    return rows_[step * count_ + c];
+    return steps_[step * count_ + c];
   }
 
+  // Sets the collider arrays of a frame.
   void fill(StrandSteps& plan) const {
     plan.colliders = count_;
-    plan.rods = rods_.data();
-    plan.is_rod = is_rod_.data();
+    plan.capsules = capsules_.data();
+    plan.is_capsule = is_capsule_.data();
     plan.is_bounded = is_bounded_.data();
     plan.depth_rows = colliders_.depth_rows();
     plan.thicknesses = thicknesses_.data();
     plan.drifts = drifts_.data();
-    plan.remaining = lookahead_.data();
-    plan.others = {this, &FrameColliders::sample, &FrameColliders::sweep};
+    plan.remaining_shifts = remaining_shifts_.data();
+    plan.general_colliders = {this, &FrameColliders::sample, &FrameColliders::sweep};
     plan.tolerance = colliders_.tolerance();
   }
 
  private:
-  // A step of a moving mesh, whose friction is that of a surface that drifts along.
-  StepCollider step_of(const MovingSurface& mesh, std::int32_t index, int step, int substeps,
-                       Vec drift) const {
-    StepCollider built{};
-    built.surface = index;
-    built.elapsed = mesh.knot_fraction(double(step) / substeps);
-    const double ended = mesh.knot_fraction(double(step + 1) / substeps);
-    built.duration = ended - built.elapsed;
-    built.collider = mesh.collider(ended);
-    built.shift = mesh.relative_travel(drift, built.duration);
-    built.rod.friction = built.collider.friction;
-    built.rod.max_rise = built.collider.depenetration * h_;
-    store(drift, built.rod.travel);
-    return built;
+  // One step of a moving mesh; for friction its surface moves with the drift.
+  StepCollider surface_step(const MovingSurface& mesh, std::int32_t index, int step, int substeps,
+                            Vec drift) const {
+    StepCollider result{};
+    result.surface = index;
+    result.elapsed = mesh.knot_fraction(double(step) / substeps);
+    const double end_fraction = mesh.knot_fraction(double(step + 1) / substeps);
+    result.duration = end_fraction - result.elapsed;
+    result.collider = mesh.collider(end_fraction);
+    result.max_point_shift = mesh.max_relative_displacement(drift, result.duration);
+    result.capsule.friction = result.collider.friction;
+    result.capsule.max_push = result.collider.depenetration * h_;
+    store(drift, result.capsule.translation);
+    return result;
   }
 
-  void fill_lookahead() {
+  // Sums bounds of the surface displacements from each step to the end of the frame.
+  void fill_remaining_shifts() {
     const std::size_t count = count_;
-    lookahead_.assign(rows_.size() + count, 0.0);
-    for (std::size_t row = rows_.size(); row-- > 0;) {
+    remaining_shifts_.assign(steps_.size() + count, 0.0);
+    for (std::size_t row = steps_.size(); row-- > 0;) {
       const Vec drift = load(&drifts_[3 * (row / count)]);
-      lookahead_[row] = lookahead_[row + count];
-      if (rows_[row].is_rod) lookahead_[row] += rows_[row].travel(drift);
-      if (rows_[row].surface >= 0) lookahead_[row] += rows_[row].shift;
+      remaining_shifts_[row] = remaining_shifts_[row + count];
+      if (steps_[row].is_capsule) remaining_shifts_[row] += steps_[row].max_displacement(drift);
+      if (steps_[row].surface >= 0) remaining_shifts_[row] += steps_[row].max_point_shift;
     }
   }
 
-  static void sample(const void* all, std::size_t row, bool end, const double* point,
-                     double* answer) {
-    const auto& self = *static_cast<const FrameColliders*>(all);
-    const StepCollider& one = self.rows_[row];
+  static void sample(const void* context, std::size_t row, bool at_end, const double* point,
+                     double* distance_and_normal) {
+    const auto& self = *static_cast<const FrameColliders*>(context);
+    const StepCollider& collider = self.steps_[row];
     const double radius = self.colliders_.radius();
-    const auto hit = end ? one.after(load(point), radius) : one.before(load(point), radius);
-    answer[0] = hit.distance;
-    store(hit.normal, answer + 1);
+    const auto hit = at_end ? collider.sample_end(load(point), radius)
+                            : collider.sample_start(load(point), radius);
+    distance_and_normal[0] = hit.distance;
+    store(hit.normal, distance_and_normal + 1);
   }
 
-  static bool sweep(const void* all, std::size_t row, const double* from, double* to) {
-    const auto& self = *static_cast<const FrameColliders*>(all);
-    Vec location = load(to);
+  static bool sweep(const void* context, std::size_t row, const double* from, double* to) {
+    const auto& self = *static_cast<const FrameColliders*>(context);
+    Vec end_position = load(to);
     const double radius = self.colliders_.radius();
-    if (!self.rows_[row].sweep(self.h_, radius, load(from), location, nullptr)) return false;
-    store(location, to);
+    if (!self.steps_[row].sweep(self.h_, radius, load(from), end_position, nullptr)) return false;
+    store(end_position, to);
     return true;
   }
 
   const MovingColliders& colliders_;
   double h_;
-  std::size_t count_;                  // colliders and moving meshes
-  std::vector<MovingSurface> moving_;  // (cells, S)
-  std::vector<StepCollider> rows_;     // (steps, C)
-  std::vector<collide::Rod> rods_;
-  std::vector<double> drifts_, lookahead_, thicknesses_;
-  std::vector<unsigned char> is_rod_, is_bounded_;
+  std::size_t count_;                    // rigid colliders and moving meshes
+  std::vector<MovingSurface> surfaces_;  // (cells, S)
+  std::vector<StepCollider> steps_;      // (steps, C)
+  std::vector<collide::MovingCapsule> capsules_;
+  std::vector<double> drifts_, remaining_shifts_, thicknesses_;
+  std::vector<unsigned char> is_capsule_, is_bounded_;
 };
 
-// Buffers for one bundle at a time, and the frame's arrays.
-class Bundles {
+// Advances one bundle at a time, with its buffers and the arrays of the frame.
+class BundleWorker {
  public:
-  Bundles(const SpringStrands& strands, const StrandSteps& plan, const MovingColliders& colliders,
-          const FrameColliders& frame, const CarrierColliders& own, const double* targets,
-          const double* state, double* out)
+  BundleWorker(const SpringStrands& strands, const StrandSteps& plan,
+               const MovingColliders& colliders, const FrameColliders& frame,
+               const CarrierColliders& carrier_colliders, const double* targets,
+               const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
@@ -166,124 +172,128 @@ class Bundles {
         out_(out),
         rows_(6 * width()),
         goals_((plan.cells + 1) * width()),
-        contact_shifts_(plan.points * (plan.colliders + 2)),
-        near_(plan.colliders),
-        contact_counts_(plan.cells * plan.substeps),
-        at_segments_(plan.points),
-        row_before_(ROW * plan.points),
-        row_(ROW * plan.points) {
-    for (const SpringElements& one : strands.segments()) {
-      FaceContacts& segments = segments_.emplace_back(one, colliders.radius());
+        path_buffers_(plan.points * (plan.colliders + 2)),
+        near_colliders_(plan.colliders),
+        touched_counts_(plan.cells * plan.substeps),
+        segment_particles_(plan.points),
+        strand_before_(ROW * plan.points),
+        strand_(ROW * plan.points) {
+    for (const SpringElements& elements : strands.segments()) {
+      FaceContacts& segments = segments_.emplace_back(elements, colliders.radius());
       for (std::size_t c = 0; c < colliders.size(); ++c)
-        if (c >= own.first && c < own.first + own.second)
-          segments.skip();
+        if (c >= carrier_colliders.first && c < carrier_colliders.first + carrier_colliders.second)
+          segments.add_plain();
         else
           segments.add(colliders[c]);
     }
   }
 
   void advance(std::size_t index) {
-    StrandBundle bundle = bundle_at(index);
+    StrandBundle bundle = build_bundle(index);
     spring_loops().advance_bundle(plan_, bundle);
-    store(index, bundle.x, out_);
-    store(index, bundle.v, out_ + 3 * particles());
-    inside += bundle.inside;
-    stretch = std::max(stretch, bundle.stretch);
+    store_strands(index, bundle.x, out_);
+    store_strands(index, bundle.v, out_ + 3 * particles());
+    inside_count += bundle.inside_count;
+    max_strain = std::max(max_strain, bundle.max_strain);
   }
 
-  std::int64_t touched(std::size_t step) const { return contact_counts_[step]; }
-  std::int64_t inside = 0;
-  double stretch = 0;
+  std::int64_t touched_count(std::size_t step) const { return touched_counts_[step]; }
+  std::int64_t inside_count = 0;
+  double max_strain = 0;
 
  private:
-  std::size_t width() const { return WIDE_VECTOR * plan_.points; }
+  std::size_t width() const { return FOUR_VEC_SIZE * plan_.points; }
   std::size_t particles() const { return strands_.strands() * plan_.points; }
 
-  StrandBundle bundle_at(std::size_t index) {
-    StrandBundle built{};
-    built.x = rows_.data();
-    built.v = built.x + width();
-    built.before = built.v + width();
-    built.along = built.before + width();
-    built.matrix = built.along + width();
-    built.unmoved = built.matrix + width();
-    built.rests = strands_.rests(index);
-    built.folds = strands_.folds(index);
-    built.shift = contact_shifts_.data();
-    built.due = built.shift + plan_.points;
-    built.dues = built.due + plan_.points;
-    built.near = near_.data();
-    built.touched = contact_counts_.data();
-    built.at_segments = at_segments_.data();
-    first_ = index * WIDE;
-    for (std::size_t l = 0; l < WIDE; ++l) {
+  StrandBundle build_bundle(std::size_t index) {
+    StrandBundle bundle{};
+    bundle.x = rows_.data();
+    bundle.v = bundle.x + width();
+    bundle.before = bundle.v + width();
+    bundle.directions = bundle.before + width();
+    bundle.matrix = bundle.directions + width();
+    bundle.references = bundle.matrix + width();
+    bundle.rest_lengths = strands_.rest_lengths(index);
+    bundle.bend_lengths = strands_.bend_lengths(index);
+    bundle.path_lengths = path_buffers_.data();
+    bundle.contact_paths = bundle.path_lengths + plan_.points;
+    bundle.collider_paths = bundle.contact_paths + plan_.points;
+    bundle.near = near_colliders_.data();
+    bundle.touched_counts = touched_counts_.data();
+    bundle.segment_particles = segment_particles_.data();
+    first_strand_ = index * SIMD_WIDTH;
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
       const FaceContacts& segments = segments_of(l);
       if (!segments.any()) continue;
-      const double reach = std::max(built.segments.reach, segments.reach());
-      built.segments = {this, &Bundles::resolve_segments, reach};
+      const double search_distance =
+          std::max(bundle.segments.search_distance, segments.search_distance());
+      bundle.segments = {this, &BundleWorker::resolve_segments, search_distance};
     }
-    built.next_depths = particles();
-    for (std::size_t l = 0; l < WIDE; ++l) {
-      if (index * WIDE + l < strands_.strands()) built.counted |= 1u << l;
+    bundle.depth_stride = particles();
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
+      if (index * SIMD_WIDTH + l < strands_.strands()) bundle.strand_bits |= 1u << l;
       if (!colliders_.depths()) continue;
       const std::size_t strand = strand_of(index, l, strands_.strands());
-      built.depths[l] = colliders_.depths() + strand * plan_.points;
+      bundle.depths[l] = colliders_.depths() + strand * plan_.points;
     }
-    load_strands(index, state_, built.x);
-    load_strands(index, state_ + 3 * particles(), built.v);
+    load_strands(index, state_, bundle.x);
+    load_strands(index, state_ + 3 * particles(), bundle.v);
     for (std::size_t k = 0; k <= plan_.cells; ++k)
       load_strands(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
-    built.goals = goals_.data();
-    return built;
+    bundle.goals = goals_.data();
+    return bundle;
   }
 
-  // One strand among rigid colliders.
-  static bool resolve_segments(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
-                               std::size_t near) {
-    auto& self = *static_cast<Bundles*>(all);
+  // Collides the segments of one strand with rigid colliders.
+  static bool resolve_segments(void* context, StrandBundle& bundle, std::size_t step,
+                               std::size_t lane, std::size_t near_count) {
+    auto& self = *static_cast<BundleWorker*>(context);
     FaceContacts& segments = self.segments_of(lane);
     if (!segments.any()) return false;
     const std::size_t points = self.plan_.points;
-    self.near_segments_.assign(bundle.at_segments, bundle.at_segments + near);
-    const auto each = [&](auto&& move) {
+    self.near_particles_.assign(bundle.segment_particles, bundle.segment_particles + near_count);
+    const auto for_each_coordinate = [&](auto&& copy) {
       for (std::size_t p = 0; p < points; ++p)
-        for (std::size_t k = 0; k < 3; ++k) move(ROW * p + k, WIDE_VECTOR * p + WIDE * k + lane);
+        for (std::size_t k = 0; k < 3; ++k)
+          copy(ROW * p + k, FOUR_VEC_SIZE * p + SIMD_WIDTH * k + lane);
     };
-    each([&](std::size_t to, std::size_t from) {
-      self.row_before_[to] = bundle.unmoved[from], self.row_[to] = bundle.x[from];
+    for_each_coordinate([&](std::size_t to, std::size_t from) {
+      self.strand_before_[to] = bundle.references[from], self.strand_[to] = bundle.x[from];
     });
-    bool moved = false;
+    bool has_moved = false;
     for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
-      if (!segments.resolve(c, self.frame_.row(step, c), self.plan_.h, self.near_segments_,
-                            {self.row_before_, self.row_, nullptr}))
+      if (!segments.resolve(c, self.frame_.row(step, c), self.plan_.h, self.near_particles_,
+                            {self.strand_before_, self.strand_, nullptr}))
         continue;
-      moved = true;
-      for (const FaceContacts::MovedParticle& one : segments.moved)
-        bundle.shift[static_cast<std::size_t>(one.particle)] += one.shift;
+      has_moved = true;
+      for (const FaceContacts::MovedParticle& moved_particle : segments.moved_particles)
+        bundle.path_lengths[static_cast<std::size_t>(moved_particle.particle)] +=
+            moved_particle.displacement;
     }
-    if (moved)
-      each([&](std::size_t from, std::size_t to) {
-        bundle.unmoved[to] = self.row_before_[from], bundle.x[to] = self.row_[from];
+    if (has_moved)
+      for_each_coordinate([&](std::size_t from, std::size_t to) {
+        bundle.references[to] = self.strand_before_[from], bundle.x[to] = self.strand_[from];
       });
-    return moved;
+    return has_moved;
   }
 
   FaceContacts& segments_of(std::size_t lane) {
-    return segments_[strands_.segments_of(strand_of(first_ / WIDE, lane, strands_.strands()))];
+    return segments_[strands_.segments_of(
+        strand_of(first_strand_ / SIMD_WIDTH, lane, strands_.strands()))];
   }
 
   // Converts rows of particles (N, 3) to interleaved rows of a bundle, and back.
   void load_strands(std::size_t index, const double* rows, double* out) const {
-    for (std::size_t l = 0; l < WIDE; ++l) {
+    for (std::size_t l = 0; l < SIMD_WIDTH; ++l) {
       const std::size_t strand = strand_of(index, l, strands_.strands());
       const double* row = rows + 3 * plan_.points * strand;
-      for (std::size_t k = 0; k < 3 * plan_.points; ++k) out[WIDE * k + l] = row[k];
+      for (std::size_t k = 0; k < 3 * plan_.points; ++k) out[SIMD_WIDTH * k + l] = row[k];
     }
   }
-  void store(std::size_t index, const double* rows, double* out) const {
-    for (std::size_t l = 0; l < WIDE && index * WIDE + l < strands_.strands(); ++l) {
-      double* row = out + 3 * plan_.points * (index * WIDE + l);
-      for (std::size_t k = 0; k < 3 * plan_.points; ++k) row[k] = rows[WIDE * k + l];
+  void store_strands(std::size_t index, const double* rows, double* out) const {
+    for (std::size_t l = 0; l < SIMD_WIDTH && index * SIMD_WIDTH + l < strands_.strands(); ++l) {
+      double* row = out + 3 * plan_.points * (index * SIMD_WIDTH + l);
+      for (std::size_t k = 0; k < 3 * plan_.points; ++k) row[k] = rows[SIMD_WIDTH * k + l];
     }
   }
 
@@ -292,40 +302,40 @@ class Bundles {
   const MovingColliders& colliders_;
   const FrameColliders& frame_;
   std::vector<FaceContacts> segments_;
-  std::size_t first_ = 0;  // strand of the bundle
+  std::size_t first_strand_ = 0;  // of the bundle
   const double *targets_, *state_;
   double* out_;
-  std::vector<double> rows_, goals_, contact_shifts_;
-  std::vector<std::size_t> near_;
-  std::vector<std::int64_t> contact_counts_;
-  std::vector<std::int32_t> at_segments_, near_segments_;
-  std::vector<double> row_before_, row_;  // of one strand, in rows
+  std::vector<double> rows_, goals_, path_buffers_;
+  std::vector<std::size_t> near_colliders_;
+  std::vector<std::int64_t> touched_counts_;
+  std::vector<std::int32_t> segment_particles_, near_particles_;
+  std::vector<double> strand_before_, strand_;  // rows of one strand
 };
 
 // Smallest number of bundles per thread.
 constexpr std::size_t MIN_BUNDLES = 16;
 
-// Advances all bundles in several threads; results do not depend on their number.
-void advance_all(std::vector<Bundles>& workers, std::size_t bundles) {
-  const auto work = [&](std::size_t w) {
+// Advances all bundles in several threads; results do not depend on the number of threads.
+void advance_all(std::vector<BundleWorker>& workers, std::size_t bundles) {
+  const auto run_worker = [&](std::size_t w) {
     const std::size_t end = (w + 1) * bundles / workers.size();
     for (std::size_t b = w * bundles / workers.size(); b < end; ++b) workers[w].advance(b);
   };
-  std::vector<std::thread> others;
-  others.reserve(workers.size());
+  std::vector<std::thread> threads;
+  threads.reserve(workers.size());
   for (std::size_t w = 1; w < workers.size(); ++w) {
     try {
-      others.emplace_back(work, w);
+      threads.emplace_back(run_worker, w);
     } catch (const std::system_error&) {
-      work(w);
+      run_worker(w);
     }
   }
-  work(0);
-  for (std::thread& one : others) one.join();
+  run_worker(0);
+  for (std::thread& thread : threads) thread.join();
 }
 
 // Fraction of an elongation that a spring corrects in a step; stiffness and damping are per mass.
-double compliance_of(double stiffness, double damping, double weight, double h) {
+double correction_fraction(double stiffness, double damping, double weight, double h) {
   return stiffness * h * h / ((stiffness * h * h + damping * h) * weight + 1);
 }
 
@@ -338,10 +348,10 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
       points_(rests.shape(1) + 1),
       drag_(drag),
       stiffness_(stiffness),
-      fold_(fold_stiffness),
-      draw_(draw_stiffness),
-      draw_damping_(draw_damping),
-      stretch_(stretch) {
+      bend_stiffness_(fold_stiffness),
+      goal_stiffness_(draw_stiffness),
+      goal_damping_(draw_damping),
+      max_strain_(stretch) {
   check::shape("rests", rests, {check::ANY, check::ANY});
   if (strands_ == 0) check::refuse("rests", "there is no strand");
   check::at_most("rests", points_, check::MAX_ROWS / strands_);
@@ -356,54 +366,56 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   check::not_negative("draw_damping", draw_damping);
   check::not_negative("stretch", stretch);
   std::copy_n(gravity.data(), 3, gravity_);
-  rests_ = interleaved(rests, strands_, springs());
-  folds_ = interleaved(folds, strands_, points_);
+  rest_lengths_ = interleave(rests, strands_, springs());
+  bend_lengths_ = interleave(folds, strands_, points_);
   group_segments(rests);
 }
 
-// Lengths are rounded up to powers of two, so that a strand collides as if it were alone.
+// Groups strands by their longest spring, for segment contacts. Lengths are rounded up to powers of
+// two, so that a strand collides as if it were alone.
 void SpringStrands::group_segments(In<double, 2> rests) {
-  SpringElements one;
-  one.inverse_masses.assign(points_, 1.0);
-  one.inverse_masses.front() = 0;
+  SpringElements elements;
+  elements.inverse_masses.assign(points_, 1.0);
+  elements.inverse_masses.front() = 0;
   for (std::size_t p = 0; p < springs(); ++p)
-    for (const std::size_t end : {p, p + 1}) one.edges.push_back(static_cast<std::int32_t>(end));
+    for (const std::size_t end : {p, p + 1})
+      elements.edges.push_back(static_cast<std::int32_t>(end));
   for (std::size_t s = 0; s < strands_; ++s) {
     const double* row = rests.data() + s * springs();
     const double longest = springs() ? *std::max_element(row, row + springs()) : 0.0;
-    int power = 0;
-    if (longest > 0) std::frexp(longest, &power);
-    one.longest_edge = longest > 0 ? std::ldexp(1.0, power) : 0.0;
-    const auto same = std::find_if(segments_.begin(), segments_.end(), [&](const auto& other) {
-      return other.longest_edge == one.longest_edge;
+    int exponent = 0;
+    if (longest > 0) std::frexp(longest, &exponent);
+    elements.longest_edge = longest > 0 ? std::ldexp(1.0, exponent) : 0.0;
+    const auto group = std::find_if(segments_.begin(), segments_.end(), [&](const auto& other) {
+      return other.longest_edge == elements.longest_edge;
     });
-    segments_of_.push_back(static_cast<std::size_t>(same - segments_.begin()));
-    if (same == segments_.end()) segments_.push_back(one);
+    group_of_strand_.push_back(static_cast<std::size_t>(group - segments_.begin()));
+    if (group == segments_.end()) segments_.push_back(elements);
   }
 }
 
-StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
-  StrandSteps built{};
-  built.points = points_;
-  built.cells = cells;
-  built.substeps = substeps;
+StrandSteps SpringStrands::plan_frame(std::size_t cells, std::size_t substeps, double span) const {
+  StrandSteps result{};
+  result.points = points_;
+  result.cells = cells;
+  result.substeps = substeps;
   const double h = span / static_cast<double>(cells * substeps);
-  built.h = h;
-  for (std::size_t k = 0; k < 3; ++k) built.fall[k] = h * gravity_[k];
-  built.drag_factor = 1 / (1 + h * drag_);
-  built.fold = compliance_of(fold_, 0, 2, h);
-  built.root_fold = compliance_of(fold_, 0, 1, h);
-  built.draw = compliance_of(draw_, draw_damping_, 1, h);
-  built.draw_change = draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
-  built.soft = 1 / (stiffness_ * h * h);
-  built.longest = 1 + stretch_;
-  return built;
+  result.h = h;
+  for (std::size_t k = 0; k < 3; ++k) result.gravity_step[k] = h * gravity_[k];
+  result.drag_factor = 1 / (1 + h * drag_);
+  result.bend = correction_fraction(bend_stiffness_, 0, 2, h);
+  result.root_bend = correction_fraction(bend_stiffness_, 0, 1, h);
+  result.goal_pull = correction_fraction(goal_stiffness_, goal_damping_, 1, h);
+  result.goal_damping = goal_damping_ * h / ((goal_stiffness_ * h * h + goal_damping_ * h) + 1);
+  result.along_compliance = 1 / (stiffness_ * h * h);
+  result.max_length_ratio = 1 + max_strain_;
+  return result;
 }
 
-StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
-                               In<double, 3> state, double span, int substeps,
-                               const std::optional<SpringColliders>& colliders, std::size_t threads,
-                               const CarrierColliders& own) {
+StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
+                            In<double, 3> state, double span, int substeps,
+                            const std::optional<SpringColliders>& colliders, std::size_t threads,
+                            const CarrierColliders& carrier_colliders) {
   const std::size_t count = strands.strands() * strands.points();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
@@ -416,29 +428,29 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
               substeps);
   const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
   Out<double, 3> out(2, count, 3);
-  std::int64_t touched = 0, inside = 0;
-  double stretch = 0;
-  StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
+  std::int64_t max_touched = 0, inside_count = 0;
+  double max_strain = 0;
+  StrandSteps plan = strands.plan_frame(cells, static_cast<std::size_t>(substeps), span);
   const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(), count);
   frame.fill(plan);
-  const std::size_t bundles = bundles_of(strands.strands());
+  const std::size_t bundles = count_bundles(strands.strands());
   const std::size_t max_workers = std::max<std::size_t>(1, bundles / MIN_BUNDLES);
-  std::vector<Bundles> workers;
+  std::vector<BundleWorker> workers;
   workers.reserve(std::min(threads, max_workers));
   while (workers.size() < std::min(threads, max_workers))
-    workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(),
-                         out.get());
+    workers.emplace_back(strands, plan, moving, frame, carrier_colliders, targets.data(),
+                         state.data(), out.get());
   advance_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t step_count = 0;
-    for (const Bundles& one : workers) step_count += one.touched(step);
-    touched = std::max(touched, step_count);
+    for (const BundleWorker& worker : workers) step_count += worker.touched_count(step);
+    max_touched = std::max(max_touched, step_count);
   }
-  for (const Bundles& one : workers) {
-    inside += one.inside;
-    stretch = std::max(stretch, one.stretch);
+  for (const BundleWorker& worker : workers) {
+    inside_count += worker.inside_count;
+    max_strain = std::max(max_strain, worker.max_strain);
   }
-  return {std::move(out), touched, inside, stretch};
+  return {std::move(out), max_touched, inside_count, max_strain};
 }
 
 }  // namespace animtool

@@ -11,13 +11,14 @@
 
 namespace animtool {
 
-// states (2, N, 3); largest numbers of particles in contact and left inside colliders; largest
-// strain
-using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
+// states (2, N, 3); largest number of particles in contact in a step, and number inside colliders
+// at the end; largest strain
+using StrandResult = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
 
-// Rigid colliders of the carrier, which only particles collide with: index of the first, and count.
+// Rigid colliders of the carrier, with which only particles collide: index of the first, and count.
 using CarrierColliders = std::pair<std::size_t, std::size_t>;
 
+// Strands with equal numbers of particles, and their constants.
 class SpringStrands {
  public:
   SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity, double drag,
@@ -27,33 +28,38 @@ class SpringStrands {
   std::size_t strands() const { return strands_; }
   std::size_t points() const { return points_; }
 
-  // Segments of strands; strands with similar spring lengths share them, by index.
+  // Segments of strands, and the index of those of a strand; strands with similar spring lengths
+  // share them.
   const std::vector<SpringElements>& segments() const { return segments_; }
-  std::size_t segments_of(std::size_t strand) const { return segments_of_[strand]; }
+  std::size_t segments_of(std::size_t strand) const { return group_of_strand_[strand]; }
 
-  // Constants of a frame of cells with a number of steps.
-  StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
+  // Constants of a frame that is divided into cells of several steps.
+  StrandSteps plan_frame(std::size_t cells, std::size_t substeps, double span) const;
 
-  const double* rests(std::size_t bundle) const {
-    return rests_.data() + bundle * WIDE * springs();
+  // Rest lengths of the springs along and across the strands of a bundle.
+  const double* rest_lengths(std::size_t bundle) const {
+    return rest_lengths_.data() + bundle * SIMD_WIDTH * springs();
   }
-  const double* folds(std::size_t bundle) const { return folds_.data() + bundle * WIDE * points_; }
+  const double* bend_lengths(std::size_t bundle) const {
+    return bend_lengths_.data() + bundle * SIMD_WIDTH * points_;
+  }
 
  private:
   std::size_t springs() const { return points_ - 1; }
 
   std::size_t strands_, points_;
-  double gravity_[3], drag_, stiffness_, fold_, draw_, draw_damping_, stretch_;
-  std::vector<double> rests_, folds_;  // by bundle, four side by side
+  double gravity_[3], drag_, stiffness_, bend_stiffness_, goal_stiffness_, goal_damping_,
+      max_strain_;
+  std::vector<double> rest_lengths_, bend_lengths_;  // by bundle, four interleaved
   std::vector<SpringElements> segments_;
-  std::vector<std::size_t> segments_of_;  // strands
+  std::vector<std::size_t> group_of_strand_;  // index in `segments_`
 
   void group_segments(In<double, 2> rests);
 };
 
-StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
-                               In<double, 3> state, double span, int substeps,
-                               const std::optional<SpringColliders>& colliders, std::size_t threads,
-                               const CarrierColliders& own);
+StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
+                            In<double, 3> state, double span, int substeps,
+                            const std::optional<SpringColliders>& colliders, std::size_t threads,
+                            const CarrierColliders& carrier_colliders);
 
 }  // namespace animtool

@@ -13,58 +13,60 @@ using collide::load;
 using collide::store;
 using collide::Vec;
 
-double pierces_at(const shapes::Segment& edge, const shapes::Triangle& t) {
+double find_piercing(const shapes::Segment& edge, const shapes::Triangle& t) {
   const Vec normal = cross(t.b - t.a, t.c - t.a);
-  const double first = dot(edge.a - t.a, normal), last = dot(edge.b - t.a, normal);
-  if (!(first * last < 0)) return -1;
-  const double fraction = first / (first - last);
-  const Vec at = edge.at(fraction);
-  const auto left = [&](Vec from, Vec to) { return dot(cross(to - from, at - from), normal) > 0; };
-  return left(t.a, t.b) && left(t.b, t.c) && left(t.c, t.a) ? fraction : -1;
+  const double start_height = dot(edge.a - t.a, normal), end_height = dot(edge.b - t.a, normal);
+  if (!(start_height * end_height < 0)) return -1;
+  const double fraction = start_height / (start_height - end_height);
+  const Vec point = edge.point_at(fraction);
+  const auto is_left = [&](Vec from, Vec to) {
+    return dot(cross(to - from, point - from), normal) > 0;
+  };
+  return is_left(t.a, t.b) && is_left(t.b, t.c) && is_left(t.c, t.a) ? fraction : -1;
 }
 
-std::vector<Pierced> pierced_pairs(const std::vector<double>& x,
-                                   const std::vector<std::int32_t>& ends,
-                                   const std::vector<std::int32_t>& corners) {
+std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
+                                         const std::vector<std::int32_t>& ends,
+                                         const std::vector<std::int32_t>& corners) {
   const std::size_t edges = ends.size() / 2;
-  std::vector<Pierced> hit;
-  std::vector<double> middles(ROW * edges);
-  double longest = 0, lengths = 0;
+  std::vector<EdgePiercing> piercings;
+  std::vector<double> midpoints(ROW * edges);
+  double max_length = 0, length_sum = 0;
   const auto segment = [&](std::size_t e) { return shapes::Segment(&ends[2 * e], x.data()); };
   for (std::size_t e = 0; e < edges; ++e) {
-    store(segment(e).at(0.5), &middles[ROW * e]);
-    const double entry = length(segment(e).shift());
-    longest = std::max(longest, entry), lengths += entry;
+    store(segment(e).point_at(0.5), &midpoints[ROW * e]);
+    const double edge_length = length(segment(e).vector());
+    max_length = std::max(max_length, edge_length), length_sum += edge_length;
   }
-  if (!(lengths > 0)) return hit;
+  if (!(length_sum > 0)) return piercings;
   PointGrid grid;
-  grid.build(middles.data(), edges, lengths / static_cast<double>(edges));
+  grid.build(midpoints.data(), edges, length_sum / static_cast<double>(edges));
   for (std::size_t t = 0; t < corners.size(); t += 3) {
     const shapes::Triangle triangle(&corners[t], x.data());
     double low[3], high[3];
     for (std::size_t k = 0; k < 3; ++k) {
-      const auto at = [&](std::size_t i) {
+      const auto coordinate = [&](std::size_t i) {
         return x[ROW * static_cast<std::size_t>(corners[t + i]) + k];
       };
-      low[k] = std::min({at(0), at(1), at(2)}) - longest / 2;
-      high[k] = std::max({at(0), at(1), at(2)}) + longest / 2;
+      low[k] = std::min({coordinate(0), coordinate(1), coordinate(2)}) - max_length / 2;
+      high[k] = std::max({coordinate(0), coordinate(1), coordinate(2)}) + max_length / 2;
     }
     grid.visit(low, high, [&](std::int32_t e, const double*) {
-      const std::int32_t* entry = &ends[2 * static_cast<std::size_t>(e)];
+      const std::int32_t* edge_length = &ends[2 * static_cast<std::size_t>(e)];
       for (std::size_t k = t; k < t + 3; ++k)
-        if (corners[k] == entry[0] || corners[k] == entry[1]) return;
-      if (pierces_at(segment(static_cast<std::size_t>(e)), triangle) >= 0)
-        hit.push_back({e, static_cast<std::int32_t>(t / 3)});
+        if (corners[k] == edge_length[0] || corners[k] == edge_length[1]) return;
+      if (find_piercing(segment(static_cast<std::size_t>(e)), triangle) >= 0)
+        piercings.push_back({e, static_cast<std::int32_t>(t / 3)});
     });
   }
-  return hit;
+  return piercings;
 }
 
 Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_masses)
     : layers_(layers),
       inverse_masses_(inverse_masses),
-      adjacent_(layers.edges(), {-1, -1}),
-      marked_(layers.particles(), 0) {
+      opposite_corners_(layers.edges(), {-1, -1}),
+      is_tangled_(layers.particles(), 0) {
   for (std::size_t e = 0; e < layers.edges(); ++e)
     ends_.insert(ends_.end(), layers.ends(e), layers.ends(e) + 2);
   for (std::size_t t = 0; t < layers.triangles(); ++t)
@@ -81,69 +83,72 @@ Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_
         else
           high = middle;
       }
-      auto& entry = adjacent_[low];
-      entry[entry[0] < 0 ? 0 : 1] = triangles_[t + (k + 2) % 3];
+      auto& opposite = opposite_corners_[low];
+      opposite[opposite[0] < 0 ? 0 : 1] = triangles_[t + (k + 2) % 3];
     }
 }
 
 void Tangles::find(const std::vector<double>& x) {
-  if (any()) std::fill(marked_.begin(), marked_.end(), 0);
-  pairs_ = pierced_pairs(x, ends_, triangles_);
-  for (const Pierced& one : pairs_) {
-    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(one.edge));
-    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(one.triangle));
-    for (std::size_t k = 0; k < 2; ++k) marked_[static_cast<std::size_t>(ends[k])] = 1;
-    for (std::size_t k = 0; k < 3; ++k) marked_[static_cast<std::size_t>(corners[k])] = 1;
+  if (any()) std::fill(is_tangled_.begin(), is_tangled_.end(), 0);
+  piercings_ = find_piercings(x, ends_, triangles_);
+  for (const EdgePiercing& piercing : piercings_) {
+    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(piercing.edge));
+    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(piercing.triangle));
+    for (std::size_t k = 0; k < 2; ++k) is_tangled_[static_cast<std::size_t>(ends[k])] = 1;
+    for (std::size_t k = 0; k < 3; ++k) is_tangled_[static_cast<std::size_t>(corners[k])] = 1;
   }
 }
 
-Vec Tangles::shorter(const Pierced& pair, const std::vector<double>& x) const {
-  const auto e = static_cast<std::size_t>(pair.edge);
+Vec Tangles::shortening_direction(const EdgePiercing& piercing,
+                                  const std::vector<double>& x) const {
+  const auto e = static_cast<std::size_t>(piercing.edge);
   const shapes::Segment edge(layers_.ends(e), x.data());
-  const shapes::Triangle triangle(layers_.corners(static_cast<std::size_t>(pair.triangle)),
+  const shapes::Triangle triangle(layers_.corners(static_cast<std::size_t>(piercing.triangle)),
                                   x.data());
-  const Vec normal = triangle.normal(), along = collide::direction(edge.shift(), Vec{});
-  const double through = dot(along, normal);
-  Vec sum;
-  for (const std::int32_t third : adjacent_[e]) {
-    if (third < 0) continue;
-    const Vec off = shapes::row_of(x.data(), third) - edge.a;
-    const Vec inward = off - along * dot(off, along);
-    Vec line = collide::direction(cross(cross(along, inward), normal), Vec{});
-    if (dot(line, inward) < 0) line = -line;
+  const Vec normal = triangle.normal(), edge_direction = collide::direction(edge.vector(), Vec{});
+  const double normal_component = dot(edge_direction, normal);
+  Vec direction_sum;
+  for (const std::int32_t corner : opposite_corners_[e]) {
+    if (corner < 0) continue;
+    const Vec offset = shapes::row_of(x.data(), corner) - edge.a;
+    const Vec inward = offset - edge_direction * dot(offset, edge_direction);
+    Vec contour_direction = collide::direction(cross(cross(edge_direction, inward), normal), Vec{});
+    if (dot(contour_direction, inward) < 0) contour_direction = -contour_direction;
     // The piercing point slides along the edge, so that it stays in the plane of the triangle.
-    sum = sum + line - normal * (dot(line, along) / through);
+    direction_sum = direction_sum + contour_direction -
+                    normal * (dot(contour_direction, edge_direction) / normal_component);
   }
-  return collide::direction(sum, Vec{});
+  return collide::direction(direction_sum, Vec{});
 }
 
-void Tangles::part(double shift, std::vector<double>& before, std::vector<double>& x) const {
-  for (const Pierced& pair : pairs_) {
-    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(pair.edge));
-    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(pair.triangle));
+void Tangles::untangle(double distance, std::vector<double>& before, std::vector<double>& x) const {
+  for (const EdgePiercing& piercing : piercings_) {
+    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(piercing.edge));
+    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(piercing.triangle));
     const shapes::Segment edge(ends, x.data());
     const shapes::Triangle triangle(corners, x.data());
-    const double fraction = pierces_at(edge, triangle);
+    const double fraction = find_piercing(edge, triangle);
     if (fraction < 0) continue;
-    const Vec out = shorter(pair, x);
-    if (!(dot(out, out) > 0)) continue;
-    const shapes::Nearest near = triangle.nearest(edge.at(fraction));
-    const std::int32_t who[5] = {ends[0], ends[1], corners[0], corners[1], corners[2]};
-    const double shares[5] = {1 - fraction, fraction, near.fraction[1], near.fraction[2],
-                              near.fraction[3]};
-    double full = 0, lightest = 0;
+    const Vec direction = shortening_direction(piercing, x);
+    if (!(dot(direction, direction) > 0)) continue;
+    const shapes::Nearest nearest = triangle.nearest(edge.point_at(fraction));
+    const std::int32_t particles[5] = {ends[0], ends[1], corners[0], corners[1], corners[2]};
+    const double coefficients[5] = {1 - fraction, fraction, nearest.coefficients[1],
+                                    nearest.coefficients[2], nearest.coefficients[3]};
+    double total_weight = 0, max_inverse_mass = 0;
     for (std::size_t k = 0; k < 5; ++k) {
-      const double inverse = inverse_masses_[static_cast<std::size_t>(who[k])];
-      full += inverse * shares[k] * shares[k];
-      lightest = std::max(lightest, inverse);
+      const double inverse_mass = inverse_masses_[static_cast<std::size_t>(particles[k])];
+      total_weight += inverse_mass * coefficients[k] * coefficients[k];
+      max_inverse_mass = std::max(max_inverse_mass, inverse_mass);
     }
-    full = std::max(full, lightest / MAX_RATIO);
-    if (!(full > 0)) continue;
+    total_weight = std::max(total_weight, max_inverse_mass / MAX_RATIO);
+    if (!(total_weight > 0)) continue;
     for (std::size_t k = 0; k < 5; ++k) {
-      const auto n = static_cast<std::size_t>(who[k]);
-      const Vec by = out * (shift * inverse_masses_[n] * shares[k] / full);
-      store(load(&x[ROW * n]) + by, &x[ROW * n]);
-      store(load(&before[ROW * n]) + by, &before[ROW * n]);
+      const auto n = static_cast<std::size_t>(particles[k]);
+      const Vec correction =
+          direction * (distance * inverse_masses_[n] * coefficients[k] / total_weight);
+      store(load(&x[ROW * n]) + correction, &x[ROW * n]);
+      store(load(&before[ROW * n]) + correction, &before[ROW * n]);
     }
   }
 }

@@ -15,42 +15,45 @@
 namespace animtool {
 
 // An edge and a triangle that it pierces.
-struct Pierced {
+struct EdgePiercing {
   std::int32_t edge, triangle;
 };
 
-// The fraction along an edge at which it pierces a triangle; negative if it does not.
-double pierces_at(const shapes::Segment& edge, const shapes::Triangle& triangle);
+// The fraction along an edge at which it pierces a triangle; -1 if it does not.
+double find_piercing(const shapes::Segment& edge, const shapes::Triangle& triangle);
 
-// Piercings of edges (pairs of particles) and triangles without a shared particle.
-std::vector<Pierced> pierced_pairs(const std::vector<double>& x,
-                                   const std::vector<std::int32_t>& ends,
-                                   const std::vector<std::int32_t>& corners);
+// Finds edges (pairs of particles) that pierce triangles without a shared particle.
+std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
+                                         const std::vector<std::int32_t>& ends,
+                                         const std::vector<std::int32_t>& corners);
 
+// Finds and resolves the intersections of a surface with itself.
 class Tangles {
  public:
   Tangles(const SpringLayers& layers, const std::vector<double>& inverse_masses);
 
-  // Finds all edges that pierce triangles.
+  // Finds all edges that pierce triangles, and marks their particles as tangled.
   void find(const std::vector<double>& x);
-  bool any() const { return !pairs_.empty(); }
-  bool has(std::int32_t particle) const {
-    return any() && marked_[static_cast<std::size_t>(particle)];
+  bool any() const { return !piercings_.empty(); }
+  bool is_tangled(std::int32_t particle) const {
+    return any() && is_tangled_[static_cast<std::size_t>(particle)];
   }
-  // Moves those that still do by a distance [m], together with their previous positions.
-  void part(double shift, std::vector<double>& before, std::vector<double>& x) const;
+  // Moves elements that still pierce each other by a distance [m], together with their previous
+  // positions.
+  void untangle(double distance, std::vector<double>& before, std::vector<double>& x) const;
 
  private:
-  // The direction of an edge, relative to a triangle, that shortens the contour.
-  collide::Vec shorter(const Pierced& pair, const std::vector<double>& x) const;
+  // The direction in which an edge moves relative to a triangle to shorten the contour.
+  collide::Vec shortening_direction(const EdgePiercing& piercing,
+                                    const std::vector<double>& x) const;
 
   const SpringLayers& layers_;
   const std::vector<double>& inverse_masses_;
   std::vector<std::int32_t> ends_, triangles_;
-  // The opposite corners of the first two triangles of each edge, -1 for none.
-  std::vector<std::array<std::int32_t, 2>> adjacent_;
-  std::vector<Pierced> pairs_;
-  std::vector<std::uint8_t> marked_;
+  // The opposite corners of the first two triangles at each edge, -1 for none.
+  std::vector<std::array<std::int32_t, 2>> opposite_corners_;
+  std::vector<EdgePiercing> piercings_;
+  std::vector<std::uint8_t> is_tangled_;
 };
 
 }  // namespace animtool

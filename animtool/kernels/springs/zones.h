@@ -21,18 +21,20 @@ class ImpactZones {
   // Removes all zones at the start of a step.
   void clear();
   const std::vector<std::int32_t>& members() const { return members_; }
-  // Joins the four particles of each hit.
-  void join(const std::vector<LayerHit>& passed);
+  // Merges the zones of the four particles of each contact.
+  void add_contacts(const std::vector<LayerHit>& contacts);
   // Moves each zone by the mean rigid motion of its particles in the step.
-  void move(const std::vector<double>& from, std::vector<double>& before, std::vector<double>& x);
+  void move_rigidly(const std::vector<double>& from, std::vector<double>& before,
+                    std::vector<double>& x);
 
  private:
-  std::int32_t first_of(std::int32_t n);
-  void move_one(const std::int32_t* members, std::size_t count, const std::vector<double>& from,
-                std::vector<double>& before, std::vector<double>& x) const;
+  // Returns the first particle of the zone of a particle; adds the particle if it is in none.
+  std::int32_t find_root(std::int32_t n);
+  void move_zone(const std::int32_t* members, std::size_t count, const std::vector<double>& from,
+                 std::vector<double>& before, std::vector<double>& x) const;
 
   const std::vector<double>& inverse_masses_;
-  std::vector<std::int32_t> parents_;  // of particles, -1 outside zones
+  std::vector<std::int32_t> parents_;  // of particles, -1 outside of zones
   std::vector<std::int32_t> members_;
 };
 
