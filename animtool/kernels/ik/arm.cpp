@@ -591,8 +591,8 @@ class SixPins : public Arm {
     }
   }
 
-  // By how much a target may be out of range because of rounding and nearly parallel axes, as a
-  // fraction of the length.
+  // The distance by which a target may be out of range because of rounding and nearly parallel
+  // axes, as a fraction of the length.
   static constexpr double SLACK = 1e-9;
 
   const Task& task_;

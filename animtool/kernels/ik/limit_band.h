@@ -87,8 +87,8 @@ class LimitBand {
   struct Factors {
     Rounded previous, second_previous, inverse;
   };
-  // Of a joint, by frame modulo 3: projections onto the free directions, L(t, t-1), and inverses of
-  // D(t).
+  // Matrices of a joint, by frame modulo 3: projections onto the free directions, L(t, t-1), and
+  // inverses of D(t).
   struct RecentFrames {
     std::array<Square, 3> free_projections, previous, inverses;
   };

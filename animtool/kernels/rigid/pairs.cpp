@@ -565,8 +565,8 @@ class ContactFinder {
       bool is_inside = true;
       for (int k = 0; k < 3; ++k)
         is_inside &= dot(cross(q.points[(k + 1) % 3] - q.points[k], point - q.points[k]), n) >= 0;
-      // Behind a two-sided triangle, only points that crossed the triangle count, not those beside
-      // its edges.
+      // Behind a two-sided triangle, only points that crossed the triangle count. Points that
+      // passed outside its edges do not.
       if (is_inside && is_two_sided && height < 0) is_inside = is_crossing(q, p.centre, point);
       if (is_inside) points.push_back({point - n * (height - q.core->radius - gap / 2), gap});
     }

@@ -92,8 +92,8 @@ class FaceContacts {
   double radius_, search_distance_ = 0;
   bool has_features_ = false;
   std::vector<FineFeatures> features_;  // of each collider
-  // Of this step: the slot of each particle, -1 for none, and the particle of each slot; -1 for
-  // points of the collider, which come first or last.
+  // In this step: the slot of each particle, or -1 for none, and the particle of each slot, or -1
+  // for points of the collider, which come first or last.
   std::vector<std::int32_t> slots_, particles_;
   std::vector<std::uint8_t> is_marked_;
   std::vector<double> from_, to_, start_, end_, inverse_masses_;

@@ -24,7 +24,7 @@ constexpr double LIST_MARGIN = 4;
 constexpr double PICK_STEPS = 6, MIN_PICK = 0.03, MAX_PICK = 0.5;
 // Speed of untangling [m/s].
 constexpr double UNTANGLING_SPEED = 1;
-// Width of the cells of nearby elements: so many longest edges plus so many thicknesses.
+// Width of the cells of nearby elements: this many longest edges plus this many thicknesses.
 constexpr double CELL_EDGE_FACTOR = 4, CELL_THICKNESS_FACTOR = 8;
 
 // The rigid motion that fits the displacements of all particles.
