@@ -41,24 +41,26 @@ from animtool.scene.file.output_fields import KeyReader, option_keys
 from animtool.scene.sources.open import SourceOptions
 
 
-def value_text(document: Document, at: Location, value: Value) -> str:
+def value_text(document: Document, location: Location, value: Value) -> str:
     """Return a value as written; numbers keep their digits."""
     if isinstance(value, str):
         return value
-    written = document.written(at)
+    written = document.written(location)
     return written or str(value).lower()
 
 
 def variables_of_document(
-    document: Document, at: Location, values: Mapping[str, Value]
+    document: Document, location: Location, values: Mapping[str, Value]
 ) -> dict[str, str]:
     """Return variables as text; invalid names are faults."""
     for name in values:
         if not is_variable_name(name):
             message = f"{name!r} is not a valid variable name"
             hint = "use letters, digits and _, and do not start with a digit"
-            document.add("BAT002", (*at, name), message, hint)
-    return {name: value_text(document, (*at, name), v) for name, v in values.items()}
+            document.add("BAT002", (*location, name), message, hint)
+    return {
+        name: value_text(document, (*location, name), v) for name, v in values.items()
+    }
 
 
 def overrides_of_document(
@@ -73,12 +75,12 @@ def overrides_of_document(
     """
     overrides = []
     for i, model in enumerate(models):
-        at = ("overrides", i, "variables")
-        values = variables_of_document(document, at, model.variables)
+        location = ("overrides", i, "variables")
+        values = variables_of_document(document, location, model.variables)
         for name in sorted(values.keys() & taken_names):
             message = f"{name!r} already has a value for each item"
             hint = "inputs, shots and variants set it: give the variable another name"
-            document.add("BAT063", (*at, name), message, hint)
+            document.add("BAT063", (*location, name), message, hint)
         overrides.append(Override(tuple(model.inputs), values))
     return tuple(overrides)
 
@@ -153,36 +155,36 @@ class _VariantReader:
             )
         return Variants(tuple(rows_read))
 
-    def _check_names(self, at: Location, names: list[str]) -> None:
+    def _check_names(self, location: Location, names: list[str]) -> None:
         for i, message in name_problems(names, self.taken_names):
-            self.document.add("BAT063", (*at, names[i]), message)
+            self.document.add("BAT063", (*location, names[i]), message)
 
-    def _values(self, at: Location, values: Any) -> Iterator[str]:
+    def _values(self, location: Location, values: Any) -> Iterator[str]:
         """Yield the values of a column."""
         if isinstance(values, list):
             for i in range(len(values)):
-                yield self._value((*at, i), values)
+                yield self._value((*location, i), values)
             return
         try:
             if isinstance(values, RangeModel):
                 ends = {"start": values.start, "stop": values.stop, "step": values.step}
                 yield from range_values(
                     *(
-                        value_text(self.document, (*at, key), value)
+                        value_text(self.document, (*location, key), value)
                         for key, value in ends.items()
                     )
                 )
             else:
                 yield from values_of_text(values)
         except ValueError as error:
-            self.document.add("BAT064", at, str(error))
+            self.document.add("BAT064", location, str(error))
 
-    def _value(self, at: Location, around: Any) -> str:
+    def _value(self, location: Location, around: Any) -> str:
         """Return a value in a list or a row."""
-        text = value_text(self.document, at, around[at[-1]])
+        text = value_text(self.document, location, around[location[-1]])
         problem = value_problem(text)
         if problem is not None:
-            self.document.add("BAT064", at, problem)
+            self.document.add("BAT064", location, problem)
         return text
 
 
@@ -238,7 +240,7 @@ class _BatchReader:
         variants = self._variants()
         columns = () if variants is None else variants.names
         self._names(columns)
-        memory = self.keys.parsed(
+        memory = self.keys.parse_value(
             ("limits", "memory"), model.limits.memory, parse_bytes
         )
         return BatchSpec(

@@ -116,7 +116,7 @@ def _matched_inputs(
         meant = _meant(spec.folder, text, suffixes)
         remaining_files = {resolve(file.path): file for file in meant}
         remaining_files = {
-            at: f for at, f in remaining_files.items() if at not in left_out
+            index: f for index, f in remaining_files.items() if index not in left_out
         }
         if not meant or _is_missing(text, remaining_files):
             unmatched_patterns.append(_unmatched_fault(spec, "inputs", i, suffixes))

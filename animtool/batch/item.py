@@ -350,9 +350,9 @@ class ItemTask:
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._is_several(scene):
-            from animtool.scene.bake.outline import outlined
+            from animtool.scene.bake.outline import create_outline
 
-            files = outlined(scene, None, self._options(item.file.path)).files
+            files = create_outline(scene, None, self._options(item.file.path)).files
         return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
@@ -370,9 +370,9 @@ class ItemTask:
     def _is_several(source: Source) -> bool:
         if isinstance(source, Path | str | OpenTake):
             return False
-        from animtool.scene.bake.outline import is_several
+        from animtool.scene.bake.outline import has_several_outputs
 
-        return is_several(source)
+        return has_several_outputs(source)
 
     def bake(self, item: Item) -> list[OutputReport]:
         """Bake an item; return a report of each output.
@@ -393,9 +393,9 @@ class ItemTask:
         """Return the files that a bake writes."""
         if item.files:
             return list(item.files)
-        from animtool.scene.bake.outline import outlined
+        from animtool.scene.bake.outline import create_outline
 
-        return outlined(source, item.output, self._options(item.file.path)).files
+        return create_outline(source, item.output, self._options(item.file.path)).files
 
     def _options(self, path: Path) -> BakeOptions:
         """Return the options that apply to a file's format."""

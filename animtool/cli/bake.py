@@ -154,9 +154,9 @@ def bake(
         raise click.UsageError("The scene names its outputs: remove -o.")
     if output is None and (scene is None or scene.output is None):
         output = default_bake_output(opened[0])
-    from animtool.scene.bake.outline import outlined
+    from animtool.scene.bake.outline import create_outline
 
-    outline = outlined(opened, output, bake_options_record(params))
+    outline = create_outline(opened, output, bake_options_record(params))
     if params["plan"]:
         _plan(console, outline, params)
         return
@@ -224,7 +224,7 @@ def _bake(
     """Bake to the requested outputs."""
     from animtool.scene.bake.bake import bake_outline
 
-    scene, files = outline.scene, outline.reading.files
+    scene, files = outline.scene, outline.source_set.files
     has_several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )

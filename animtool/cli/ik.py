@@ -245,7 +245,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
         chains=names_of(params["chains"]),
         pose=pose is not None,
         frame=None if isinstance(pose, str) else pose,
-        written=BakeOptions(
+        write_options=BakeOptions(
             **{name: params[name] for name in ("reduce", "overwrite", "strict")}
         ),
     )

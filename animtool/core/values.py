@@ -109,12 +109,12 @@ def parse_template(template: str) -> tuple[JsonKey, ...]:
 
 
 def _tokens(template: str) -> Iterator[re.Match[str]]:
-    at = 0
-    while at < len(template):
-        token = _TOKEN.match(template, at)
-        if token is None or token.end() == at:
-            raise ValueError(f"malformed template at {template[at:]!r}")
-        at = token.end()
+    offset = 0
+    while offset < len(template):
+        token = _TOKEN.match(template, offset)
+        if token is None or token.end() == offset:
+            raise ValueError(f"malformed template at {template[offset:]!r}")
+        offset = token.end()
         yield token
 
 

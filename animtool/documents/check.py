@@ -37,9 +37,9 @@ class _KeyedModels(ModelMetaclass):
     def __new__(
         cls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any
     ) -> Any:
-        for at, value in body.items():
+        for attribute_name, value in body.items():
             if isinstance(value, Field):
-                body[at] = model_field(value.metadata["key"], value.default)
+                body[attribute_name] = model_field(value.metadata["key"], value.default)
         return super().__new__(cls, name, bases, body, **options)
 
 
@@ -116,28 +116,33 @@ def record_of_options(
     except ValidationError as error:
         wrong_options = wrong_values(known_options, error)
     return None, faults + [
-        ((keys.get(str(at[0]), at[0]), *at[1:]) if at else at, fault)
-        for at, fault in wrong_options
+        (
+            (keys.get(str(location[0]), location[0]), *location[1:])
+            if location
+            else location,
+            fault,
+        )
+        for location, fault in wrong_options
     ]
 
 
 def renamed_options(
-    document: Document, at: Location, options: Mapping[str, Any], kind: str
+    document: Document, location: Location, options: Mapping[str, Any], kind: str
 ) -> dict[str, Any]:
     """Return options with old names replaced by new ones; warn of each.
 
     Args:
         document: The file that contains them.
-        at: Their location in the file.
+        location: Their location in the file.
         options: Values by name.
         kind: Kind of the document.
     """
     result: dict[str, Any] = {}
     for key, value in options.items():
-        name = new_key(kind, (*at, key), value)
+        name = new_key(kind, (*location, key), value)
         if name is None or name in options:
             result[key] = value
             continue
         result[name] = value
-        note_renamed(document, (*at, key), name)
+        note_renamed(document, (*location, key), name)
     return result

@@ -194,7 +194,9 @@ def with_fields(
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        at = list(declared_keys).index(before) if before else len(declared_keys)
+        insert_index = (
+            list(declared_keys).index(before) if before else len(declared_keys)
+        )
         keys = keys_of(record, file_kind)
         new_fields = {}
         for name in names or keys:
@@ -202,9 +204,9 @@ def with_fields(
             if names or key not in model.model_fields:
                 new_fields[key] = _field_definition(record, name, keys[name], ranges)
         definitions = [
-            *list(declared_keys.items())[:at],
+            *list(declared_keys.items())[:insert_index],
             *new_fields.items(),
-            *list(declared_keys.items())[at:],
+            *list(declared_keys.items())[insert_index:],
         ]
         if order:
             definitions.sort(

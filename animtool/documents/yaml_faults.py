@@ -88,8 +88,8 @@ def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault
         return None
     name, _, rest = bare_key.partition(" ")
     hint = f"write '{name}: {rest.strip(' =') or 'value'}'"
-    at = lines[line_before - 1].index(bare_key) + 1
-    return YamlFault("a key has no colon", hint, line_before, at)
+    column = lines[line_before - 1].index(bare_key) + 1
+    return YamlFault("a key has no colon", hint, line_before, column)
 
 
 def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> YamlFault:

@@ -83,8 +83,8 @@ class _SlipFinder:
             return self._unclosed_fault(len(self.lines))
         return None
 
-    def _slip(self, message: str, hint: str, at: int) -> YamlFault:
-        return YamlFault(message, hint, self.number, at + 1)
+    def _slip(self, message: str, hint: str, column: int) -> YamlFault:
+        return YamlFault(message, hint, self.number, column + 1)
 
     def _line_start(self, indent: int) -> YamlFault | None:
         """Return the slip in how a line starts."""
@@ -118,9 +118,9 @@ class _SlipFinder:
         between = self.lines[self.number : self.stop - 1]
         return not any(line.split("#")[0].strip() for line in between)
 
-    def _tight_fault(self, key: str, value: str, at: int) -> YamlFault:
+    def _tight_fault(self, key: str, value: str, column: int) -> YamlFault:
         short = value if len(value) <= 20 else value[:20] + "…"
-        return self._slip(f"no space after '{key}:'", f"write '{key}: {short}'", at)
+        return self._slip(f"no space after '{key}:'", f"write '{key}: {short}'", column)
 
     def _unclosed_fault(self, line: int) -> YamlFault:
         """Return the fault of the innermost bracket that is open at a line's end."""
@@ -135,35 +135,35 @@ class _SlipFinder:
     def _slip_after_indent(self, indent: int) -> YamlFault | None:
         """Return the first mistake in a line; update the open brackets and quotes."""
         line = self.line
-        at = self._quoted_end(0) if self.quote else 0
+        column = self._quoted_end(0) if self.quote else 0
         fresh = True  # whether a value may start
-        while at < len(line):
-            letter = line[at]
-            if letter == "#" and (at == 0 or line[at - 1] in " \t"):
+        while column < len(line):
+            letter = line[column]
+            if letter == "#" and (column == 0 or line[column - 1] in " \t"):
                 return None
             if letter in " \t":
-                at += 1
+                column += 1
                 continue
             slip = self._missing_comma_fault(letter)
             if slip is not None:
                 return slip
             if letter in "[{" and (fresh or self.open):
-                self.open.append((letter, self.number, at + 1, indent))
-                fresh, at = True, at + 1
+                self.open.append((letter, self.number, column + 1, indent))
+                fresh, column = True, column + 1
             elif letter in "]}" and self.open:
-                slip = self._close_bracket(letter, at)
-                fresh, at = False, at + 1
-                self.ended = (self.number, at, letter) if self.open else None
+                slip = self._close_bracket(letter, column)
+                fresh, column = False, column + 1
+                self.ended = (self.number, column, letter) if self.open else None
             elif letter in "\"'" and fresh:
-                start, at = at, self._quoted_end(at)
-                fresh, slip = False, self._after_quote_fault(start, at)
-            elif fresh and _RESERVED_CHARACTER.match(line[at:]):
-                slip = self._reserved_fault(at)
+                start, column = column, self._quoted_end(column)
+                fresh, slip = False, self._after_quote_fault(start, column)
+            elif fresh and _RESERVED_CHARACTER.match(line[column:]):
+                slip = self._reserved_fault(column)
             else:
-                slip = self._flow_key_slip(at) if fresh and self.open else None
+                slip = self._flow_key_slip(column) if fresh and self.open else None
                 fresh = bool(self.open and letter == ",")
-                fresh = fresh or line[at : at + 2] in {": ", "- ", ":"}
-                at += 1
+                fresh = fresh or line[column : column + 2] in {": ", "- ", ":"}
+                column += 1
             if slip is not None:
                 return slip
         return None
@@ -179,48 +179,54 @@ class _SlipFinder:
         message, hint = f"no comma after '{last}'", f"write '{last},'"
         return YamlFault(message, hint, line, column)
 
-    def _quoted_end(self, at: int) -> int:
+    def _quoted_end(self, column: int) -> int:
         """Return the end of a quoted text; note one that does not end here."""
         if self.quote:
-            quote, start = self.quote[0], at
+            quote, start = self.quote[0], column
         else:
-            quote, start = self.line[at], at + 1
+            quote, start = self.line[column], column + 1
         pattern = r"(?:[^\"\\]|\\.)*\"" if quote == '"' else r"(?:[^']|'')*'"
         match = re.compile(pattern).match(self.line, start)
         if match is None:
-            self.quote = self.quote or (quote, self.number, at + 1)
+            self.quote = self.quote or (quote, self.number, column + 1)
             return len(self.line)
         self.quote = None
         if self.open:
             self.ended = self.number, match.end(), quote
         return match.end()
 
-    def _close_bracket(self, letter: str, at: int) -> YamlFault | None:
+    def _close_bracket(self, letter: str, end_column: int) -> YamlFault | None:
         bracket, line, column, _ = self.open[-1]
         if letter != _CLOSING_BRACKETS[bracket]:
             closer = _CLOSING_BRACKETS[bracket]
             place = "this line" if line == self.number else f"line {line}"
             message = f"'{bracket}' in column {column} of {place} is not closed"
-            return self._slip(message, f"add '{closer}' before this '{letter}'", at)
+            return self._slip(
+                message, f"add '{closer}' before this '{letter}'", end_column
+            )
         self.open.pop()
-        rest = self.line[at + 1 :]
+        rest = self.line[end_column + 1 :]
         if not self.open and re.match(r"\s*[\]}]", rest):
-            extra = at + 1 + len(rest) - len(rest.lstrip())
+            extra = end_column + 1 + len(rest) - len(rest.lstrip())
             message = f"'{self.line[extra]}' closes nothing"
             return self._slip(message, "remove it", extra)
         if _AFTER_VALUE.match(rest) or (self.open and rest[:1] in " [{"):
             return None  # if it is another value, a comma is missing
-        if line != self.number or rest[:1] == " " or " " in self.line[column:at]:
+        if (
+            line != self.number
+            or rest[:1] == " "
+            or " " in self.line[column:end_column]
+        ):
             message, hint = "text follows the closing bracket", "remove it"
-            return self._slip(message, f"{hint}, or put all in quotes", at + 1)
+            return self._slip(message, f"{hint}, or put all in quotes", end_column + 1)
         name = "mapping" if bracket == "{" else "list"
         message = f"a value that starts with {bracket} is a {name}"
         hint = f'put it in quotes: "{self._scalar_text(column - 1)}"'
         return self._slip(message, hint, column - 1)
 
-    def _scalar_text(self, at: int) -> str:
+    def _scalar_text(self, column: int) -> str:
         """Return the text from a column to the likely end of its value."""
-        rest = re.sub(r"\s+#.*", "", self.line[at:]).rstrip()
+        rest = re.sub(r"\s+#.*", "", self.line[column:]).rstrip()
         if not self.open:
             return rest
         depth = 0
@@ -230,9 +236,9 @@ class _SlipFinder:
                 return rest[:i].rstrip()
         return rest
 
-    def _after_quote_fault(self, start: int, at: int) -> YamlFault | None:
+    def _after_quote_fault(self, start: int, column: int) -> YamlFault | None:
         """Return the fault of text that continues after a quote."""
-        rest = self.line[at:]
+        rest = self.line[column:]
         if self.quote or _AFTER_VALUE.match(rest) or rest.lstrip()[:1] in "\"'[{":
             return None
         value = self._scalar_text(start)
@@ -240,25 +246,25 @@ class _SlipFinder:
         if "'" not in value:
             hint = f"put all of it in single quotes: '{value}'"
         message = "text follows the closing quote"
-        return self._slip(message, hint, at + len(rest) - len(rest.lstrip()))
+        return self._slip(message, hint, column + len(rest) - len(rest.lstrip()))
 
-    def _reserved_fault(self, at: int) -> YamlFault:
-        message = f"a value cannot start with '{self.line[at]}'"
-        hint = f'put it in quotes: "{self._scalar_text(at)}"'
-        return self._slip(message, hint, at)
+    def _reserved_fault(self, column: int) -> YamlFault:
+        message = f"a value cannot start with '{self.line[column]}'"
+        hint = f'put it in quotes: "{self._scalar_text(column)}"'
+        return self._slip(message, hint, column)
 
-    def _flow_key_slip(self, at: int) -> YamlFault | None:
+    def _flow_key_slip(self, column: int) -> YamlFault | None:
         """Return the slip in a key or a value within brackets."""
-        rest = self.line[at:]
+        rest = self.line[column:]
         tight = re.match(rf"({_KEY}):(?![\s/\\])([^,\]}}]+[\]}}]?)", rest)
-        is_key = self.open[-1][0] == "{" and re.search(r"[{,]\s*$", self.line[:at])
+        is_key = self.open[-1][0] == "{" and re.search(r"[{,]\s*$", self.line[:column])
         if tight and is_key:
-            return self._tight_fault(tight[1], tight[2], at)
+            return self._tight_fault(tight[1], tight[2], column)
         text = _FLOW_TEXT.match(rest)
         lost = re.search(rf"\s({_KEY}):(?:\s|$)", rest)
         if text and lost and lost.start() < text.end():
             message = f"no comma before '{lost[1]}:'"
             before = rest[: lost.start()].split()[-1]
             hint = f"write '{before}, {lost[1]}:', or put a text in quotes"
-            return self._slip(message, hint, at + lost.start(1))
+            return self._slip(message, hint, column + lost.start(1))
         return None

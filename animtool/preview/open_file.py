@@ -43,7 +43,7 @@ from animtool.scene.sources.open import (
     open_characters,
     open_source,
     source_stem,
-    takes_option,
+    supports_option,
 )
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def open_file(
     source = replace(
         fitting_options(options.source, path, all_files), prim_path=options.prim_path
     )
-    if not takes_option(path, "prim_path"):
+    if not supports_option(path, "prim_path"):
         source = replace(source, prim_path=None)
     if is_marker_file(path) and source.template is None:
         return _open_markers(path, source)
@@ -340,8 +340,10 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
     from animtool.scene.file.read import load_scene
 
     scene = load_scene(path, dict(options.variables))
-    if scene.kept:
-        message = f"saves {', '.join(sorted({saved.name for saved in scene.kept}))}"
+    if scene.extra_outputs:
+        message = (
+            f"saves {', '.join(sorted({saved.name for saved in scene.extra_outputs}))}"
+        )
         hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = shown_scene(scene).outputs[0]

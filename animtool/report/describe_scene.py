@@ -128,7 +128,7 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
         facts.step,
         facts.colliders,
         list(dict.fromkeys(name for name, _ in setup.joined)),
-        list(dict.fromkeys(setup.around.met)),
+        list(dict.fromkeys(setup.around.collided_systems)),
         setup.around.tied_bodies,
         [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
         scene.path in setup.files,
@@ -140,7 +140,7 @@ def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or default_output(scene.path), output.bake
     writer = writer_of(path)
     usd = writer is None or writer.stage
-    written_systems = [s for s in scene.writing(output).systems if s.written]
+    written_systems = [s for s in scene.for_output(output).systems if s.written]
     files = output_files(path, bake, simulated=bool(written_systems))
     if writer is not None and not usd:
         files = writer.files(path)

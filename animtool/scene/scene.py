@@ -97,8 +97,8 @@ class Scene:
         return paths
 
     @property
-    def kept(self) -> list[Path]:
-        """Every file that its passes and systems write besides its outputs."""
+    def extra_outputs(self) -> list[Path]:
+        """Files that passes and systems write in addition to the outputs."""
         folder = self.path.resolve().parent
         written_names = [getattr(entry.options, "writes", ()) for entry in self.passes]
         written_names += [
@@ -106,25 +106,28 @@ class Scene:
         ]
         return [folder / name for names in written_names for name in names]
 
-    def writing(self, output: SceneOutput) -> Scene:
-        """Return the scene of one output with its systems and those they need."""
+    def for_output(self, output: SceneOutput) -> Scene:
+        """Return the scene with one output, its systems, and those they depend on."""
         if output.systems is None or not self.systems:
             return replace(self, outputs=(output,))
         from animtool.scene.systems.links import with_dependencies
 
-        chosen = [
+        written_indices = [
             i for i, system in enumerate(self.systems) if system.name in output.systems
         ]
         systems = tuple(
-            replace(self.systems[i], written=i in chosen)
-            for i in with_dependencies(self.systems, chosen)
+            replace(self.systems[i], written=i in written_indices)
+            for i in with_dependencies(self.systems, written_indices)
         )
         return replace(self, outputs=(output,), systems=systems)
 
-    def forced(self, *, force_fit: bool, placement: str | None = None) -> Scene:
-        """Return the scene with sources that need not fit its rig, if requested.
+    def with_source_options(
+        self, *, force_fit: bool, placement: str | None = None
+    ) -> Scene:
+        """Return the scene with options set on all its sources.
 
-        placement: of the output, whether the sources are where their stages have them.
+        force_fit: Whether motion is read even if it does not fit the rig. placement: as
+        in `SourceOptions`; None keeps that of the sources.
         """
         if not force_fit and placement is None:
             return self
@@ -142,10 +145,10 @@ class Scene:
         return replace(self, sources=sources)
 
     def of_shot(self, shot: Shot) -> Scene:
-        """Return the scene with its take at the times of a timeline's shot.
+        """Return the scene with its take placed in time by a timeline's shot.
 
-        Time codes of the take are then frames of the shot. The scene may write another
-        cut, other handles or a range of the shot.
+        Time codes of the take become frames of the shot. The scene may override the
+        cut, the handles or the range.
         """
         faults: list[Fault] = []
         outputs: list[SceneOutput] = []
@@ -173,11 +176,13 @@ class Scene:
             shot_preroll = replace(shot_preroll, start=None, fps=shot.fps)
         return replace(self, outputs=tuple(outputs), preroll=shot_preroll)
 
-    def open(self, *, keeps: bool = True, progress: Progress = None) -> TakeStream:
+    def open(
+        self, *, writes_files: bool = True, progress: Progress = None
+    ) -> TakeStream:
         """Return the source with all passes applied.
 
         Args:
-            keeps: Whether passes write files of their own, as in a bake.
+            writes_files: Whether passes write files of their own, as in a bake.
             progress: Called with the fraction done, 0 to 1, until the blocks are read.
         """
         slow_passes = sum(entry.pass_.tells for entry in self.passes)
@@ -185,7 +190,7 @@ class Scene:
             None if progress is None else BlockProgress(progress, slow_passes)
         )
         stream = self._source(None if block_progress is None else block_progress.read)
-        context = self._context(keeps=keeps)
+        context = self._context(writes_files=writes_files)
         props = self._open_props(stream)
         dropped = stream.dropped
         stream = self._with_props(stream, props, dropped, retimed=True)
@@ -213,24 +218,24 @@ class Scene:
         with_props = self._with_props(source, props, source.dropped, retimed=True)
         take, stream = _collect(with_props)
         yield take, stream
-        context = self._context(keeps=False)
+        context = self._context(writes_files=False)
         for entry in self.passes:
             take, stream = _collect(self._apply_pass(stream, entry, context))
             yield take, stream
 
-    def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
+    def apply_entry(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
         """Return the result of a pass on a take, with its preroll.
 
         It writes no file.
         """
-        return self._apply_pass(stream, entry, self._context(keeps=False))
+        return self._apply_pass(stream, entry, self._context(writes_files=False))
 
-    def _context(self, *, keeps: bool) -> PassContext:
+    def _context(self, *, writes_files: bool) -> PassContext:
         shot = self.bake.shot
         return PassContext(
             self._take,
             self.path.resolve().parent,
-            writes_files=keeps,
+            writes_files=writes_files,
             in_shot=shot is not None and shot.places_media,
             simulate_segments=self._segments,
             build_colliders=self._add_colliders,
@@ -289,7 +294,7 @@ class Scene:
         *,
         retimed: bool,
     ) -> TakeStream:
-        """Return a take with the props that passes retime, or with the others."""
+        """Return a take with the props whose ``retimed`` has a value."""
         matching_props = [prop for prop in props if prop.entry.retimed is retimed]
         if not matching_props:
             return stream
@@ -331,39 +336,43 @@ class Scene:
         pass_notices += context.notices
         context.notices.clear()
 
-        def tell() -> None:
+        def collect_scores() -> None:
             notices.extend(
                 map(entry.location.locate, drop_repeated_notices(pass_notices, notices))
             )
             pass_notices.clear()
-            name, where = entry.pass_.name, entry.location.where
-            scores.extend(score.of_pass(name, where) for score in context.scores)
+            name, key = entry.pass_.name, entry.location.where
+            scores.extend(score.of_pass(name, key) for score in context.scores)
             context.scores.clear()
 
-        tell()
+        collect_scores()
         stage.error = max(context.errors, default=None)
-        blocks = self.meter.blocks(stage, _read(entry.location, stream.blocks, tell))
+        blocks = self.meter.blocks(
+            stage, _located_blocks(entry.location, stream.blocks, collect_scores)
+        )
         stream = replace(stream, notices=notices, details=details, scores=scores)
         return replace(stream, blocks=blocks)
 
-    def until(self, stop: str) -> Scene:
-        """Return the scene with the passes up to one.
+    def until(self, last_pass: str) -> Scene:
+        """Return the scene without the passes after a given one.
 
         Args:
-            stop: Last pass to run, by name or number; the first is 1, and 0 runs none.
+            last_pass: Last pass to run, by name or number from 1; 0 runs none.
         """
         names = [entry.pass_.name for entry in self.passes]
-        numbers = [i for i, name in enumerate(names, 1) if name == stop]
-        if stop.isdecimal() and int(stop) <= len(names):
-            numbers = [int(stop)]
-        if len(numbers) == 1:
-            return replace(self, passes=self.passes[: numbers[0]])
+        matching_numbers = [i for i, name in enumerate(names, 1) if name == last_pass]
+        if last_pass.isdecimal() and int(last_pass) <= len(names):
+            matching_numbers = [int(last_pass)]
+        if len(matching_numbers) == 1:
+            return replace(self, passes=self.passes[: matching_numbers[0]])
         pass_list = (
             ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
         )
-        message = f"unknown pass of the scene {stop!r}"
-        if numbers:
-            message = f"several passes of the scene are called {stop!r}: use its number"
+        message = f"unknown pass of the scene {last_pass!r}"
+        if matching_numbers:
+            message = (
+                f"several passes of the scene are called {last_pass!r}: use its number"
+            )
         path = str(self.path)
         raise OptionError(
             Fault("SCN043", message, path, (), f"the passes: {pass_list}")
@@ -389,14 +398,14 @@ class Scene:
             (source,) = self.sources
             stream = open_source(source.path, source.options, progress=progress)
             if progress is not None and stream.count:
-                read = with_progress(
+                blocks = with_progress(
                     stream.blocks, stream.count, progress, lambda block: block.frames
                 )
-                stream.blocks = read
+                stream.blocks = blocks
             return stream
-        from animtool.scene.sources.joining import SourcePart, joined
+        from animtool.scene.sources.joining import JoinedSource, join_sources
 
-        source_parts: list[SourcePart] = []
+        source_parts: list[JoinedSource] = []
         faults: list[Fault] = []
         for source in self.sources:
             try:
@@ -405,7 +414,7 @@ class Scene:
                 faults += map(source.location.locate, error.faults)
                 continue
             source_parts.append(
-                SourcePart(
+                JoinedSource(
                     stream,
                     source.tracks,
                     source.timecode,
@@ -418,23 +427,23 @@ class Scene:
         first = self.sources[0]
         with first.location.located():
             stream = drive_stream(
-                joined(source_parts[0], source_parts[1:]), report_replaced=True
+                join_sources(source_parts[0], source_parts[1:]), report_replaced=True
             )
-        return replace(stream, blocks=_read(first.location, stream.blocks))
+        return replace(stream, blocks=_located_blocks(first.location, stream.blocks))
 
     def _take(self, path: Path) -> Take:
         return open_source(path, SourceOptions(rig=self.rig)).collect()
 
 
-def _read(
+def _located_blocks(
     location: EntryLocation,
     blocks: Iterator[Motion],
-    after: Callable[[], None] | None = None,
+    on_end: Callable[[], None] | None = None,
 ) -> Iterator[Motion]:
     with location.located():
         yield from blocks
-    if after is not None:
-        after()
+    if on_end is not None:
+        on_end()
 
 
 def _collect(stream: TakeStream) -> tuple[Take, TakeStream]:

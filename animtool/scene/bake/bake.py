@@ -13,7 +13,7 @@ from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, outlined
+from animtool.scene.bake.outline import Outline, create_outline
 from animtool.scene.bake.plan import OutputPlan, plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
@@ -52,7 +52,7 @@ def bake(
         ToleranceError: A system stopped before the last frame. With ``keep_stopped``
             it is the report's ``stopped``, and the frames before are in the output.
     """
-    outline = outlined(source, output, options)
+    outline = create_outline(source, output, options)
     if not any(entry.is_stage for entry in outline.outputs):
         entry = outline.outputs[0]
         message = (
@@ -78,21 +78,21 @@ def bake_outputs(
 ) -> list[OutputReport]:
     """Bake to the requested files; return a report of each.
 
-    All are checked before anything is read, and none gets its name before all are
-    written.
+    All outputs are checked before anything is read, and renamed to their final names
+    only after all are written.
 
     Args:
         source: As `animtool.bake` takes it.
         output: File to write, in any supported format; ``-`` is usda on stdout; None is
             what a scene names, else stdout.
-        options: Take precedence over the options of a scene, for every output.
+        options: Options that override those of a scene, for every output.
         base: For an additive take that becomes a clip: its base take. Keys are fitted
             so that the sum is within the tolerance.
         rig_file: For a clip: a file with the take's rig, to which the clip refers; None
             writes one.
         progress: Called with the fraction done, 0 to 1.
     """
-    outline = outlined(source, output, options, base=base, rig_file=rig_file)
+    outline = create_outline(source, output, options, base=base, rig_file=rig_file)
     return bake_outline(outline, progress=progress)
 
 
@@ -111,14 +111,14 @@ def bake_take(
     Args:
         stream: The take, which can be read once; its blocks may be computed while they
             are read.
-        outline: For the file that messages and reports name as its source.
+        outline: The output, and the file that messages name as the source.
         progress: Called with the fraction done, 0 to 1.
     """
-    first = outline.reading.files[:1]
-    reading = replace(
-        outline.reading, files=first, takes=(stream,), scenes={}, names=()
+    first_file = outline.source_set.files[:1]
+    source_set = replace(
+        outline.source_set, files=first_file, takes=(stream,), scenes={}, names=()
     )
-    outline = replace(outline, reading=reading)
+    outline = replace(outline, source_set=source_set)
     (report,) = bake_outline(outline, progress=progress)
     return report
 
@@ -147,23 +147,25 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
     start_time = time.perf_counter()
     draft = BakeState(
-        plan, progress, [BakedTake(take, plan.watch) for take in plan.takes]
+        plan, progress, [BakedTake(take, plan.recorder) for take in plan.takes]
     )
     for prims in plan.prims:
         prims.author(draft)
         assert draft.report is not None
         refuse_warnings(draft.report.notices, strict=plan.options.strict)
     assert draft.report is not None
-    end_time = time.perf_counter()
+    read_end_time = time.perf_counter()
     draft.write()
-    total = time.perf_counter() - start_time
-    read = sum(draft.read)
+    total_seconds = time.perf_counter() - start_time
+    read_seconds = sum(draft.read)
     # Frames of an output with systems only are simulated while they are written.
-    author = end_time - start_time if plan.takes else total - read
+    author_seconds = (
+        read_end_time - start_time if plan.takes else total_seconds - read_seconds
+    )
     draft.report.seconds |= {
-        "read": read,
-        "author": author,
-        "save": total - author if plan.takes else 0.0,
-        "total": total,
+        "read": read_seconds,
+        "author": author_seconds,
+        "save": total_seconds - author_seconds if plan.takes else 0.0,
+        "total": total_seconds,
     }
     return draft.report

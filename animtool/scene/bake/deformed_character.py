@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.joint_map import RigJointMap
     from animtool.usd.rigs.target import RigTarget
 
-# Frames of joints in memory at once: 60 joints take 1.5 MB.
+# Frames per piece of a motion; 60 joints take 1.5 MB.
 PIECE_FRAMES = 256
 
 
@@ -40,28 +40,28 @@ class DeformedCharacter:
     strands: tuple[Strands, ...]  # meshes that follow single joints
     # Maps the take's joints to the rig; None if they are the rig's own.
     mapping: RigJointMap | None
-    meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
+    meshes: tuple[CharacterMesh, ...]  # deformable meshes, then strands
     origin: str  # source of the meshes, for reports
 
-    def only(
+    def with_meshes(
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
         """Return a copy with some of its meshes and strands, in its order."""
-        is_kept = [part.name in surfaces for part in self.surfaces]
-        is_kept += [part.name in strands for part in self.strands]
+        is_selected = [mesh.name in surfaces for mesh in self.surfaces]
+        is_selected += [mesh.name in strands for mesh in self.strands]
         return replace(
             self,
-            surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
-            strands=tuple(part for part in self.strands if part.name in strands),
-            meshes=tuple(itertools.compress(self.meshes, is_kept)),
+            surfaces=tuple(mesh for mesh in self.surfaces if mesh.name in surfaces),
+            strands=tuple(mesh for mesh in self.strands if mesh.name in strands),
+            meshes=tuple(itertools.compress(self.meshes, is_selected)),
         )
 
 
 def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
     """Return the meshes and strands that a take deforms.
 
-    That is the meshes and strands of its own rig where this has meshes; else those of
-    the rig layer, else those of the USD file that the take is from.
+    They are those of the take's rig if it has meshes; else those of the rig layer; else
+    those of the USD file that the take was read from.
     """
     stream, source, mapping = take.stream, take.source, take.mapping
     options = take.options
@@ -105,9 +105,9 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
 def _rotate_surfaces(
     surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
 ) -> tuple[Surface, ...]:
-    """Rotate meshes without a skin to another up axis; joints carry the others.
+    """Rotate meshes without a skin to another up axis.
 
-    Where the joints are turned, so is what they carry, wherever it was bound.
+    Skinned meshes need no rotation: their joints are already rotated.
     """
     rotation = up_from_up(up, source_up)
     if rotation is None:
@@ -122,32 +122,35 @@ def _rotate_surfaces(
     )
 
 
-def pieces(
+def motion_pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short pieces of a motion, each with a slice of the frames that count."""
-    before: tuple[FloatArray, Motion] | None = None
-    cut = _cut(blocks)
-    frame_piece = next(cut, None)
-    while frame_piece is not None:
-        after = next(cut, None)
-        codes, motion = frame_piece
-        parts = [frame_piece]
-        if neighbours and before is not None:
-            parts.insert(0, before)
-        if neighbours and after is not None:
-            parts.append((after[0][:1], after[1].select(slice(0, 1))))
+    """Yield short pieces of a motion, each with a slice of its own frames.
+
+    With ``neighbours``, a piece also contains the frames before and after these.
+    """
+    previous_frame: tuple[FloatArray, Motion] | None = None
+    piece_iterator = _split_blocks(blocks)
+    piece = next(piece_iterator, None)
+    while piece is not None:
+        next_piece = next(piece_iterator, None)
+        codes, motion = piece
+        parts = [piece]
+        if neighbours and previous_frame is not None:
+            parts.insert(0, previous_frame)
+        if neighbours and next_piece is not None:
+            parts.append((next_piece[0][:1], next_piece[1].select(slice(0, 1))))
         if len(parts) > 1:
             codes = np.concatenate([codes for codes, _ in parts])
             motion = Motion.concatenate([motion for _, motion in parts])
-        lead = 1 if neighbours and before is not None else 0
-        yield codes, motion, slice(lead, lead + len(frame_piece[0]))
-        before = frame_piece[0][-1:], frame_piece[1].select(slice(-1, None))
-        frame_piece = after
+        lead = 1 if neighbours and previous_frame is not None else 0
+        yield codes, motion, slice(lead, lead + len(piece[0]))
+        previous_frame = piece[0][-1:], piece[1].select(slice(-1, None))
+        piece = next_piece
 
 
-def _cut(blocks: TimedBlocks) -> TimedBlocks:
+def _split_blocks(blocks: TimedBlocks) -> TimedBlocks:
     for codes, motion in blocks:
         for begin in range(0, len(codes), PIECE_FRAMES):
-            part = slice(begin, begin + PIECE_FRAMES)
-            yield codes[part], motion.select(part)
+            frame_slice = slice(begin, begin + PIECE_FRAMES)
+            yield codes[frame_slice], motion.select(frame_slice)

@@ -63,12 +63,12 @@ class ConvertReport:
 
     @property
     def head(self) -> dict[str, str]:
-        """Name of the report: its command."""
+        """Command and version of the report."""
         return {self.command: VERSION}
 
     @property
     def named(self) -> list[Path]:
-        """File that reports of solves name."""
+        """Output file, as reports of solves list it."""
         return [self.output]
 
     @property
@@ -78,7 +78,7 @@ class ConvertReport:
 
     @property
     def cost(self) -> OutputCost:
-        """Time and memory that it took, where measured."""
+        """Cost of the conversion, as far as it was measured."""
         error = None if self.reduction is None else self.reduction.error
         return OutputCost(str(self.output), None, error)
 
@@ -101,11 +101,11 @@ class FilePlan:
 
     @property
     def notices(self) -> list[Fault]:
-        """Warnings known before it is written."""
+        """Warnings collected before writing."""
         return self.take.notices
 
     def run(self, progress: Progress = None) -> ConvertReport:
-        """Write the take on the output's own clock."""
+        """Write the take, resampled to the clock of the output."""
         del progress  # the source's clock
         plan = self.take
         resampled_stream = in_frames(plan)
@@ -125,18 +125,20 @@ class FilePlan:
         write = WriteOptions(
             options.reduce, dict(options.reduce_at), base_take, self.rig_file
         )
-        other_streams = [in_frames(other) for other in self.others]
-        other_takes = tuple(other.collect() for other in other_streams)
+        other_streams = [in_frames(other_stream) for other_stream in self.others]
+        other_takes = tuple(other_stream.collect() for other_stream in other_streams)
         write = replace(write, others=other_takes, names=self.names)
         writer = take_writer(path)
         mesh_notices: list[Fault] = []
         if "meshes" in writer.holds:
             take, mesh_notices = _with_meshes(take, plan)
-        outputs = _files(writer, take, path, write)
+        outputs = _take_files(writer, take, path, write)
         take_notices = [
             notice for notice in take.notices if notice not in stream.notices
         ]
-        other_notices = [notice for other in other_streams for notice in other.notices]
+        other_notices = [
+            notice for other_stream in other_streams for notice in other_stream.notices
+        ]
         notices = list(
             dict.fromkeys(
                 [
@@ -163,9 +165,9 @@ class FilePlan:
 
 
 def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
-    """Return a take of a USD file with the meshes that its motion leaves out.
+    """Return a take of a USD file with the meshes that were not read with it.
 
-    The notices are those of the meshes and of the bind pose.
+    Also return notices about the meshes and the bind pose.
     """
     if take.rig.meshes or not is_usd(plan.source):
         return take, []
@@ -181,8 +183,8 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
     if rotation is not None:
         full_rig = rotate_rig(full_rig, np.array(rotation), take.rig.up)
     full_names = {shape.name for shape in full_rig.shapes}
-    without_mesh = [s for s in take.rig.shapes if s.name not in full_names]
-    shapes = (*full_rig.shapes, *without_mesh)
+    unmeshed_shapes = [s for s in take.rig.shapes if s.name not in full_names]
+    shapes = (*full_rig.shapes, *unmeshed_shapes)
     rig = replace(
         take.rig,
         meters_per_unit=full_rig.meters_per_unit,
@@ -198,7 +200,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
 def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
     """Return the weights of a take for more shapes.
 
-    Shapes that the take has no weight for combine others, or are at 0.
+    Shapes without a weight in the take are combinations of others, or at 0.
     """
     weights, all_names = take.motion.weights, [shape.name for shape in shapes]
     names = [shape.name for shape in take.rig.shapes]
@@ -215,14 +217,16 @@ def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
 def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
     """Return the bind poses of a full rig that differ from the rest pose of a rig."""
     poses = dict(full_rig.bind)
-    for joint, other in zip(rig.joints, full_rig.joints, strict=True):
-        rest = other.translation, other.rotation
-        if (joint.translation, joint.rotation) != rest:
-            poses.setdefault(other.name, Pose(*rest))
+    for joint, full_joint in zip(rig.joints, full_rig.joints, strict=True):
+        rest_pose = full_joint.translation, full_joint.rotation
+        if (joint.translation, joint.rotation) != rest_pose:
+            poses.setdefault(full_joint.name, Pose(*rest_pose))
     return poses
 
 
-def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:
+def _take_files(
+    writer: Writer, take: Take, path: Path, options: WriteOptions
+) -> TakeFiles:
     """Return the contents of a take's files in a format."""
     if writer.take:
         write = cast(Callable[..., TakeFiles], load_object(writer.take))
@@ -242,7 +246,7 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
 
 
 def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:
-    """Return the base take of an additive take, at the frames of that take."""
+    """Return the base take of an additive take, sampled at its frames."""
     from animtool.edit.combine import on_same_rig, other_frames
 
     base_take = on_same_rig(take.rig, open_source(path, options).collect())

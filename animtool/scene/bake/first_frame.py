@@ -24,7 +24,7 @@ def frame_start(
 ) -> Fraction:
     """Return the first frame at another rate of a take that starts between frames.
 
-    A whole start keeps its number.
+    An integer start keeps its number.
 
     Args:
         start: Time code of the first frame.

@@ -36,10 +36,10 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.sources.away import no_frames
+from animtool.scene.sources.away import no_frames_error
 
 if TYPE_CHECKING:
-    from animtool.scene.systems.character_motion import CharacterWatch
+    from animtool.scene.systems.character_motion import CharacterRecorder
     from animtool.usd.props.writer import PropSamples
     from animtool.usd.rigs.joint_map import RigJointMap
 
@@ -78,8 +78,8 @@ class TimedTake:
 def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     """Return a take sampled at the times of the output.
 
-    The blocks stream through where each sample of the source is a sample of the
-    output; otherwise the take is gathered and resampled.
+    If each sample of the source is a sample of the output, its blocks are passed
+    through; otherwise the take is collected and resampled.
     """
     options = plan.options
     # A requested rate puts a sample on each frame.
@@ -101,11 +101,11 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     rig, interpolation = take.rig, TakeSampler.of(take)
     if options.rest_frame is not None:
         rig = _with_rest(plan, interpolation, options.rest_frame)
-    plan.notices.extend(_straight_notices(plan, interpolation, times))
+    plan.notices.extend(_interpolation_notices(plan, interpolation, times))
     return TimedTake(sample_blocks(interpolation, times), rig, times)
 
 
-def _straight_notices(
+def _interpolation_notices(
     plan: TakePlan, interpolation: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
     """Report the error bound of linear interpolation, unless a pass reported it."""
@@ -167,7 +167,7 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
 
 
 def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
-    """Return how to name frames by the numbers that the take has."""
+    """Return a hint to number the frames of a range as the take does."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
     origin = Fraction(1) if plan.stream.start is None else plan.stream.start
     offset = plan.start - origin
@@ -187,7 +187,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
 
     The last frame of a take lasts until the next would begin.
     """
-    frame_range, where = plan.options.frame_range, str(plan.source)
+    frame_range, source_path = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
     requested_frames = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
@@ -195,9 +195,12 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     # Played backwards, a frame lasts until the previous one.
     lead_in, lead_out = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
     missing_frames = [
-        n
-        for n in requested_frames
-        if not (plan.start - lead_in < n < last + lead_out or n in {plan.start, last})
+        frame
+        for frame in requested_frames
+        if not (
+            plan.start - lead_in < frame < last + lead_out
+            or frame in {plan.start, last}
+        )
     ]
     if not missing_frames:
         return []
@@ -208,8 +211,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         nearest_end = last if shot.speed < 0 else plan.start
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
-            raise no_frames(
-                shot, requested_frames[0], requested_frames[-1], length, where
+            raise no_frames_error(
+                shot, requested_frames[0], requested_frames[-1], length, source_path
             )
         message = (
             f"{prefix}the take has no frame from {requested_frames[0]} "
@@ -217,10 +220,10 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         )
         cut_key = None if shot.places_media else "shot.cut"
         hint += "; change cut, or start, the number of the take's first frame"
-        fault = Fault("SCN042", message, where, (), hint, where=cut_key)
+        fault = Fault("SCN042", message, source_path, (), hint, where=cut_key)
         raise OptionError(positioned(fault))
-    cut = [n for n in missing_frames if shot.cut_in <= n <= shot.cut_out]
-    handles = [n for n in missing_frames if n not in cut]
+    cut = [frame for frame in missing_frames if shot.cut_in <= frame <= shot.cut_out]
+    handles = [frame for frame in missing_frames if frame not in cut]
     notices = []
     for code, description, key, frames in (
         ("SCN074", "frames of the cut", "shot.cut", cut),
@@ -235,7 +238,9 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
             warning = Severity.WARNING
             cut_key = None if shot.places_media else key
             remedy = f"{hint}; change {key.partition('.')[2]}, or export longer media"
-            fault = Fault(code, message, where, (), remedy, warning, where=cut_key)
+            fault = Fault(
+                code, message, source_path, (), remedy, warning, where=cut_key
+            )
             notices.append(positioned(fault))
     return notices
 
@@ -255,8 +260,12 @@ def _sample_curve(
         source_frames = (times.codes - float(plan.start)) * ratio
         is_outside = (source_frames < 0) | (source_frames > clock.count - 1)
         samples = np.where(is_outside, source_frames, samples)
-    at = float(first) + samples * float(stream.step)
-    motions = curve.blocks(at) if isinstance(curve, KeyedCurve) else iter([curve(at)])
+    sample_codes = float(first) + samples * float(stream.step)
+    motions = (
+        curve.blocks(sample_codes)
+        if isinstance(curve, KeyedCurve)
+        else iter([curve(sample_codes)])
+    )
     return TimedTake(_with_codes(times.codes, motions), stream.rig, times)
 
 
@@ -292,31 +301,31 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Return notices of the end of a range that is not written."""
-    where, frame_range = str(plan.source), plan.options.frame_range
+    """Return notices of a range whose first or last frame is not written."""
+    source_path, frame_range = str(plan.source), plan.options.frame_range
     notices = []
     if times.dropped:
         faults = dropped_notice(times.dropped, plan.fps, times.last)
         notices.append(
             replace(
                 faults,
-                path=where,
+                path=source_path,
                 hint=f"{argument('keep_samples', True)} writes it",
             )
         )
     if frame_range is None or plan.options.shot is not None:
         return notices
-    ends = f"{frame_label(times.first)} to {frame_label(times.last)}"
-    off_step = (frame_range.last - frame_range.first) % frame_range.step != 0
-    off_samples = times.first > frame_range.first or times.last < frame_range.last
-    if off_step or (plan.options.keep_samples and off_samples):
+    written_range = f"{frame_label(times.first)} to {frame_label(times.last)}"
+    last_is_off_step = (frame_range.last - frame_range.first) % frame_range.step != 0
+    ends_lack_samples = times.first > frame_range.first or times.last < frame_range.last
+    if last_is_off_step or (plan.options.keep_samples and ends_lack_samples):
         text = f"{frame_range.first}-{frame_range.last}"
         text += f"x{frame_range.step}" if frame_range.step > 1 else ""
         message = (
-            f"{argument('frame_range', text)} has no sample at its ends; {ends} are "
-            "written"
+            f"{argument('frame_range', text)} has no sample at its ends; "
+            f"{written_range} are written"
         )
-        notices.append(Fault("CLI105", message, where, severity=Severity.NOTE))
+        notices.append(Fault("CLI105", message, source_path, severity=Severity.NOTE))
     return notices
 
 
@@ -345,50 +354,52 @@ def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
 
 def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     """Return a mask of the joints that leave the rest pose ``(J,)``."""
-    moving = np.zeros(len(rig.joints), bool)
-    one_frame = np.ones((len(rig.joints), 3))
+    is_moving = np.zeros(len(rig.joints), bool)
+    rest_scales = np.ones((len(rig.joints), 3))
     if plan.mapping is not None:
-        one_frame = plan.mapping.rest_scales
+        rest_scales = plan.mapping.rest_scales
     for motion in motions:
         channels = [
             (motion.translations, rig.rest_translations),
             (motion.rotations, rig.rest_rotations),
         ]
         if motion.scales is not None:
-            channels.append((motion.scales, one_frame))
+            channels.append((motion.scales, rest_scales))
         for channel, rest_value in channels:
-            moving |= (channel.rest != rest_value).any(axis=-1)
-            moving[channel.animated] |= (
+            is_moving |= (channel.rest != rest_value).any(axis=-1)
+            is_moving[channel.animated] |= (
                 channel.values != rest_value[channel.animated]
             ).any(axis=(0, 2))
     if plan.options.root_motion and rig.roots:
         # The SkelRoot carries it; with several roots the others are relative to it.
-        moving[rig.roots[0]] = False
-        moving[rig.roots[1:]] = True
-    if rig.roots and not moving.any():
-        moving[rig.roots[0]] = True
-    return moving
+        is_moving[rig.roots[0]] = False
+        is_moving[rig.roots[1:]] = True
+    if rig.roots and not is_moving.any():
+        is_moving[rig.roots[0]] = True
+    return is_moving
 
 
 class BakedTake:
-    """A take on its way from its source to the writer."""
+    """A take that is read from its source and passed to the writer."""
 
-    def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
+    def __init__(
+        self, plan: TakePlan, recorder: CharacterRecorder | None = None
+    ) -> None:
         self.plan = plan
         # Number of frames read from the source, and written to the output.
         self.frames = self.samples = 0
         self.props: PropSamples | None = None
-        self._watch = watch
+        self._recorder = recorder
         self._timed: TimedTake | None = None
 
     def open(self) -> TimedTake:
-        """Return the take at the output's times, with its frames counted."""
+        """Return the take at the output's times; frames are counted when read."""
         if self._timed is not None:
             return self._timed
         stream = self.plan.stream
         stream = replace(stream, blocks=self._count_frames(stream.blocks))
-        if self._watch is not None:
-            stream = self._watch.read(stream)
+        if self._recorder is not None:
+            stream = self._recorder.read(stream)
         timed_take = timed_blocks(self.plan, stream)
         if stream.tracks:
             from animtool.usd.props.writer import PropSamples
@@ -410,8 +421,8 @@ class BakedTake:
     def _record_blocks(self, blocks: TimedBlocks) -> TimedBlocks:
         for codes, motion in blocks:
             self.samples += len(codes)
-            if self._watch is not None:
-                self._watch.record_codes(codes)
+            if self._recorder is not None:
+                self._recorder.record_codes(codes)
             if self.props is not None:
                 self.props.see(codes, motion)
             yield codes, motion
@@ -420,8 +431,8 @@ class BakedTake:
 def in_frames(plan: TakePlan) -> TakeStream:
     """Return a take resampled to the rate, frames and time codes of an output.
 
-    Of its options ``fps``, ``frame_range`` and ``shot`` count; the plan's notices are
-    added to.
+    Only the options ``fps``, ``frame_range`` and ``shot`` are used. New notices are
+    added to those of the plan.
     """
     options = plan.options
     frame_options = BakeOptions(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class JointPrims:
-    """SkelAnimations of takes, with a Skeleton where no rig layer has one."""
+    """SkelAnimations of takes; without a rig layer also their Skeleton."""
 
     def author(self, draft: BakeState) -> None:
         """Author the layers of every take."""
@@ -54,8 +54,8 @@ class JointPrims:
         draft.read += [take.seconds["read"] for take in takes]
         draft.report = plan.report(
             [
-                take.report(job, written)
-                for take, written in zip(takes, result.takes, strict=True)
+                take.report(job, written_take)
+                for take, written_take in zip(takes, result.takes, strict=True)
             ],
             result,
             notices,
@@ -68,7 +68,7 @@ class JointPrims:
 
 @dataclass(frozen=True, slots=True)
 class JointFiles:
-    """Layers of takes that are written as joints."""
+    """Authored layers of takes that are written as joints."""
 
     job: UsdJob
     authored: AuthoredLayers
@@ -108,9 +108,9 @@ def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
     if plan.target is not None:
         return plan.target.names, plan.target.skeleton.tokens
     names = joint_names(rig.joints, plan.options.strip_namespace)
-    where = str(plan.takes[0].source)
+    source_path = str(plan.takes[0].source)
     names = replace(
-        names, notices=[replace(fault, path=where) for fault in names.notices]
+        names, notices=[replace(fault, path=source_path) for fault in names.notices]
     )
     return names, rig.paths(names.names)
 
@@ -136,83 +136,85 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
 
 
 class _JointTake:
-    """A take as joints: the joints and the samples to write."""
+    """A take that is written as joints."""
 
     def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
         self.seconds = {"read": 0.0}  # time to compute blocks [s]
-        self._thinned: ThinnedSamples | None = None
+        self._reduce_samples: ThinnedSamples | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
         """Return the writer's description of the take, and its frames.
 
-        ``rig`` is the rig as written: of the rig layer, or of the first take.
+        ``rig`` is the written rig: that of the rig layer, or of the first take.
         """
         timed_take = self._run.open()
         blocks, frames = timed_take.blocks, timed_take.frames
         plan, options, joint_map = self.plan, self.plan.options, self.plan.mapping
-        mapped_joints = None
+        is_mapped_joint = None
         if joint_map is not None:
             rig_mapping = joint_map
             blocks = (
                 (codes, rig_mapping.at(codes, motion)) for codes, motion in blocks
             )
             if (joint_map.source < 0).any():
-                mapped_joints = joint_map.source >= 0
+                is_mapped_joint = joint_map.source >= 0
         if options.sparse:
             all_blocks = list(blocks)
-            moving_joints_mask = moving_joints(
+            is_moving_joint = moving_joints(
                 plan, rig, [motion for _, motion in all_blocks]
             )
-            written_joints = (
-                moving_joints_mask
-                if mapped_joints is None
-                else moving_joints_mask & mapped_joints
+            is_written_joint = (
+                is_moving_joint
+                if is_mapped_joint is None
+                else is_moving_joint & is_mapped_joint
             )
-            mapped_joints, blocks = (
-                written_joints if written_joints.any() else mapped_joints,
+            is_mapped_joint, blocks = (
+                is_written_joint if is_written_joint.any() else is_mapped_joint,
                 iter(all_blocks),
             )
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
-            blocks, self._thinned, frames = _thinned(plan, blocks, frames, rig, step)
+            blocks, self._reduce_samples, frames = _reduce_samples(
+                plan, blocks, frames, rig, step
+            )
         take = UsdTake(
             (),
             plan.start,
             step,
             frames=frames,
-            written_joints=mapped_joints,
+            written_joints=is_mapped_joint,
             shapes=_shape_names(plan),
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
             source_name=source_stem(plan.source),
             props=self._run.props,
             to_rig=None if joint_map is None else joint_map.to_rig,
-            reduced=self._thinned is not None,
+            reduced=self._reduce_samples is not None,
             rest_record=rest_record(plan.stream.rig, rig) if joint_map is None else {},
         )
         return take, blocks
 
-    def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
+    def report(self, job: UsdJob, written_take: WrittenTake) -> TakeReport:
         """Return the report of the take."""
-        thinned = self._thinned
-        names, index = job.names.names, written.rounding.joint_index
+        thinned = self._reduce_samples
+        names, index = job.names.names, written_take.rounding.joint_index
         joint = names[index] if names else ""
-        report = take_report(self._run, written, joint)
+        report = take_report(self._run, written_take, joint)
         report.thinned = thinned
         if thinned and job.rig.names:
             report.thinned_joint = job.rig.names[thinned.joint_index]
         return report
 
 
-def _thinned(
+def _reduce_samples(
     plan: TakePlan,
     blocks: TimedBlocks,
     frames: tuple[Fraction, Fraction] | None,
     rig: Rig,
     step: Fraction,
 ) -> tuple[TimedBlocks, ThinnedSamples, tuple[Fraction, Fraction]]:
-    """Return the samples to keep, their errors, and the first and last frame."""
+    """Return the reduced samples, their error, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 
     all_blocks = list(blocks)
@@ -222,11 +224,11 @@ def _thinned(
     assert tolerance is not None
     # Tolerances are converted to the rig's numbers, which its stage may scale.
     size = 1.0 if plan.mapping is None else plan.mapping.size
-    distances_by_name = {
+    joint_tolerances = {
         name: max_distance / size for name, max_distance in plan.options.reduce_at
     }
     thinned = thin_samples(
-        rig, codes, motion, tolerance / size, joint_tolerances=distances_by_name
+        rig, codes, motion, tolerance / size, joint_tolerances=joint_tolerances
     )
     thinned = replace(thinned, error=thinned.error * size)
     if frames is None:

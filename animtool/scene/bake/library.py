@@ -30,7 +30,7 @@ def take_names(
 ) -> list[str]:
     """Return legal and distinct take names, from stated names or file names.
 
-    Two that would be the same are added to the notices.
+    Names that had to be changed are added to the notices.
     """
     stems = list(stated_names) or [source_stem(path) for path in sources]
     names = distinct_names([path.name for path in sources], stems, stems)
@@ -74,7 +74,7 @@ def in_joint_order(
     faults = [
         Fault("USD030", difference, str(path), (), "a library has one skeleton")
         for path, joints in zip(sources[1:], other_joints, strict=True)
-        if (difference := _difference(first_joints, joints, str(sources[0])))
+        if (difference := _joint_difference(first_joints, joints, str(sources[0])))
     ]
     if faults:
         raise FormatError(faults)
@@ -94,7 +94,8 @@ def in_joint_order(
 def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
     """Return the parent of every joint by USD name, in order.
 
-    So a BVH and what USD holds of it have the same joints. A root has none.
+    By USD name, a BVH and its conversion to USD have equal joints. A root has the
+    parent "".
     """
     names = joint_names(rig.joints, options.strip_namespace).names
     return {
@@ -103,24 +104,26 @@ def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
     }
 
 
-def _difference(first: dict[str, str], others: dict[str, str], source: str) -> str:
+def _joint_difference(
+    first_parents: dict[str, str], other_parents: dict[str, str], source: str
+) -> str:
     """Return the first difference between joints as text; empty for none."""
-    for name, parent in first.items():
-        if name not in others:
+    for name, parent in first_parents.items():
+        if name not in other_parents:
             return f"there is no joint {name!r}, which {source} has"
-        if others[name] != parent:
+        if other_parents[name] != parent:
             parents = [
-                f"below {p!r}" if p else "a root" for p in (others[name], parent)
+                f"below {p!r}" if p else "a root" for p in (other_parents[name], parent)
             ]
             return f"joint {name!r} is {parents[0]}, but in {source} {parents[1]}"
-    for name in others:
-        if name not in first:
+    for name in other_parents:
+        if name not in first_parents:
             return f"joint {name!r} is not in {source}"
     return ""
 
 
 def _reorder_joints(
-    stream: TakeStream, names: list[str], order: list[str], first: Rig
+    stream: TakeStream, names: list[str], order: list[str], first_rig: Rig
 ) -> TakeStream:
     """Return a take with its joints in the order of a first rig."""
     if names == order:
@@ -128,13 +131,15 @@ def _reorder_joints(
     from animtool.usd.rigs.joint_map import RigJointMap
 
     rig = stream.rig
-    source = np.array([names.index(name) for name in order], np.int64)
+    source_indices = np.array([names.index(name) for name in order], np.int64)
     joints = tuple(
         replace(rig.joints[i], parent=joint.parent)
-        for i, joint in zip(source.tolist(), first.joints, strict=True)
+        for i, joint in zip(source_indices.tolist(), first_rig.joints, strict=True)
     )
     reordered_rig = replace(rig, joints=joints)
-    joint_map = RigJointMap(reordered_rig, source, np.ones((len(joints), 3)), [])
+    joint_map = RigJointMap(
+        reordered_rig, source_indices, np.ones((len(joints), 3)), []
+    )
     curve, source_blocks = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
@@ -147,13 +152,13 @@ def _reorder_joints(
     return reordered_stream
 
 
-def _rest_notice(first: Rig, other_rig: Rig, path: str, source: str) -> list[Fault]:
+def _rest_notice(first_rig: Rig, other_rig: Rig, path: str, source: str) -> list[Fault]:
     """Warn where a take's rest pose differs from the one that is written."""
     distances = np.linalg.norm(
-        first.rest_translations - other_rig.rest_translations, axis=1
+        first_rig.rest_translations - other_rig.rest_translations, axis=1
     )
-    size = float(np.abs(first.rest_translations).max(initial=0.0)) or 1.0
-    angles = so3.angle_between(first.rest_rotations, other_rig.rest_rotations)
+    size = float(np.abs(first_rig.rest_translations).max(initial=0.0)) or 1.0
+    angles = so3.angle_between(first_rig.rest_rotations, other_rig.rest_rotations)
     relative_errors = np.maximum(
         distances / (REST_LENGTH_TOLERANCE * size), angles / REST_ANGLE_TOLERANCE
     )
@@ -161,7 +166,7 @@ def _rest_notice(first: Rig, other_rig: Rig, path: str, source: str) -> list[Fau
         return []
     i = int(relative_errors.argmax())
     message = (
-        f"the rest pose differs from that of {source}: joint {first.names[i]!r} by "
+        f"the rest pose differs from that of {source}: joint {first_rig.names[i]!r} by "
         f"{length_text(distances[i])} and {np.degrees(angles[i]):.3g} degrees"
     )
     hint = f"the library uses the rest pose of {source}"

@@ -381,11 +381,11 @@ def _frame_option(start: FractionLike) -> Fraction:
         raise OptionError(Fault("SCN033", f"start: {error}")) from error
 
 
-def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
-    """Return options with defaults replaced by those of other options."""
+def with_fallbacks(options: BakeOptions, fallback_options: BakeOptions) -> BakeOptions:
+    """Return options whose default values are replaced by those of fallback options."""
     defaults = BakeOptions()
     overrides = {
-        field.name: getattr(others, field.name)
+        field.name: getattr(fallback_options, field.name)
         for field in fields(BakeOptions)
         if getattr(options, field.name) == getattr(defaults, field.name)
     }

@@ -14,7 +14,7 @@ from animtool.core.files.placing import output_target
 from animtool.core.readers import USD_PACKAGE_SUFFIX
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage
-from animtool.scene.bake.options import BakeOptions, merged
+from animtool.scene.bake.options import BakeOptions, with_fallbacks
 from animtool.scene.bake.reading import (
     Source,
     SourceSet,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class OutputEntry:
-    """One requested output of a bake."""
+    """A requested output of a bake."""
 
     path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
@@ -52,19 +52,19 @@ class OutputEntry:
 
     @property
     def simulated(self) -> bool:
-        """Whether it contains systems."""
+        """Whether the output contains simulated systems."""
         return self.scene is not None and bool(self.scene.systems)
 
     def locate(self, fault: Fault) -> Fault:
-        """Return a fault of the file at the place where a scene names it.
+        """Return a fault of the file, located where the scene names the file.
 
-        A file that exists is at fault itself.
+        A fault of an existing file keeps its own location.
         """
         if self.location is None or fault.code == "OUT001":
             return fault
         if fault.path == str(self.path):
-            where = "file" if fault.code.startswith("OUT") else fault.where
-            fault = replace(fault, path=None, where=where)
+            key = "file" if fault.code.startswith("OUT") else fault.where
+            fault = replace(fault, path=None, where=key)
         return self.location.locate(fault)
 
     @property
@@ -79,7 +79,7 @@ class OutputEntry:
 
     @property
     def files(self) -> list[Path]:
-        """Files to write; of chunks, those that may be replaced."""
+        """Files to write, including existing chunks that may be replaced."""
         if self.path == STDOUT:
             return []
         if self.is_stage:
@@ -94,18 +94,22 @@ class OutputEntry:
 class Outline:
     """Sources and outputs of a bake."""
 
-    reading: SourceSet
+    source_set: SourceSet
     outputs: tuple[OutputEntry, ...]
     notices: list[Fault]  # of the scenes
 
     @property
     def scene(self) -> Scene | None:
         """The source, if it is a single scene."""
-        reading = self.reading
-        return reading.scenes.get(reading.files[0]) if len(reading.files) == 1 else None
+        source_set = self.source_set
+        return (
+            source_set.scenes.get(source_set.files[0])
+            if len(source_set.files) == 1
+            else None
+        )
 
     @property
-    def replacing(self) -> Outline:
+    def overwriting(self) -> Outline:
         """A copy that overwrites existing files."""
         outputs = (
             replace(entry, options=replace(entry.options, overwrite=True))
@@ -119,7 +123,7 @@ class Outline:
         return [path for entry in self.outputs for path in entry.files]
 
 
-def outlined(
+def create_outline(
     sources: Source | Sequence[Source],
     output: Path | str | None,
     options: BakeOptions | None = None,
@@ -130,46 +134,46 @@ def outlined(
     """Return the outline of a bake from sources and options, unchecked.
 
     Args:
-        sources: What is read.
+        sources: Files, scenes or open takes to read.
         output: The file, or `STDOUT`; None is what a scene names, else stdout.
-        options: They come before those of a scene.
-        base: Of a clip: what an additive take is put on.
-        rig_file: Of a clip: the file of its rig, which is named; None writes one.
+        options: Options that override those of a scene.
+        base: For a clip: base take of an additive take.
+        rig_file: For a clip: its rig file, to which it refers; None writes one.
     """
     is_single = isinstance(sources, str) or not isinstance(sources, Sequence)
     source_list = cast("Sequence[Source]", [sources] if is_single else sources)
-    reading = source_set(source_list)
+    sources_to_read = source_set(source_list)
     options = options or BakeOptions()
-    scenes = list(reading.scenes.values())
+    scenes = list(sources_to_read.scenes.values())
     notices = [notice for scene in scenes for notice in scene.notices]
     path = STDOUT if output is None else Path(output)
-    if not scenes and path != STDOUT and _holds_several(path, options):
-        reading = with_takes(reading, options)
+    if not scenes and path != STDOUT and _holds_all_takes(path, options):
+        sources_to_read = with_takes(sources_to_read, options)
         if (
-            reading.names
+            sources_to_read.names
             and form_of(options) is LayerForm.LIBRARY
             and not path.exists()
         ):
             # Several takes make a library by default.
             options = replace(options, form=None)
-    if len(reading.files) != 1 or not scenes:
+    if len(sources_to_read.files) != 1 or not scenes:
         entry = OutputEntry(path, options, base=base, rig_file=rig_file)
-        return Outline(reading, (entry,), notices)
+        return Outline(sources_to_read, (entry,), notices)
     (scene,) = scenes
     entries = scene.outputs if output is None else scene.outputs[:1]
     outputs = tuple(
         OutputEntry(
             path if entry.path is None or output is not None else entry.path,
-            merged(options, entry.bake),
-            scene.writing(entry),
+            with_fallbacks(options, entry.bake),
+            scene.for_output(entry),
             entry.location if output is None else None,
         )
         for entry in entries
     )
-    return Outline(reading, outputs, notices)
+    return Outline(sources_to_read, outputs, notices)
 
 
-def _holds_several(path: Path, options: BakeOptions) -> bool:
+def _holds_all_takes(path: Path, options: BakeOptions) -> bool:
     """Return whether an output contains all takes of a source."""
     if writes_stage(path):
         return form_of(options) is LayerForm.LIBRARY
@@ -177,16 +181,16 @@ def _holds_several(path: Path, options: BakeOptions) -> bool:
     return writer is not None and writer.several
 
 
-def is_several(scene: Scene) -> bool:
+def has_several_outputs(scene: Scene) -> bool:
     """Return whether a scene writes several files, or one that is not USD."""
     path = scene.outputs[0].path
     return len(scene.outputs) > 1 or (path is not None and not writes_stage(path))
 
 
 def check_outline(outline: Outline) -> None:
-    """Refuse invalid outputs before anything is read, with all faults at once."""
-    reading, has_several = outline.reading, len(outline.outputs) > 1
-    _check_count(len(reading.files), outline.outputs[0].options)
+    """Refuse invalid outputs before anything is read; report all faults at once."""
+    source_set, has_several = outline.source_set, len(outline.outputs) > 1
+    _check_count(len(source_set.files), outline.outputs[0].options)
     faults = duplicate_outputs(outline)
     # Errors are not stored, since their tracebacks would keep layers open.
     error_types: list[type[AnimtoolError]] = []
@@ -196,15 +200,15 @@ def check_outline(outline: Outline) -> None:
             fault = Fault("DOC021", message)
             raise OptionError(entry.location.locate(fault) if entry.location else fault)
         try:
-            check_entry(entry, reading.inputs, reading.files[0])
+            check_entry(entry, source_set.inputs, source_set.files[0])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
             error_types.append(type(error))
     try:
         saved_states = [
-            path for scene in reading.scenes.values() for path in scene.kept
+            path for scene in source_set.scenes.values() for path in scene.extra_outputs
         ]
-        inputs = [*reading.inputs, *outline.files]
+        inputs = [*source_set.inputs, *outline.files]
         overwrite = outline.outputs[0].options.overwrite
         check_outputs(saved_states, inputs, overwrite=overwrite)
     except AnimtoolError as error:
@@ -298,10 +302,10 @@ def _check_count(count: int, options: BakeOptions) -> None:
 
 
 def _check_systems(outline: Outline) -> None:
-    """Refuse systems in outputs that hold a clip library or are not USD."""
-    if len(outline.reading.files) == 1:
+    """Refuse systems in outputs that are clip libraries or not USD."""
+    if len(outline.source_set.files) == 1:
         return
-    for scene in outline.reading.scenes.values():
-        if scene.writing(scene.outputs[0]).systems:
+    for scene in outline.source_set.scenes.values():
+        if scene.for_output(scene.outputs[0]).systems:
             message = "a simulation is not a take of a library"
             raise OptionError(Fault("SCN062", message, str(scene.path)))

@@ -1,4 +1,4 @@
-"""The plan of a bake: sources are open, and each output is ready to write."""
+"""Planning of a bake: open the sources and prepare each output."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from animtool.scene.bake.outline import (
     OutputEntry,
     check_outline,
     check_settings,
+    create_outline,
     duplicate_outputs,
-    outlined,
     take_name,
 )
 from animtool.scene.bake.prims import BakePlan, OutputPrims
@@ -58,7 +58,7 @@ def plan_stage(
     options: BakeOptions | None = None,
 ) -> BakePlan:
     """Return the plan of a bake to one USD file, or `STDOUT`."""
-    outline = outlined(source, output, options)
+    outline = create_outline(source, output, options)
     (plan,) = plan_outputs(outline)
     if isinstance(plan, BakePlan):
         return plan
@@ -67,9 +67,9 @@ def plan_stage(
 
 
 def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
-    """Open the sources and check everything that can be checked before the work."""
+    """Open the sources, check everything possible, and return a plan per output."""
     check_outline(outline)
-    reading, entries = outline.reading, outline.outputs
+    source_set, entries = outline.source_set, outline.outputs
     if outline.scene is not None and not outline.scene.sources:
         return [_planned_systems(entry, outline.notices) for entry in entries]
     options = entries[0].options
@@ -81,28 +81,28 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     work_follows = has_systems or len(entries) > 1
     source_progress = part_progress(progress, 0, 2) if work_follows else progress
     with protect_inputs(outline.files):
-        streams = reading.open(options, source_progress)
-    notices = [*outline.notices, *reading.unused]
+        streams = source_set.open(options, source_progress)
+    notices = [*outline.notices, *source_set.unused]
     if len(entries) == 1:
-        names = reading.names
-        return [_plan_output(reading.files, streams, entries[0], notices, names)]
+        names = source_set.names
+        return [_plan_output(source_set.files, streams, entries[0], notices, names)]
     (stream,) = streams
     return [
-        _plan_output(reading.files, [entry_stream], entry, list(notices))
+        _plan_output(source_set.files, [entry_stream], entry, list(notices))
         for entry, entry_stream in zip(
             entries, _shared_streams(stream, len(entries)), strict=True
         )
     ]
 
 
-def refusals(outline: Outline, take: Take | None) -> list[Fault]:
+def planning_faults(outline: Outline, take: Take | None) -> list[Fault]:
     """Return the faults that prevent a scene's outputs from being planned.
 
     ``take`` is the result of its sources after all passes; None for a scene without
     sources.
     """
     faults = duplicate_outputs(outline)
-    inputs = {path.resolve() for path in outline.reading.inputs}
+    inputs = {path.resolve() for path in outline.source_set.inputs}
     for entry in outline.outputs:
         layer = entry.options.rig_layer
         entry_inputs = inputs | ({layer.resolve()} if layer else set())
@@ -113,7 +113,7 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
             if take is None:
                 _planned_systems(entry, [])
             else:
-                _plan_output(outline.reading.files, [TakeStream.of(take)], entry, [])
+                _plan_output(outline.source_set.files, [TakeStream.of(take)], entry, [])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
     return faults
@@ -146,7 +146,7 @@ def _plan_output(
         file = _planned_file(sources[0], streams[0], entry, writer, notices)
         if len(streams) == 1:
             return file
-        return _with_others(file, sources, streams, entry, notices, names)
+        return _with_other_takes(file, sources, streams, entry, notices, names)
     with ExitStack() as location_context:
         if scene is not None:
             location_context.enter_context(scene.located_props())
@@ -164,15 +164,15 @@ def _planned_file(
     """Return the plan of a take in a format other than USD."""
     from animtool.scene.bake.files import FilePlan
 
-    options, left_out = entry.options, []
+    options, omitted_items = entry.options, []
     notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
-        left_out.append(f"simulated systems: {names}")
+        omitted_items.append(f"simulated systems: {names}")
     if stream.tracks:
-        left_out.append(listed([track.path for track in stream.tracks], MAX_NAMED))
+        omitted_items.append(listed([track.path for track in stream.tracks], MAX_NAMED))
         stream = PassthroughTracks(stream).stream
-    for text in left_out:
+    for text in omitted_items:
         message = f"a {writer.name} file cannot hold {text}"
         note = Fault("SCN112", message, severity=Severity.NOTE)
         notices.append(note if entry.location is None else entry.location.locate(note))
@@ -186,7 +186,7 @@ def _planned_file(
     return FilePlan(take, entry.path, entry.base, entry.rig_file, names=stated_names)
 
 
-def _with_others(
+def _with_other_takes(
     plan: FilePlan,
     sources: Sequence[Path],
     streams: list[TakeStream],
@@ -203,17 +203,19 @@ def _with_others(
         hint = "write .usdc or .glb, or pass one source"
         raise OptionError(Fault("OUT004", message, str(plan.path), (), hint))
     streams = in_joint_order(sources, streams, entry.options, notices)
-    others = [
+    other_plans = [
         _planned_file(source, stream, entry, writer, notices)
         for source, stream in zip(sources[1:], streams[1:], strict=True)
     ]
     default_names = [
         file_plan.names[0] if file_plan.names else source_stem(source)
-        for source, file_plan in zip(sources, (plan, *others), strict=True)
+        for source, file_plan in zip(sources, (plan, *other_plans), strict=True)
     ]
     take_names = names or tuple(numbered_names(default_names))
     return replace(
-        plan, others=tuple(file_plan.take for file_plan in others), names=take_names
+        plan,
+        others=tuple(file_plan.take for file_plan in other_plans),
+        names=take_names,
     )
 
 
@@ -255,7 +257,7 @@ def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
     from animtool.scene.systems.bake import plan_with_take
 
     systems = plan_with_take(scene, plan)
-    return replace(plan, prims=(*plan.prims, systems), watch=systems.watch)
+    return replace(plan, prims=(*plan.prims, systems), recorder=systems.recorder)
 
 
 def plan_takes(
@@ -268,7 +270,7 @@ def plan_takes(
 ) -> BakePlan:
     """Return the plan of takes in one USD file, or `STDOUT`.
 
-    stated_names: what the takes are called; empty is as their files are.
+    stated_names: names of the takes; empty uses the file names.
     """
     form = form_of(options)
     library = form is LayerForm.LIBRARY
@@ -276,10 +278,10 @@ def plan_takes(
     target = _target(path if is_added else options.rig_layer, options.prim_path)
     mappings: Sequence[RigJointMap | None]
     if target is None:
-        streams = _on_stage(sources, streams, options, notices)
+        streams = _place_on_stage(sources, streams, options, notices)
         mappings = [None] * len(streams)
     else:
-        streams, mappings = _on_rig(streams, target, options, notices)
+        streams, mappings = _place_on_rig(streams, target, options, notices)
     if options.root_motion and not streams[0].rig.joints:
         message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
@@ -296,11 +298,11 @@ def plan_takes(
         notices += rate_notice(names, streams, fps)
     if options.shot is not None:
         options = replace(options, shot=replace(options.shot, fps=fps))
-    notices += _rate_difference(target, fps)
-    notices += _left_points(streams, options)
+    notices += _rate_warning(target, fps)
+    notices += _unwritten_points_warning(streams, options)
     rig = streams[0].rig
     notices += tolerance_notices(options.reduce, rig, str(sources[0]))
-    notices += _no_namespace(streams, options)
+    notices += _namespace_warning(streams, options)
     start = start_of(options, target, streams[0], sources[0])
     takes = tuple(
         TakePlan(
@@ -359,13 +361,13 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
     return PointPrims(open_character(take, target))
 
 
-def _on_stage(
+def _place_on_stage(
     sources: Sequence[Path],
     streams: list[TakeStream],
     options: BakeOptions,
     notices: list[Fault],
 ) -> list[TakeStream]:
-    """Return takes as a stage has them: all with the same up axis, placed or not."""
+    """Return takes with a common up axis, with or without their placement."""
     keeps_placement = options.placement != "drop"
     for source, stream in zip(sources, streams, strict=True):
         notices += placement_notice(stream.rig, str(source), kept=keeps_placement)
@@ -375,13 +377,13 @@ def _on_stage(
     return [reorient(stream, up) for stream in streams]
 
 
-def _on_rig(
+def _place_on_rig(
     streams: list[TakeStream],
     target: RigTarget,
     options: BakeOptions,
     notices: list[Fault],
 ) -> tuple[list[TakeStream], list[RigJointMap]]:
-    """Return takes in the space of a rig layer, with the joints that they move."""
+    """Return takes in the space of a rig layer, with their joint maps."""
     from animtool.usd.takes.over_rig import convert_over_rig
 
     notices += target.notices
@@ -392,8 +394,10 @@ def _on_rig(
         )
         for stream in streams
     ]
-    mappings = [_joint_map(one, target, options, notices) for one in over_rigs]
-    return [one.stream for one in over_rigs], mappings
+    mappings = [
+        _joint_map(over_rig, target, options, notices) for over_rig in over_rigs
+    ]
+    return [over_rig.stream for over_rig in over_rigs], mappings
 
 
 def _joint_map(
@@ -414,8 +418,10 @@ def _joint_map(
     return joint_map
 
 
-def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Warn of simulated points that the output leaves out."""
+def _unwritten_points_warning(
+    streams: list[TakeStream], options: BakeOptions
+) -> list[Fault]:
+    """Warn about simulated points that the output does not contain (SIM134)."""
     point_names = sorted({name for stream in streams for name in stream.points})
     if not point_names or options.deform:
         return []
@@ -424,18 +430,20 @@ def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]
     return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _no_namespace(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Warn of namespaces to drop that no joint has (USD125)."""
+def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
+    """Warn if namespaces should be dropped but no joint has one (USD125)."""
     names = [name for stream in streams for name in stream.rig.names]
     if not options.strip_namespace or not names or any(":" in name for name in names):
         return []
-    stated = argument("strip_namespace", options.strip_namespace)
-    message = f"{stated} drops nothing: no joint has a namespace, such as {names[0]!r}"
+    option_text = argument("strip_namespace", options.strip_namespace)
+    message = (
+        f"{option_text} drops nothing: no joint has a namespace, such as {names[0]!r}"
+    )
     hint = "namespaces end in a colon, such as hero:Hips; remove the option"
     return [Fault("USD125", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     if target is None or fps == target.fps:
         return []
     rig_layer_rate = rate_label(target.fps)
@@ -447,10 +455,10 @@ def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:
 def start_of(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
-    """Return the first frame: option, shot, source, project, then 1.
+    """Return the first frame from options, shot, source or project; else 1.
 
-    At another rate, a source that starts between the frames of its stage starts at the
-    frame of the same time: 960.96 of 24 a second is 1001 of 25.
+    A source that starts between the frames of its stage starts at the frame of the same
+    time: time code 960.96 at 24 fps is frame 1001 at 25 fps.
     """
     if options.start is not None:
         return options.start

@@ -18,7 +18,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms, rest_size
-from animtool.scene.bake.deformed_character import DeformedCharacter, pieces
+from animtool.scene.bake.deformed_character import DeformedCharacter, motion_pieces
 from animtool.scene.bake.frames import BakedTake, TimedBlocks
 from animtool.scene.bake.prims import (
     BakePlan,
@@ -58,21 +58,23 @@ if TYPE_CHECKING:
 
 @dataclass
 class PointStream:
-    """Frames of a character's deformed points."""
+    """Computes the deformed points of a character, block by block."""
 
     character: DeformedCharacter
     meters_per_unit: float  # unit of the output [m]
     rate: float  # time codes a second
-    spaces: Sequence[PointSpace]  # where the points of each mesh are written
+    spaces: Sequence[PointSpace]  # space in which each mesh is written
     velocities: bool = False  # whether to compute velocities
     # Time spent on each mesh so far, without joints [s].
     seconds: list[float] = field(default_factory=list)
 
-    def blocks(self, timed: TimedBlocks) -> Iterator[Block]:
-        """Yield the frames of each mesh in order."""
+    def blocks(self, timed_blocks: TimedBlocks) -> Iterator[Block]:
+        """Yield blocks of frames of all meshes, in time order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
-        for codes, motion, counted_frames in pieces(timed, neighbours=self.velocities):
+        for codes, motion, own_frames in motion_pieces(
+            timed_blocks, neighbours=self.velocities
+        ):
             mapped_motion = motion
             if character.mapping is not None:
                 mapped_motion = character.mapping.at(codes, motion)
@@ -84,12 +86,12 @@ class PointStream:
                     frames = self._displaced_frames(
                         i, frames, codes, mapped_motion.points[mesh.name]
                     )
-                yield from self._float32_blocks(i, codes, frames, counted_frames)
+                yield from self._float32_blocks(i, codes, frames, own_frames)
 
     def _displaced_frames(
         self,
         mesh: int,
-        deformed: Iterator[DeformedFrames],
+        deformed_blocks: Iterator[DeformedFrames],
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[DeformedFrames]:
@@ -98,7 +100,7 @@ class PointStream:
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
         frames_done = 0
-        for deformed_block in deformed:
+        for deformed_block in deformed_blocks:
             frames = slice(frames_done, frames_done + len(deformed_block.points))
             yield replace_points(deformed_block, points, frames, surface, times)
             frames_done = frames.stop
@@ -107,27 +109,27 @@ class PointStream:
         self,
         mesh: int,
         codes: FloatArray,
-        deformed: Iterator[DeformedFrames],
-        counted: slice,
+        deformed_blocks: Iterator[DeformedFrames],
+        own_frames: slice,
     ) -> Iterator[Block]:
-        """Yield the counted frames of a piece in float32."""
+        """Yield the own frames of a piece, without neighbours, in float32."""
         frames_done = 0
         start_time = time.perf_counter()
-        for deformed_block in deformed:
+        for deformed_block in deformed_blocks:
             first, last = (
-                max(counted.start - frames_done, 0),
-                max(counted.stop - frames_done, 0),
+                max(own_frames.start - frames_done, 0),
+                max(own_frames.stop - frames_done, 0),
             )
-            counted_block = deformed_block.select(slice(first, last))
+            own_block = deformed_block.select(slice(first, last))
             block_codes = codes[
-                frames_done + first : frames_done + first + len(counted_block.points)
+                frames_done + first : frames_done + first + len(own_block.points)
             ]
             frames_done += len(deformed_block.points)
             if not len(block_codes):
                 continue
             space = self.spaces[mesh]
             block = round_points(
-                mesh, block_codes, counted_block, self.meters_per_unit, space
+                mesh, block_codes, own_block, self.meters_per_unit, space
             )
             self.seconds[mesh] += time.perf_counter() - start_time
             yield block
@@ -151,7 +153,7 @@ class PointStream:
             one_frame = deform(
                 record, weights, first_world, normals=normals, times=times
             )
-            return _repeat_frame(one_frame, len(codes))
+            return _repeat_first_frame(one_frame, len(codes))
         times = codes / self.rate if self.velocities else None
         return deform_blocks(record, weights, world, normals=normals, times=times)
 
@@ -171,7 +173,9 @@ def _is_static(
     )
 
 
-def _repeat_frame(frame_block: DeformedFrames, frames: int) -> Iterator[DeformedFrames]:
+def _repeat_first_frame(
+    frame_block: DeformedFrames, frames: int
+) -> Iterator[DeformedFrames]:
     size = block_frames(frame_block.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:
@@ -194,7 +198,7 @@ class PointPrims:
     character: DeformedCharacter
 
     def author(self, draft: BakeState) -> None:
-        """Author the prims; chunks of points are already written."""
+        """Author the prims; with chunks, also write the chunk files."""
         plan, (run,) = draft.plan, draft.runs
         stream, timed_take = run.plan.stream, run.open()
         job, character, spaces = _job(plan, self.character, timed_take.frames)
@@ -211,11 +215,11 @@ class PointPrims:
                 result = _result(layer, meshes, run)
                 draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
             else:
-                written = write_chunks(job, blocks, plan.options.chunk)
-                layer, meshes = written.layer, written.reports
+                chunked_cache = write_chunks(job, blocks, plan.options.chunk)
+                layer, meshes = chunked_cache.layer, chunked_cache.reports
                 result = _result(layer, meshes, run)
 
-                draft.layer, draft.files = layer, ChunkFiles(written, result)
+                draft.layer, draft.files = layer, ChunkFiles(chunked_cache, result)
 
         if run.props is not None:
             result.takes[0].props = _author_props(
@@ -241,13 +245,13 @@ class PointPrims:
             size=rest_size(character.rig),
             meters_per_unit=job.meters_per_unit,
             up=job.up,
-            what="point caches as a ",
+            form_name="point caches as a ",
         )
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkFiles:
-    """A layer whose points are stored in files of some samples each."""
+    """A layer whose points are stored in chunk files."""
 
     cache: ChunkedCache
     result: UsdResult
@@ -318,8 +322,10 @@ def _layer_job(
     plan.notices.extend(target.notices)
     if not target.prims:
         message = "no mesh of the take is in the rig layer"
-        where = str(plan.target.path)
-        raise FormatError(Fault("USD040", message, where, (), "nothing would deform"))
+        layer_path = str(plan.target.path)
+        raise FormatError(
+            Fault("USD040", message, layer_path, (), "nothing would deform")
+        )
     job = CacheJob(
         plan.output,
         plan.target.paths,
@@ -332,7 +338,7 @@ def _layer_job(
         target=target,
         shot=plan.options.shot,
     )
-    character = character.only(
+    character = character.with_meshes(
         [mesh.name for mesh in target.meshes],
         [mesh_prim.name for mesh_prim in target.strands],
     )

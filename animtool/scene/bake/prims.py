@@ -27,7 +27,7 @@ from animtool.usd.layers.sdf import model_path, save_layer
 if TYPE_CHECKING:
     from animtool.edit.thin import ThinnedSamples
     from animtool.scene.bake.frames import BakedTake, TakePlan
-    from animtool.scene.systems.character_motion import CharacterWatch
+    from animtool.scene.systems.character_motion import CharacterRecorder
     from animtool.usd.caches.writer import CachedMesh
     from animtool.usd.rigs.target import RigTarget
 
@@ -118,18 +118,18 @@ class TakeReport:
 
     @property
     def in_library(self) -> TakeReport | None:
-        """The report, if the take is in a library."""
+        """This report if the take is in a library, else None."""
         return self if self.written.name else None
 
     @property
     def if_thinned(self) -> TakeReport | None:
-        """The report, if samples were reduced."""
+        """This report if samples were reduced, else None."""
         return None if self.thinned is None else self
 
 
 def take_report(
     run: BakedTake,
-    written: WrittenTake,
+    written_take: WrittenTake,
     joint: str = "",
     meshes: Sequence[MeshReport] = (),
 ) -> TakeReport:
@@ -137,7 +137,7 @@ def take_report(
     plan, stream, times = run.plan, run.plan.stream, run.open().times
     return TakeReport(
         plan.source,
-        written,
+        written_take,
         stream.count or run.frames,
         stream.fps / stream.step,
         joint,
@@ -198,12 +198,12 @@ class BakeReport:
 
     @property
     def props(self) -> list[str]:
-        """Paths of the props that are written with the characters."""
+        """Paths of the props written with the characters."""
         return [path for take in self.takes for path in take.written.props]
 
     @property
     def named(self) -> list[Path]:
-        """Files that reports of solves name; none for stdout."""
+        """Written files, as reports of solves list them; none for stdout."""
         return self.files
 
     @property
@@ -213,7 +213,7 @@ class BakeReport:
 
     @property
     def cost(self) -> OutputCost:
-        """Time and memory that it took."""
+        """Cost of the output, with the largest rounding error."""
         name = str(self.files[-1]) if self.files else "stdout"
         error = self.worst.written.rounding.error
         return OutputCost(name, self.seconds["total"], error)
@@ -262,7 +262,7 @@ class BakeReport:
 
 
 def raise_stopped(reports: Sequence[object]) -> None:
-    """Raise the reason why a system stopped after its frames were kept."""
+    """Raise the error of a system that stopped early, after its frames were written."""
     for report in reports:
         if isinstance(report, BakeReport) and report.stopped is not None:
             raise report.stopped
@@ -286,7 +286,7 @@ class BakePlan:
     start: Fraction  # time code of the first frame
     notices: list[Fault]  # warnings collected so far
     prims: tuple[OutputPrims, ...]  # prims to write, in order
-    watch: CharacterWatch | None = None  # records the take for systems
+    recorder: CharacterRecorder | None = None  # records the take for systems
 
     @property
     def rig(self) -> Rig:
@@ -323,15 +323,15 @@ class BakePlan:
         size: float = 0.0,
         meters_per_unit: float,
         up: UpAxis,
-        what: str = "",
+        form_name: str = "",
     ) -> BakeReport:
-        """Return the report of written takes; ``what`` names the form."""
+        """Return the report of written takes; ``form_name`` names the form."""
         for take in takes:
             take.size, take.fps = size, result.span.fps
         return BakeReport(
             takes,
             result,
-            f"{what}{self.form} ({self.reason})",
+            f"{form_name}{self.form} ({self.reason})",
             joints,
             meters_per_unit,
             up.value,
@@ -350,7 +350,7 @@ class OutputFiles(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OneFile:
-    """A bake whose layer is its only file."""
+    """A layer that is the only file of a bake."""
 
     layer: Any
     output: Path  # the file, or `STDOUT`

@@ -35,15 +35,15 @@ def with_progress(
     progress: Progress,
     size: Callable[[Item], int] = _unit_weight,
 ) -> Iterator[Item]:
-    """Yield items and report how many have been taken."""
-    taken_size = 0
+    """Yield items and report the fraction that has been yielded."""
+    finished_size = 0
     if progress is not None:
         progress(0.0)
     for item in items:
         yield item
-        taken_size += size(item)
+        finished_size += size(item)
         if progress is not None and count:
-            progress(min(taken_size / count, 1.0))
+            progress(min(finished_size / count, 1.0))
 
 
 def timed(
@@ -60,51 +60,50 @@ def timed(
 
 
 @dataclass(frozen=True, slots=True)
-class _End:
+class _EndOfItems:
     error: BaseException | None = None
 
 
 def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
     """Yield the items of an iterator, computing up to ``depth`` ahead in a thread.
 
-    This pays off if the iterator spends its time in kernels that release the GIL. An
-    error of the iterator is raised at its position. Closing the generator stops the
-    thread.
+    This helps if the iterator spends its time in kernels that release the GIL. An error
+    is raised after the items before it. Closing the generator stops the thread.
 
     >>> list(prefetch(iter("abc")))
     ['a', 'b', 'c']
     """
     import queue
 
-    item_queue: queue.Queue[Item | _End] = queue.Queue(depth)
+    item_queue: queue.Queue[Item | _EndOfItems] = queue.Queue(depth)
     stop_event = threading.Event()
 
-    def put(item: Item | _End) -> None:
+    def put_item(item: Item | _EndOfItems) -> None:
         while not stop_event.is_set():
             with contextlib.suppress(queue.Full):
                 item_queue.put(item, timeout=0.1)
                 return
 
-    def work() -> None:
+    def produce_items() -> None:
         try:
             for item in items:
-                put(item)
+                put_item(item)
                 if stop_event.is_set():
                     return
-            put(_End())
+            put_item(_EndOfItems())
         except BaseException as error:
-            put(_End(error))
+            put_item(_EndOfItems(error))
 
     # Context variables, such as the record of inputs, apply here too.
     context = contextvars.copy_context()
     thread = threading.Thread(
-        target=context.run, args=(work,), name="animtool-prefetch", daemon=True
+        target=context.run, args=(produce_items,), name="animtool-prefetch", daemon=True
     )
     thread.start()
     try:
         while True:
             item = item_queue.get()
-            if isinstance(item, _End):
+            if isinstance(item, _EndOfItems):
                 if item.error is not None:
                     raise item.error
                 return
@@ -132,33 +131,36 @@ class BlockProgress:
     def __init__(self, show: Callable[[float], None], passes: int) -> None:
         """Start at 0."""
         self._show, self._passes = show, max(passes, 1)
-        self._begin, self._shown, self._read = 0.0, 0.0, 0.0
+        self._finished_fraction, self._shown, self._read_fraction = 0.0, 0.0, 0.0
         show(0.0)
 
     def read(self, fraction: float) -> None:
         """Record the fraction of the source that has been read."""
-        self._read = max(self._read, fraction)
+        self._read_fraction = max(self._read_fraction, fraction)
 
     def of_pass(self, index: int) -> Callable[[float], None]:
         """Return the callback by which a pass reports its fraction done."""
 
-        def tell(fraction: float) -> None:
+        def report_fraction(fraction: float) -> None:
             # A source that reports no progress is read as a whole.
-            read_fraction = self._read or 1.0
+            read_fraction = self._read_fraction or 1.0
             pass_fraction = (index + fraction) / self._passes
-            self._to(self._begin + (read_fraction - self._begin) * pass_fraction)
+            self._show_fraction(
+                self._finished_fraction
+                + (read_fraction - self._finished_fraction) * pass_fraction
+            )
 
-        return tell
+        return report_fraction
 
     def blocks(self, items: Iterator[Item]) -> Iterator[Item]:
         """Yield finished blocks; after the last the fraction is 1."""
         for item in items:
             yield item
-            self._to(self._read)
-            self._begin = self._shown
-        self._to(1.0)
+            self._show_fraction(self._read_fraction)
+            self._finished_fraction = self._shown
+        self._show_fraction(1.0)
 
-    def _to(self, fraction: float) -> None:
+    def _show_fraction(self, fraction: float) -> None:
         if fraction > self._shown:
             self._shown = min(fraction, 1.0)
             self._show(self._shown)
@@ -172,28 +174,30 @@ class ProgressPhases:
 
     def __init__(self, show: Callable[[float], None]) -> None:
         """Start at 0."""
-        self._show, self._floor, self._shown = show, 0.0, 0.0
+        self._show, self._start_fraction, self._shown = show, 0.0, 0.0
 
     def phase(self) -> Callable[[float], None]:
         """Begin a phase; return the callback for its fraction done."""
-        self._floor = self._shown
+        self._start_fraction = self._shown
         return self._phase_callback(0.5)
 
     def last(self) -> Callable[[float], None]:
         """Begin the last phase, which gets the remaining fraction."""
-        self._floor = self._shown
+        self._start_fraction = self._shown
         return self._phase_callback(1.0)
 
     def _phase_callback(self, phase_fraction: float) -> Callable[[float], None]:
-        floor = self._floor
+        start_fraction = self._start_fraction
 
-        def tell(fraction: float) -> None:
-            fraction_done = floor + (1.0 - floor) * phase_fraction * min(fraction, 1.0)
+        def report_fraction(fraction: float) -> None:
+            fraction_done = start_fraction + (
+                1.0 - start_fraction
+            ) * phase_fraction * min(fraction, 1.0)
             if fraction_done > self._shown:
                 self._shown = fraction_done
                 self._show(fraction_done)
 
-        return tell
+        return report_fraction
 
 
 class TimeProgress:
@@ -202,10 +206,10 @@ class TimeProgress:
     def __init__(self, show: Callable[[float], None], last: float) -> None:
         """Start at 0.
 
-        last: the last time that will be asked for [s].
+        last: the latest time that will be simulated [s].
         """
         self._show, self._last = show, last
-        self._shares: list[float] = []
+        self._fractions: list[float] = []
 
     def clock(self, begin: float) -> Callable[[float], None]:
         """Return the callback by which a simulation reports its time.
@@ -213,52 +217,51 @@ class TimeProgress:
         Args:
             begin: When it begins [s].
         """
-        index, duration = len(self._shares), self._last - begin
-        self._shares.append(0.0)
+        index, duration = len(self._fractions), self._last - begin
+        self._fractions.append(0.0)
 
-        def tell(t: float) -> None:
-            self._shares[index] = (t - begin) / duration if duration > 0 else 1.0
-            self._show(sum(self._shares) / len(self._shares))
+        def report_time(t: float) -> None:
+            self._fractions[index] = (t - begin) / duration if duration > 0 else 1.0
+            self._show(sum(self._fractions) / len(self._fractions))
 
-        return tell
+        return report_time
 
 
 # Writing this resets the peak that Linux counts to the current level.
-_RESET = ("/proc/self/clear_refs", b"5")
-_STATUS = "/proc/self/status"
+_RESET_PEAK_COMMAND = ("/proc/self/clear_refs", b"5")
+_STATUS_PATH = "/proc/self/status"
 
 
 @dataclass(slots=True)
 class PeakMemory:
     """Peak resident memory of this process above its level at the start.
 
-    Linux counts the peak from any moment on. Other systems know only the peak since the
-    process started: a later, lower peak is not seen, and the earlier one is returned.
-    It is not supported on Windows.
+    On Linux the peak can be reset at any time. Other systems report only the peak since
+    the process started, so a later, lower peak is hidden. Windows is not supported.
     """
 
     # Level when measuring began [byte]; None if unknown.
-    base: int | None = None
+    base_bytes: int | None = None
 
     def begin(self) -> None:
         """Reset the base level to the current one."""
         # The first sample discards memory that was freed before.
         self._peak_bytes()
-        self.base = self._peak_bytes()
+        self.base_bytes = self._peak_bytes()
 
-    def taken(self) -> int | None:
+    def peak_since_last_call(self) -> int | None:
         """Return the peak since the last call [byte]; None where unknown."""
-        if self.base is None:
+        if self.base_bytes is None:
             return None
         peak = self._peak_bytes()
-        return None if peak is None else max(0, peak - self.base)
+        return None if peak is None else max(0, peak - self.base_bytes)
 
     @staticmethod
     def _peak_bytes() -> int | None:
         peak = _status_peak()
         if peak is None:
-            return _life_peak()
-        path, word = _RESET
+            return _process_peak()
+        path, word = _RESET_PEAK_COMMAND
         with contextlib.suppress(OSError), open(path, "wb", 0) as file:  # noqa: PTH123
             file.write(word)
         return peak
@@ -267,7 +270,7 @@ class PeakMemory:
 def _status_peak() -> int | None:
     """Return the peak that Linux reports [byte]; None on other systems."""
     try:
-        with open(_STATUS, "rb") as file:  # noqa: PTH123
+        with open(_STATUS_PATH, "rb") as file:  # noqa: PTH123
             for line in file:
                 if line.startswith(b"VmHWM:"):
                     return int(line.split()[1]) * 1024
@@ -276,7 +279,7 @@ def _status_peak() -> int | None:
     return None
 
 
-def _life_peak() -> int | None:
+def _process_peak() -> int | None:
     """Return the peak of the process so far [byte]; None where unknown."""
     if sys.platform == "win32":
         return None
@@ -331,7 +334,7 @@ class Meter:
 
     stages: list[StageCost] = field(default_factory=list)
     _stack: list[StageCost] = field(default_factory=list)
-    _since: float = 0.0
+    _last_time: float = 0.0
     _memory: PeakMemory = field(default_factory=PeakMemory)
 
     def start(self) -> None:
@@ -366,7 +369,7 @@ class Meter:
     def curve(
         self, stage: StageCost, curve: Callable[[FloatArray], Motion] | None
     ) -> Callable[[FloatArray], Motion] | None:
-        """Return a source that is a function of time, charged to a stage."""
+        """Return a curve whose evaluations are charged to a stage."""
         if curve is None:
             return None
         source = curve
@@ -380,10 +383,10 @@ class Meter:
     def _charge(self) -> None:
         """Charge the time since the last call to the running stage."""
         current_time = time.perf_counter()
-        peak = self._memory.taken()
+        peak = self._memory.peak_since_last_call()
         if self._stack:
             stage = self._stack[-1]
-            stage.seconds += current_time - self._since
+            stage.seconds += current_time - self._last_time
             if peak is not None:
                 stage.peak = max(stage.peak or 0, peak)
-        self._since = time.perf_counter()
+        self._last_time = time.perf_counter()

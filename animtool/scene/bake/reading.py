@@ -1,4 +1,4 @@
-"""The sources, options and files of a bake."""
+"""The sources, options and output files of a bake."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def source_file(source: Source) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class SourceSet:
-    """The sources to read."""
+    """The sources of a bake."""
 
     files: list[Path]  # files of the sources, in order
     scenes: dict[Path, Scene]  # loaded scenes that are sources, by file
@@ -67,7 +67,7 @@ class SourceSet:
 
     @property
     def unused(self) -> list[Fault]:
-        """Library takes that are scenes with bake options of their own."""
+        """Warnings about ignored bake options of scenes that become library takes."""
         return [] if len(self.files) == 1 else _unused_options(self.scenes)
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
@@ -77,12 +77,12 @@ class SourceSet:
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
                 source_progress = part_progress(progress, i, len(self.files))
-                local_options = options
+                source_options = options
                 if self.names:
-                    read = replace(options.source, take=self.names[i])
-                    local_options = replace(options, source=read)
+                    take_options = replace(options.source, take=self.names[i])
+                    source_options = replace(options, source=take_options)
                 streams.append(
-                    take or self._open_one(path, local_options, source_progress)
+                    take or self._open_one(path, source_options, source_progress)
                 )
             except AnimtoolError as error:
                 errors.append(error)
@@ -97,7 +97,7 @@ class SourceSet:
     def _open_one(
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
-        """Open a source; over a rig, drop what joints cannot hold."""
+        """Open a source; drop a placement that the joints of a rig cannot store."""
         try:
             return self._open_path(path, options, source_progress)
         except FormatError as error:
@@ -116,7 +116,7 @@ class SourceSet:
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
         if path in self.scenes:
-            scene = self.scenes[path].forced(
+            scene = self.scenes[path].with_source_options(
                 force_fit=options.force_fit, placement=options.placement
             )
             return scene.open(progress=source_progress)
@@ -130,20 +130,20 @@ class SourceSet:
         return open_checked(path, source_options, progress=source_progress)
 
 
-def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
-    """Return one source per take for a single file with several; others as they are.
+def with_takes(sources: SourceSet, options: BakeOptions) -> SourceSet:
+    """Return one source per take if there is a single file with several takes.
 
-    A single file with a chosen take also stays as it is.
+    Otherwise, or if the options choose a take, the sources are unchanged.
     """
-    if len(reading.files) != 1 or reading.scenes or reading.takes[0] is not None:
-        return reading
-    (path,) = reading.files
+    if len(sources.files) != 1 or sources.scenes or sources.takes[0] is not None:
+        return sources
+    (path,) = sources.files
     reader = reader_of(path)
     if reader is None or not reader.takes or options.source.take is not None:
-        return reading
+        return sources
     names = reader.take_names(path)
     if len(names) < 2:
-        return reading
+        return sources
     take_count = len(names)
     return SourceSet([path] * take_count, {}, (None,) * take_count, tuple(names))
 
@@ -301,7 +301,7 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
         if name in writer.options or "file" not in option.not_for:
             continue
         if name == "reduce":
-            faults.append(of_keys(option_marker(name, option), path))
+            faults.append(key_option_fault(option_marker(name, option), path))
             continue
         message = f"{option_marker(name, option)} applies to USD, not to {path}"
         faults.append(Fault("CLI002", message))
@@ -311,7 +311,7 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
         raise OptionError(faults)
 
 
-def of_keys(name: str, path: Path) -> Fault:
+def key_option_fault(name: str, path: Path) -> Fault:
     """Return the fault of a key option on a file that holds samples (CLI004)."""
     message = f"{name} applies to keys, but this output holds samples"
     hint = f"write a .clip.yaml, or bake to USD with {argument('reduce')}"
@@ -354,7 +354,7 @@ def check_package(path: Path, options: BakeOptions) -> None:
 def output_files(
     path: Path, options: BakeOptions, *, simulated: bool = False
 ) -> list[Path]:
-    """Return the files to write; of chunks, those that may be replaced.
+    """Return the files to write, including existing chunks that may be replaced.
 
     simulated: whether systems are written.
     """

@@ -64,17 +64,19 @@ class PlanSteps:
 
 def bake_steps(outline: Outline) -> list[PlanStep]:
     """Return the steps of a bake in order; sources are read, passes do not run."""
-    check_outline(outline.replacing)
-    reading, scene, outputs = outline.reading, outline.scene, outline.outputs
+    check_outline(outline.overwriting)
+    source_set, scene, outputs = outline.source_set, outline.scene, outline.outputs
     if scene is not None and not scene.sources:
         return _simulated_steps(scene, outputs)
     steps: list[PlanStep] = []
     take_state: _TakeState | None = None
-    for path in reading.files:
-        if path in reading.scenes:
-            take_state = _scene_steps(reading.scenes[path], steps)
+    for path in source_set.files:
+        if path in source_set.scenes:
+            take_state = _scene_steps(source_set.scenes[path], steps)
             continue
-        source_options = fitting_options(outputs[0].options.source, path, reading.files)
+        source_options = fitting_options(
+            outputs[0].options.source, path, source_set.files
+        )
         take_state = _TakeState.of(open_source(path, source_options))
         steps.append(_source_step(path, "", take_state))
     assert take_state is not None
@@ -87,7 +89,7 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
 
 @dataclass(frozen=True, slots=True)
 class _TakeState:
-    """Known facts of a take between two steps."""
+    """What is known about a take between two steps."""
 
     rig: Rig  # joints, shapes and controls
     moving: frozenset[TakePart]  # parts with values
@@ -100,7 +102,7 @@ class _TakeState:
 
     @staticmethod
     def of(stream: TakeStream) -> _TakeState:
-        """Return the known facts of a take that was opened for this purpose."""
+        """Return the state of an open take, which is read completely."""
         take = stream.collect()
         motion, rig = take.motion, take.rig
         frames = counted(take.clock.count, "frame")
@@ -127,7 +129,7 @@ class _TakeState:
 
 
 def _static_tracks(motion: Motion) -> Iterator[str]:
-    """Yield the parts of a motion that never move and are stored once."""
+    """Yield texts about channels that are static in all or some joints."""
     for name, noun in (
         ("translations", "translation"),
         ("rotations", "rotation"),
@@ -146,9 +148,9 @@ def _static_tracks(motion: Motion) -> Iterator[str]:
             yield f"samples of {counted(static, noun)} that {word} stored once"
 
 
-def _source_step(path: Path, where: str, state: _TakeState) -> PlanStep:
+def _source_step(path: Path, key: str, state: _TakeState) -> PlanStep:
     return PlanStep(
-        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.static
+        StepKind.SOURCE, str(path), key, (str(path),), state.facts, state.static
     )
 
 
@@ -168,7 +170,7 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
         steps.append(_prop_step(prop, tracks[prop.path]))
     for entry in scene.passes:
         steps.append(_pass_step(scene, entry, state))
-        if state.curves and not state.dropped and _drops(entry):
+        if state.curves and not state.dropped and _drops_curves(entry):
             state = replace(state, dropped=entry.pass_.name)
         if TakePart.CLOCK in entry.pass_.changes:
             state = replace(state, facts=())
@@ -196,11 +198,11 @@ def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep
 
 
 def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
-    setup, where = system.setup, system.location.where
+    setup, key = system.setup, system.location.where
     # The scene's own character is in the scene's file.
     reads = tuple(name for name in setup.reads if name != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
-    return PlanStep(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
+    return PlanStep(StepKind.SYSTEM, system.name, key, reads, (setup.result_text,))
 
 
 def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
@@ -224,28 +226,28 @@ def _output_key(entry: OutputEntry) -> str:
 
 
 def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
-    makes = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
+    results = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
     if track.attributes:
-        makes.append(", ".join(attribute.name for attribute in track.attributes))
-    left_out = []
+        results.append(", ".join(attribute.name for attribute in track.attributes))
+    omitted = []
     if not track.moves:
-        left_out.append("samples: it never moves, and is stored once")
+        omitted.append("samples: it never moves, and is stored once")
     if not prop.retimed:
-        left_out.append("changes of time by passes: it is not retimed")
+        omitted.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
-        left_out.append("geometry: not requested (reference)")
+        omitted.append("geometry: not requested (reference)")
     return PlanStep(
         StepKind.PROP,
         f"{prop.prim} of {prop.file}",
         prop.location.where,
         (str(prop.file),),
-        tuple(makes),
-        tuple(left_out),
+        tuple(results),
+        tuple(omitted),
     )
 
 
-def _drops(entry: ScenePass) -> bool:
-    """Return whether a pass may drop the curves of controls."""
+def _drops_curves(entry: ScenePass) -> bool:
+    """Return whether a pass may remove the curves of controls."""
     # Whether its time steps are even does not depend on the frames.
     any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     if entry.pass_.even(entry.options, any_clock) is not None:
@@ -268,13 +270,13 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
     available_parts = state.moving | {TakePart.RIG, TakePart.CLOCK}
     if not handles_tracks(entry.pass_):
         available_parts -= {TakePart.TRACKS}
-    left_out = []
+    omitted = []
     if scene.preroll is not None and not entry.pass_.settles:
-        left_out.append("pre-roll: it has no state that would settle")
+        omitted.append("pre-roll: it has no state that would settle")
     missing_parts = sorted((entry.pass_.reads & entry.pass_.changes) - available_parts)
-    left_out += [f"{part}: the take has none" for part in missing_parts]
-    if state.curves and not state.dropped and _drops(entry):
-        left_out.append("curves of controls: invalid where it changes these")
+    omitted += [f"{take_part}: the take has none" for take_part in missing_parts]
+    if state.curves and not state.dropped and _drops_curves(entry):
+        omitted.append("curves of controls: invalid where it changes these")
     return PlanStep(
         StepKind.PASS,
         entry.pass_.name,
@@ -287,7 +289,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         tuple(
             _part_names((entry.pass_.changes & available_parts) | _added_parts(entry))
         ),
-        tuple(left_out),
+        tuple(omitted),
     )
 
 
@@ -303,20 +305,20 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     reads = ["take"]
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
-    makes = "deformed points" if options.deform else "an animation of the skeleton"
+    result = "deformed points" if options.deform else "an animation of the skeleton"
     if form is LayerForm.LIBRARY:
-        makes += " as a take, next to the existing ones,"
+        result += " as a take, next to the existing ones,"
     if state.tracks:
-        makes += f" and {counted(len(state.tracks), 'prop')} with it"
+        result += f" and {counted(len(state.tracks), 'prop')} with it"
     if state.systems:
-        makes += f" and {counted(state.systems, 'system')}"
+        result += f" and {counted(state.systems, 'system')}"
     return PlanStep(
         StepKind.OUTPUT,
         entry.name,
         _output_key(entry),
         tuple(reads),
-        (f"{form} with {makes}", *_file_labels(entry.files)),
-        tuple(_left_out(options, form, state)),
+        (f"{form} with {result}", *_file_labels(entry.files)),
+        tuple(_omitted_parts(options, form, state)),
     )
 
 
@@ -324,30 +326,30 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     """Return the step of an output that is not USD."""
     writer = take_writer(entry.path)
     noun = "keys have" if writer is CLIP else f"a {writer.name.upper()} has"
-    left_out = []
+    omitted = []
     if state.tracks:
         track_text = counted(len(state.tracks), "thing")
-        left_out.append(f"{track_text} with it: {noun} no place")
+        omitted.append(f"{track_text} with it: {noun} no place")
     if state.systems:
-        left_out.append(f"{counted(state.systems, 'system')}: they are points")
+        omitted.append(f"{counted(state.systems, 'system')}: they are points")
     contents = {
         "shapes": TakePart.SHAPES in state.moving,
         "meshes": bool(state.rig.meshes),
     }
-    left_out += [
-        f"{part}: {noun} no place for them"
-        for part, is_present in contents.items()
-        if is_present and part not in writer.holds
+    omitted += [
+        f"{content}: {noun} no place for them"
+        for content, is_present in contents.items()
+        if is_present and content not in writer.holds
     ]
     if state.curves and writer is CLIP:
-        left_out.append("curves of controls: keys are fitted to the samples again")
+        omitted.append("curves of controls: keys are fitted to the samples again")
     return PlanStep(
         StepKind.OUTPUT,
         entry.name,
         _output_key(entry),
         ("take",),
         (writer.samples, *_file_labels(entry.files)),
-        tuple(left_out),
+        tuple(omitted),
     )
 
 
@@ -358,11 +360,11 @@ def _file_labels(files: list[Path]) -> list[str]:
     ]
 
 
-def _left_out(
+def _omitted_parts(
     options: BakeOptions, form: LayerForm, state: _TakeState
 ) -> Iterator[str]:
-    """Yield the parts of a take that USD does not store, each with the reason."""
-    yield from _of_rig(options, form, state.rig)
+    """Yield the data of a take that USD does not store, each with the reason."""
+    yield from _omitted_rig_parts(options, form, state.rig)
     if state.curves and not options.deform:
         if not options.keep_curves:
             yield "curves of controls: not requested (keep_curves)"
@@ -382,8 +384,10 @@ def _left_out(
         yield f"samples that interpolation restores within {options.reduce * 1000:g} mm"
 
 
-def _of_rig(options: BakeOptions, form: LayerForm, rig: Rig) -> Iterator[str]:
-    """Yield the parts of a rig that USD does not store, each with the reason."""
+def _omitted_rig_parts(
+    options: BakeOptions, form: LayerForm, rig: Rig
+) -> Iterator[str]:
+    """Yield the data of a rig that USD does not store, each with the reason."""
     if options.deform:
         yield "skeleton and its animation: points are written instead"
         if not options.velocities:

@@ -152,8 +152,10 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
     return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 
-def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:
-    """Warn where a source has motion, which a rig cannot hold."""
+def _ignored_motion_notice(
+    source: Path, output: Path, prim_path: str | None
+) -> list[Fault]:
+    """Return a note that the motion of a source is not converted."""
     if has_kind_suffix(source, "rig"):
         return []
     from animtool.scene.sources.open import SourceOptions, open_source
@@ -179,12 +181,12 @@ def rig_to_usd(job: RigJob) -> RigReport:
     check_outputs(outputs, [job.source], overwrite=job.overwrite)
     with protect_inputs(outputs):
         rig, notices = open_rig(job.source, job.prim_path)
-    notices = notices + _motion_left_out(job.source, output, job.prim_path)
+    notices = notices + _ignored_motion_notice(job.source, output, job.prim_path)
     from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=job.strict)
     _, layer_notices = write_rig_layer(rig, output)
-    written = None
+    joint_prim_count = None
     if job.physics:
-        _, written = write_physics_layer(rig, outputs[1], output)
-    return _report(rig, outputs, notices + layer_notices, written)
+        _, joint_prim_count = write_physics_layer(rig, outputs[1], output)
+    return _report(rig, outputs, notices + layer_notices, joint_prim_count)

@@ -16,9 +16,9 @@ from animtool.motion.take import Take
 from animtool.scene.bake.bake import OutputReport, bake_outputs, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import check_outline, outlined
+from animtool.scene.bake.outline import check_outline, create_outline
 from animtool.scene.bake.progress import Progress
-from animtool.scene.bake.reading import of_keys
+from animtool.scene.bake.reading import key_option_fault
 from animtool.scene.sources.open import (
     OpenTake,
     SourceOptions,
@@ -73,8 +73,8 @@ def convert(
     keys = {"reduce": reduce, "reduce_at": reduce_at, "base": base}
     for name, value in keys.items():
         if value and "reduce" not in writer.options:
-            raise OptionError(of_keys(argument(name), output))
-    settings = _settings(options, overwrite=overwrite, strict=strict)
+            raise OptionError(key_option_fault(argument(name), output))
+    settings = _conversion_options(options, overwrite=overwrite, strict=strict)
     settings = replace(settings, reduce=reduce, reduce_at=reduce_at)
     (report,) = bake_outputs(
         source if isinstance(source, OpenTake) else Path(source),
@@ -84,14 +84,14 @@ def convert(
         rig_file=rig_file,
         progress=progress,
     )
-    return _as_conversion(report, output)
+    return _conversion_report(report, output)
 
 
 def convert_with_passes(
     source: Path,
     output: Path,
     passes: Sequence[tuple[Pass, Any]],
-    reading: SourceOptions | None = None,
+    source_options: SourceOptions | None = None,
     *,
     overwrite: bool = False,
     strict: bool = False,
@@ -103,7 +103,7 @@ def convert_with_passes(
         source: BVH, USD or clip.
         output: As `convert` takes it.
         passes: Passes in order, each with its options.
-        reading: Properties of the source.
+        source_options: Properties of the source.
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
         progress: Called with the fraction done, 0 to 1.
@@ -111,12 +111,12 @@ def convert_with_passes(
     for pass_, options in passes:
         for check in pass_.checks(options).values():
             check()
-    settings = _settings(reading, overwrite=overwrite, strict=strict)
-    outline = outlined(source, output, settings)
+    settings = _conversion_options(source_options, overwrite=overwrite, strict=strict)
+    outline = create_outline(source, output, settings)
     check_outline(outline)
     contexts: list[PassContext] = []
     with protect_inputs(outline.files):
-        stream = open_checked(source, reading, progress=progress)
+        stream = open_checked(source, source_options, progress=progress)
         for pass_, options in passes:
             context = PassContext(_read_take, source.parent)
             contexts.append(context)
@@ -128,24 +128,24 @@ def convert_with_passes(
         for (pass_, _), context in zip(passes, contexts, strict=True)
         for score in context.scores
     ]
-    return replace(_as_conversion(report, output), scores=scores)
+    return replace(_conversion_report(report, output), scores=scores)
 
 
-def _settings(
-    reading: SourceOptions | None, *, overwrite: bool, strict: bool
+def _conversion_options(
+    source_options: SourceOptions | None, *, overwrite: bool, strict: bool
 ) -> BakeOptions:
-    """Return bake options that only convert."""
-    reading = reading or SourceOptions()
+    """Return bake options that change nothing but the format."""
+    source_options = source_options or SourceOptions()
     return BakeOptions(
-        source=reading,
-        placement=reading.placement,
-        force_fit=reading.force_fit,
+        source=source_options,
+        placement=source_options.placement,
+        force_fit=source_options.force_fit,
         overwrite=overwrite,
         strict=strict,
     )
 
 
-def _as_conversion(report: OutputReport, output: Path) -> ConvertReport:
+def _conversion_report(report: OutputReport, output: Path) -> ConvertReport:
     """Return the report of a bake as a conversion report."""
     if isinstance(report, ConvertReport):
         return report

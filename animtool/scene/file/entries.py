@@ -54,8 +54,8 @@ class EntryLocation:
         """Return a fault at this location."""
         return self.locate(Fault(code, message, hint=hint, severity=severity))
 
-    def key_of(self, fault: Fault) -> str | None:
-        """Return the key that a fault names, or its nearest enclosing key.
+    def nearest_key(self, fault: Fault) -> str | None:
+        """Return the nearest key with a known location that contains a fault's key.
 
         >>> keys = {"bodies[1]": (4, 7)}
         >>> at = EntryLocation(Path("a.yaml"), 1, 1, "systems[0]", keys)
@@ -68,16 +68,19 @@ class EntryLocation:
         return key or None
 
     def locate(self, fault: Fault) -> Fault:
-        """Return a fault without a file at this location, or at a key of it."""
+        """Return a fault located at this entry or one of its keys.
+
+        A fault that names a file is returned unchanged.
+        """
         if fault.path is not None:
             return fault
-        (line, column), where = (self.line, self.column), self.where
-        key = self.key_of(fault)
+        (line, column), key_path = (self.line, self.column), self.where
+        key = self.nearest_key(fault)
         if key is not None:
             line, column = self.keys[key]
-            where = f"{where}.{fault.where}"
+            key_path = f"{key_path}.{fault.where}"
         return replace(
-            fault, path=str(self.path), lines=(line,), column=column, where=where
+            fault, path=str(self.path), lines=(line,), column=column, where=key_path
         )
 
     @contextmanager
@@ -94,17 +97,19 @@ class EntryLocation:
 
 
 def entry_location(
-    document: Document, at: Location, model: FileModel | None = None
+    document: Document, location: Location, model: FileModel | None = None
 ) -> EntryLocation:
-    """Return the location of an entry and of the keys that its model has."""
+    """Return the location of an entry and of the keys that are set in its model."""
     keys = {}
     for name in () if model is None else sorted(model.model_fields_set):
-        keys[name] = document.position((*at, name))
+        keys[name] = document.position((*location, name))
         value = getattr(model, name)
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
-                keys[f"{name}[{i}]"] = document.position((*at, name, i))
-    return EntryLocation(document.path, *document.position(at), location_text(at), keys)
+                keys[f"{name}[{i}]"] = document.position((*location, name, i))
+    return EntryLocation(
+        document.path, *document.position(location), location_text(location), keys
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +165,7 @@ STEPS_METHOD = "steps"  # method name of kinds without methods
 
 @dataclass(frozen=True, slots=True)
 class SystemSetup:
-    """A system as its file describes it."""
+    """A system as described in its file."""
 
     spec: SystemSpec
     around: Any  # its colliders, as `Surroundings`
@@ -172,49 +177,49 @@ class SystemSetup:
     resume: Path | None = None  # file of the state to resume
 
     @property
-    def _shown_record(self) -> SystemSpec | EntryRecord:
-        """The record that describes the system."""
+    def _description_source(self) -> SystemSpec | EntryRecord:
+        """The record that provides title, counts and inputs of the system."""
         return self.spec if self.record is None else self.record
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
-        """Names of the systems that it is joined to, and their locations."""
+        """Names of the joined systems, each with the location that names it."""
         names = () if self.record is None else self.record.joined
         return tuple((name, (*self.at, *parse_location(key))) for name, key in names)
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files that it writes besides the output."""
+        """Files written in addition to the output."""
         return () if self.spec.save is None else (self.spec.save,)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that it reads besides the scene."""
+        """Files read in addition to the scene file."""
         characters = (Path(character.file) for character in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Text of everything that acts on it."""
-        return (*self._shown_record.reads, *self.around.reads)
+        """Descriptions of everything that acts on the system."""
+        return (*self._description_source.reads, *self.around.reads)
 
     @property
-    def makes(self) -> str:
-        """Text of its result."""
+    def result_text(self) -> str:
+        """Description of the result, with method and step."""
         method_text = "" if self.method == STEPS_METHOD else f" by {self.method}"
         steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
-        return f"{self._shown_record.title},{method_text}{steps}"
+        return f"{self._description_source.title},{method_text}{steps}"
 
     @property
     def method(self) -> str:
-        """Its method, or ``steps`` for a kind without methods."""
+        """Integration method, or ``steps`` for a kind without methods."""
         return str(getattr(self.spec, self.spec.method_key, STEPS_METHOD))
 
     @property
     def facts(self) -> SystemFacts:
-        """Its size, method and step."""
-        counts, step = self._shown_record.counts, self.spec.step
+        """Size, method and step of the system."""
+        counts, step = self._description_source.counts, self.spec.step
         return SystemFacts(counts, self.method, step, self.around.count)
 
 

@@ -9,8 +9,8 @@ from animtool.core.errors import excerpt
 from animtool.core.rates import MAX_FRAME, FractionLike, exact_number
 from animtool.core.shot import FrameList, FrameRange
 
-# Ends and a step of a range in the form of other tools.
-_NUMBERS = re.compile(
+# First, last and step of a range in the notation of other tools.
+_FOREIGN_RANGE = re.compile(
     r"(-?\d{1,9})\s*[-,:;. ]+\s*(-?\d{1,9})(?:\s*[,:;x ]+\s*(\d{1,9}))?"
 )
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
@@ -24,12 +24,12 @@ def parse_frame_range(text: str) -> FrameRange:
     """
     match = _RANGE.fullmatch(text.strip())
     if match is None:
-        numbers = _NUMBERS.fullmatch(text.strip())
-        meant = "1-240 or 1-240x2"
-        if numbers is not None:
-            first, last, step = numbers.groups()
-            meant = f"{first}-{last}" + (f"x{step}" if step else "")
-        raise ValueError(f"{text!r} is not a range such as {meant}")
+        foreign_match = _FOREIGN_RANGE.fullmatch(text.strip())
+        suggestion = "1-240 or 1-240x2"
+        if foreign_match is not None:
+            first, last, step = foreign_match.groups()
+            suggestion = f"{first}-{last}" + (f"x{step}" if step else "")
+        raise ValueError(f"{text!r} is not a range such as {suggestion}")
     first = int(match[1])
     last, step = int(match[2] or first), int(match[3] or 1)
     if last < first:
@@ -60,14 +60,14 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))
     """
     offsets: list[Fraction] = []
-    for part in text.split(","):
+    for number_text in text.split(","):
         try:
-            offset = exact_number(part)
+            offset = exact_number(number_text)
         except (ValueError, ArithmeticError) as error:
             message = f"{excerpt(text)} is not a list of offsets such as -.25,0,.25"
             raise ValueError(message) from error
         if not -1 < offset < 1:
-            raise ValueError(f"offset {part.strip()} is not within a frame")
+            raise ValueError(f"offset {number_text.strip()} is not within a frame")
         offsets.append(offset)
     if len(set(offsets)) < len(offsets) or max(offsets) - min(offsets) >= 1:
         raise ValueError(f"offsets {text!r} overlap those of the next frame")
@@ -104,7 +104,7 @@ def parse_rest(text: str) -> int | None:
 
 
 def parse_source_rest(text: str) -> int | str | None:
-    """Return ``rig``, or the result of `parse_rest`.
+    """Return ``rig`` unchanged, else the result of `parse_rest`.
 
     >>> parse_source_rest("rig")
     'rig'

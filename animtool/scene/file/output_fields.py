@@ -1,4 +1,4 @@
-"""Keys of scenes and batches that set options."""
+"""Reading of scene and batch keys that set options."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.scene.file.schema import OutputModel, SceneModel
 from animtool.scene.sources.retime import Preroll
 from animtool.scene.systems.links import check_names
 
-Value = TypeVar("Value")
+ParsedT = TypeVar("ParsedT")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,21 +34,21 @@ class KeyReader:
     roots: tuple[Path, ...]  # folders that may contain files
     code: str  # code for an invalid value
 
-    def parsed(
-        self, at: Location, value: Any, parse: Callable[[Any], Value]
-    ) -> Value | None:
-        """Return a parsed value, None for None; record a fault if it is invalid."""
+    def parse_value(
+        self, location: Location, value: Any, parse: Callable[[Any], ParsedT]
+    ) -> ParsedT | None:
+        """Return a parsed value; None if it is None or invalid; record the fault."""
         if value is None:
             return None
         try:
             return parse(value)
         except ValueError as error:
-            self.document.add(getattr(error, "code", self.code), at, str(error))
+            self.document.add(getattr(error, "code", self.code), location, str(error))
             return None
 
-    def read_file(self, at: Location, name: str) -> Path:
+    def read_file(self, location: Location, name: str) -> Path:
         """Return an existing file to read."""
-        path = resolve_input(self.document, at, name, self.roots)
+        path = resolve_input(self.document, location, name, self.roots)
         return Path(name) if path is None else path
 
 
@@ -56,7 +56,7 @@ def option_keys(
     record: type[Any],
     model: FileModel,
     file_kind: FileKind,
-    at: Location,
+    location: Location,
     reader: KeyReader,
 ) -> dict[str, Any]:
     """Return the arguments of an options record that a model's keys set.
@@ -65,7 +65,7 @@ def option_keys(
         record: Class of the options.
         model: Model of `with_fields` for this location.
         file_kind: Kind of file.
-        at: Location of the model in its file.
+        location: Location of the model in its file.
         reader: Reads values and records faults.
     """
     values, options = {}, options_of(record)
@@ -73,34 +73,34 @@ def option_keys(
         value_in_file = getattr(model, key.alias or name)
         if value_in_file is not None:
             kind = options[name].kind
-            value = _value(kind, value_in_file, (*at, key.alias or name), reader)
+            value = _value(kind, value_in_file, (*location, key.alias or name), reader)
             if value is not None:
                 values[name] = value
     return values
 
 
-def _value(kind: OptionKind, value: Any, at: Location, reader: KeyReader) -> Any:
+def _value(kind: OptionKind, value: Any, location: Location, reader: KeyReader) -> Any:
     """Return the value of a key; None with a recorded fault if it is invalid."""
     if kind == "file":
-        return reader.read_file(at, value)
+        return reader.read_file(location, value)
     if kind == "lengths":
         lengths = {
-            name: reader.parsed((*at, name), text, parse_length)
+            name: reader.parse_value((*location, name), text, parse_length)
             for name, text in value.items()
         }
         return tuple(
             (name, length) for name, length in lengths.items() if length is not None
         )
     parse = _PARSERS.get(kind)
-    return value if parse is None else reader.parsed(at, value, parse)
+    return value if parse is None else reader.parse_value(location, value, parse)
 
 
 def _offsets(numbers: list[float]) -> tuple[Fraction, ...]:
     return parse_offsets(",".join(map(repr, numbers))) if numbers else ()
 
 
-def _range(ends: list[int]) -> FrameRange:
-    first, last = ends
+def _range(first_and_last: list[int]) -> FrameRange:
+    first, last = first_and_last
     if first > last:
         raise ValueError(f"the range from {first} to {last} is reversed")
     return FrameRange(first, last)
@@ -137,7 +137,7 @@ class OutputReader:
         return self._keys.document
 
     def _fps(self) -> Fraction | None:
-        return self._keys.parsed(("fps",), self._model.fps, parse_rate)
+        return self._keys.parse_value(("fps",), self._model.fps, parse_rate)
 
     def preroll(self) -> Preroll | None:
         """Return the number of frames before the shot, if stated."""
@@ -175,50 +175,60 @@ class OutputReader:
 
     def _output(
         self,
-        at: Location,
+        entry_path: Location,
         model: OutputModel,
         fps: Fraction | None,
         frames: FrameRange | None,
     ) -> SceneOutput:
-        path = None if model.file is None else self._file((*at, "file"), model.file)
+        path = (
+            None
+            if model.file is None
+            else self._file((*entry_path, "file"), model.file)
+        )
         writer = None if path is None else writer_of(path)
         if writer is not None and not writer.stage:
-            self._check_keys(at, model, writer)
-        keys = option_keys(BakeOptions, model, "scene", at, self._keys)
+            self._check_keys(entry_path, model, writer)
+        keys = option_keys(BakeOptions, model, "scene", entry_path, self._keys)
         if "take" in keys and keys.get("form") != "library":
             message = "take applies to a take of a library"
-            self._document.add("SCN039", (*at, "take"), message, "write as: library")
+            self._document.add(
+                "SCN039", (*entry_path, "take"), message, "write as: library"
+            )
         if "start" not in keys and self.start is not None:
             keys["start"] = self.start
         bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **keys)
         systems = None if model.systems is None else tuple(model.systems)
         if systems is not None:
             names = self._model.system_names
-            check_names(self._document, (*at, "systems"), systems, names)
+            check_names(self._document, (*entry_path, "systems"), systems, names)
         if not systems and systems is not None and self._model.source is None:
             message = "nothing would be written: it includes no system"
             hint = "remove systems to write all"
-            self._document.add("SCN081", (*at, "systems"), message, hint)
-        location = entry_location(self._document, at, model)
-        return SceneOutput(path, bake, location, systems)
+            self._document.add("SCN081", (*entry_path, "systems"), message, hint)
+        entry_location_ = entry_location(self._document, entry_path, model)
+        return SceneOutput(path, bake, entry_location_, systems)
 
-    def _file(self, at: Location, name: str) -> Path:
+    def _file(self, location: Location, name: str) -> Path:
         """Return a file to write."""
-        path = resolve_reference(self._document, at, name, self._roots, written=True)
+        path = resolve_reference(
+            self._document, location, name, self._roots, written=True
+        )
         return Path(name) if path is None else path
 
-    def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:
+    def _check_keys(
+        self, location: Location, model: OutputModel, writer: Writer
+    ) -> None:
         """Refuse keys that do not apply to the file's format."""
         allowed_keys = {"file", "start", *writer.options}
         for name in sorted(model.model_fields_set - allowed_keys):
             message = f"{name} does not apply to a {writer.name} file"
             hint = f"its keys are {', '.join(sorted(allowed_keys))}"
-            self._document.add("SCN039", (*at, name), message, hint)
+            self._document.add("SCN039", (*location, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
         """Return the frames to write: a range, or the cut with its handles."""
         shot, with_handles = self._model.shot, self._shot()
-        at: Location = ("range",) if shot is None else ("shot", "cut")
+        location: Location = ("range",) if shot is None else ("shot", "cut")
         frame_ends = self._model.range if shot is None else shot.cut
         if shot is not None and self._model.range is not None:
             message = "the cut of the shot already sets the frames to write"
@@ -228,8 +238,8 @@ class OutputReader:
             return None
         first, last = frame_ends
         if first > last:
-            message = f"the {at[-1]} from {first} to {last} is reversed"
-            self._document.add("SCN003", at, message, f"write [{last}, {first}]")
+            message = f"the {location[-1]} from {first} to {last} is reversed"
+            self._document.add("SCN003", location, message, f"write [{last}, {first}]")
         if with_handles is not None:
             return FrameRange(with_handles.start, with_handles.end)
         return FrameRange(first, last)

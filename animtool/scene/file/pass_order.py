@@ -1,4 +1,4 @@
-"""Hints for passes that precede the retarget whose rig they are for."""
+"""Hints for passes that name parts of a rig to which a later pass retargets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FIRST_NAME = re.compile(r"'([^']+)'")
 def with_order_hints(
     passes: Sequence[ScenePass], entry: ScenePass, folder: Path
 ) -> Iterator[None]:
-    """Point out names of a pass that exist only after a later ``retarget``.
+    """Add a hint if a pass names something that only a later ``retarget`` provides.
 
     Args:
         passes: All passes of the scene.
@@ -31,28 +31,31 @@ def with_order_hints(
         yield
     except (FormatError, OptionError) as error:
         rigs = list(_later_rigs(passes, entry, folder))
-        faults = [_hinted(fault, entry, rigs) for fault in error.faults]
+        faults = [_with_move_hint(fault, entry, rigs) for fault in error.faults]
         raise type(error)(faults) from error
 
 
 def _later_rigs(
     passes: Sequence[ScenePass], entry: ScenePass, folder: Path
 ) -> Iterator[Rig]:
-    """Yield the rigs of later retargets; one that cannot be read reports itself."""
-    for later in passes[passes.index(entry) + 1 :]:
-        if later.pass_.name == "retarget" and later.options.rig is not None:
+    """Yield the rigs of later retarget passes; skip rigs that cannot be read."""
+    for later_pass in passes[passes.index(entry) + 1 :]:
+        if later_pass.pass_.name == "retarget" and later_pass.options.rig is not None:
             try:
-                yield open_rig(folder / later.options.rig)[0]
+                yield open_rig(folder / later_pass.options.rig)[0]
             except AnimtoolError:
                 continue
 
 
-def _hinted(fault: Fault, entry: ScenePass, rigs: Sequence[Rig]) -> Fault:
-    """Return a fault about an unknown name, with the rig that has the name."""
+def _with_move_hint(fault: Fault, entry: ScenePass, rigs: Sequence[Rig]) -> Fault:
+    """Return a fault with a hint at the rig that has the unknown name, if any."""
     name = _FIRST_NAME.search(fault.message)
     for rig in rigs if name else ():
-        parts = (rig.chains, rig.shapes, rig.controls, rig.attach)
-        names = {*rig.names, *(part.name for group in parts for part in group)}
+        element_groups = (rig.chains, rig.shapes, rig.controls, rig.attach)
+        names = {
+            *rig.names,
+            *(element.name for group in element_groups for element in group),
+        }
         if name and name[1] in names:
             hint = f"{rig.name!r} has it: move {entry.pass_.name} below retarget"
             return replace(fault, hint=hint)

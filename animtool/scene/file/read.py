@@ -43,7 +43,7 @@ from animtool.scene.file.schema import (
 )
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import DEFAULT_FPS, Scene
-from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
+from animtool.scene.sources.open import SourceOptions, is_usd, supports_option
 from animtool.scene.systems.links import check_colliders, check_links
 from animtool.scene.systems.suspicions import (
     DURATION_KEYS,
@@ -69,11 +69,11 @@ def load_scene(
 
     Args:
         path: The file.
-        variables: Values of ``${name}`` in the file, which override its own; unused
-            ones are allowed, see `Scene.variables`. Files below an absolute path among
-            them may be read, wherever it is.
-        parts: Variables whose values come from other files, such as names of clips. In
-            names of output files they are part of one file name.
+        variables: Values of ``${name}`` that override those of the file. Unused ones
+            are allowed, see `Scene.variables`. Files below a value that is an absolute
+            path may be read.
+        parts: Variables whose values come from other files, such as names of clips. A
+            slash in them does not create a folder in names of output files.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
@@ -97,8 +97,12 @@ def scene_of_document(
     variable_folders = {
         name: Path(text) for name, text in values.items() if Path(text).is_absolute()
     }
-    written = [path for name, path in variable_folders.items() if name not in parts]
-    reader = _SceneReader(document, model, list(variable_folders.values()), written)
+    output_folders = [
+        path for name, path in variable_folders.items() if name not in parts
+    ]
+    reader = _SceneReader(
+        document, model, list(variable_folders.values()), output_folders
+    )
     scene = replace(
         reader.scene(),
         variables=resolved.names,
@@ -108,7 +112,9 @@ def scene_of_document(
     )
     if document.faults and scene.systems:
         # Loaded by name, since systems open scenes themselves.
-        check_systems: Any = load_object("animtool.scene.systems.simulation:refused")
+        check_systems: Any = load_object(
+            "animtool.scene.systems.simulation:build_faults"
+        )
         document.faults += check_systems(document, scene.systems)
     document.check()
     return scene
@@ -157,19 +163,19 @@ class _SceneReader:
         document: Document,
         model: SceneModel,
         variable_folders: list[Path],
-        written: list[Path],
+        output_folders: list[Path],
     ) -> None:
         self.document, self.model = document, model
         roots = project_roots(document.path)
         self.keys = KeyReader(document, (*roots, *variable_folders), "SCN003")
-        self.output_roots = (*roots, *written)
+        self.output_roots = (*roots, *output_folders)
         self.units = SceneUnits.of(model.units.length, model.units.angle)
 
     def scene(self) -> Scene:
         model = self.model
         rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
-        read = _PassReader(self.keys, self.output_roots, self.units)
-        passes = tuple(read.passes(model.passes))
+        pass_reader = _PassReader(self.keys, self.output_roots, self.units)
+        passes = tuple(pass_reader.passes(model.passes))
         systems = self._systems()
         check_colliders(self.document, passes, systems, model.system_names)
         outputs = OutputReader(self.keys, model, self.output_roots)
@@ -198,8 +204,8 @@ class _SceneReader:
             return ()
         if model.source is None:
             self._check_simulated()
-        read = (self._system(i, entry) for i, entry in enumerate(model.systems))
-        systems = tuple(system for system in read if system is not None)
+        read_systems = (self._system(i, entry) for i, entry in enumerate(model.systems))
+        systems = tuple(system for system in read_systems if system is not None)
         check_links(self.document, systems, model.system_names)
         return systems
 
@@ -207,16 +213,18 @@ class _SceneReader:
         kind = self._kind(("systems", i), entry)
         if kind is None:
             return None
-        at: Location = ("systems", i, kind)
+        entry_path: Location = ("systems", i, kind)
         spec = getattr(entry, kind)
         # Loaded by name, since systems open scenes themselves.
-        read: Any = load_object("animtool.scene.systems.derived:read_spec")
-        setup = read(self.document, at, spec, self.keys.roots, self.units)
+        read_spec: Any = load_object("animtool.scene.systems.derived:read_spec")
+        setup = read_spec(self.document, entry_path, spec, self.keys.roots, self.units)
         if setup is None:
             return None
         stated_values = spec.model_dump(include=DURATION_KEYS, exclude_unset=True)
-        warn_of_durations(self.document, at, stated_values, *self._rate_and_length())
-        location = entry_location(self.document, at, spec)
+        warn_of_durations(
+            self.document, entry_path, stated_values, *self._rate_and_length()
+        )
+        location = entry_location(self.document, entry_path, spec)
         return SceneSystem(spec.name, kind, setup, location, unit=self.units.stated)
 
     def _rate_and_length(self) -> tuple[float, float]:
@@ -228,7 +236,7 @@ class _SceneReader:
         frames = self.model.range
         return rate, 0.0 if frames is None else (frames[1] - frames[0]) / rate
 
-    def _kind(self, at: Location, entry: SystemModel) -> str | None:
+    def _kind(self, location: Location, entry: SystemModel) -> str | None:
         """Return the system kind that an entry names."""
         kinds = sorted(entry.model_fields_set)
         kind_names = ", ".join(SYSTEM_KINDS)
@@ -237,17 +245,17 @@ class _SceneReader:
         if kinds:
             message = f"a system has one kind, but this one has {' and '.join(kinds)}"
             hint = "write each as its own entry, starting with a dash"
-            self.document.add("SCN065", at, message, hint)
-        elif not self._written_systems()[at[1]]:
+            self.document.add("SCN065", location, message, hint)
+        elif not self._raw_systems()[location[1]]:
             self.document.add(
-                "SCN065", at, "its kind is missing", f"the kinds are {kind_names}"
+                "SCN065", location, "its kind is missing", f"the kinds are {kind_names}"
             )
         return None
 
-    def _written_systems(self) -> Any:
-        """Return the raw entries of systems, even under a misspelt key."""
-        written = self.document.old_keys.get(("systems",), "systems")
-        return self.document.value[written]
+    def _raw_systems(self) -> Any:
+        """Return the unparsed entries of systems, also under an old key."""
+        old_key = self.document.old_keys.get(("systems",), "systems")
+        return self.document.value[old_key]
 
     def _check_simulated(self) -> None:
         """Refuse keys that need a source, and outputs that are not USD."""
@@ -262,10 +270,12 @@ class _SceneReader:
         output = model.output
         entries = output if isinstance(output, list) else [output]
         for i, entry in enumerate(entries):
-            at: Location = ("output", i) if isinstance(output, list) else ("output",)
+            location: Location = (
+                ("output", i) if isinstance(output, list) else ("output",)
+            )
             if entry.file and not writes_stage(Path(entry.file)):
                 message = f"{entry.file!r} is not a USD file, which simulations need"
-                self.document.add("SCN060", (*at, "file"), message)
+                self.document.add("SCN060", (*location, "file"), message)
 
     def _renamed_props(self) -> tuple[SceneProp, ...]:
         props = [
@@ -280,18 +290,18 @@ class _SceneReader:
                     self.document.add("SCN046", ("props", i, "path"), message, hint)
         return tuple(props)
 
-    def _prop(self, at: Location, model: PropModel) -> SceneProp:
-        file = self.keys.read_file((*at, "from"), model.file)
+    def _prop(self, location: Location, model: PropModel) -> SceneProp:
+        file = self.keys.read_file((*location, "from"), model.file)
         if not is_usd(file):
             message = f"{model.file!r} is not a USD file"
-            self.document.add("SCN048", (*at, "from"), message)
+            self.document.add("SCN048", (*location, "from"), message)
         path = model.path or model.prim.rpartition("/")[2]
         if not _PRIM_PATH.fullmatch(path):
             message = f"{path!r} is not a path such as Props/box or /World/box"
-            self.document.add("SCN048", (*at, "path"), message)
+            self.document.add("SCN048", (*location, "path"), message)
         reference: Path | None = None
         if isinstance(model.reference, str):
-            reference = self.keys.read_file((*at, "reference"), model.reference)
+            reference = self.keys.read_file((*location, "reference"), model.reference)
         elif model.reference:
             reference = file
         return SceneProp(
@@ -302,7 +312,7 @@ class _SceneReader:
             reference,
             frame=None if model.frame is None else Fraction(repr(model.frame)),
             retimed=model.retimed,
-            location=entry_location(self.document, at),
+            location=entry_location(self.document, location),
         )
 
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
@@ -325,16 +335,16 @@ class _SceneReader:
             self._source(
                 ("source", i),
                 entry,
-                rig if i == 0 or takes_option(Path(entry.file), "rig") else None,
+                rig if i == 0 or supports_option(Path(entry.file), "rig") else None,
             )
             for i, entry in enumerate(source)
         )
 
     def _source(
-        self, at: Location, model: SourceModel, rig: Path | None
+        self, location: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
-        path = self.keys.read_file((*at, "file"), model.file)
-        keys = option_keys(SourceOptions, model, "scene", at, self.keys)
+        path = self.keys.read_file((*location, "file"), model.file)
+        keys = option_keys(SourceOptions, model, "scene", location, self.keys)
         tracks = None
         if model.tracks is not None:
             tracks = TrackNames(
@@ -343,10 +353,12 @@ class _SceneReader:
         return SceneSource(
             path,
             SourceOptions(rig=rig, **keys),
-            entry_location(self.document, at),
+            entry_location(self.document, location),
             tracks,
             model.timecode,
-            self.keys.parsed((*at, "timecode_fps"), model.timecode_fps, parse_rate),
+            self.keys.parse_value(
+                (*location, "timecode_fps"), model.timecode_fps, parse_rate
+            ),
         )
 
 
@@ -367,37 +379,37 @@ class _PassReader:
                     yield pass_
 
     def _pass(
-        self, at: Location, name: str, values: dict[str, Any]
+        self, location: Location, name: str, values: dict[str, Any]
     ) -> ScenePass | None:
         document = self.keys.document
         try:
             pass_ = find_pass(name)
         except AnimtoolError as error:
             fault = error.faults[0]
-            document.add(fault.code, at, fault.message, fault.hint)
+            document.add(fault.code, location, fault.message, fault.hint)
             return None
-        values = renamed_options(document, at, values, "scene")
+        values = renamed_options(document, location, values, "scene")
         converted_values = self.units.pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
-            document.add(fault.code, (*at, *key), fault.message, fault.hint)
+            document.add(fault.code, (*location, *key), fault.message, fault.hint)
         if options is None:
             return None
-        options, files = self._with_colliders(at, options)
-        _check_pass(self.keys, at, pass_, options)
-        for written in getattr(options, "writes", ()):
+        options, files = self._with_colliders(location, options)
+        _check_pass(self.keys, location, pass_, options)
+        for output_name in getattr(options, "writes", ()):
             resolve_reference(
-                document, at, str(written), self.output_roots, written=True
+                document, location, str(output_name), self.output_roots, written=True
             )
         if faults:
             return None
         if name == "simulate":
-            warn_of_sizes(document, at, converted_values)
-            warn_of_forces(document, at, converted_values)
-        return ScenePass(pass_, options, entry_location(document, at), files)
+            warn_of_sizes(document, location, converted_values)
+            warn_of_forces(document, location, converted_values)
+        return ScenePass(pass_, options, entry_location(document, location), files)
 
     def _with_colliders(
-        self, at: Location, options: Any
+        self, location: Location, options: Any
     ) -> tuple[Any, tuple[Path, ...]]:
         """Return options with their colliders, and the colliders' files."""
         entries = {
@@ -408,10 +420,11 @@ class _PassReader:
         }
         if not entries:
             return options, ()
-        kind: Any = load_object(COLLIDER_READER_NAME)
-        reader = kind(self.keys.document, self.keys.roots, self.units)
+        reader_class: Any = load_object(COLLIDER_READER_NAME)
+        reader = reader_class(self.keys.document, self.keys.roots, self.units)
         read_entries = {
-            name: reader.around(at, name, models) for name, models in entries.items()
+            name: reader.around(location, name, models)
+            for name, models in entries.items()
         }
         files = [
             *reader.files,
@@ -420,15 +433,17 @@ class _PassReader:
         return replace(options, **read_entries), tuple(files)
 
 
-def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:
+def _check_pass(keys: KeyReader, location: Location, pass_: Pass, options: Any) -> None:
     """Record faults of options that do not depend on the take."""
     for option, check in pass_.checks(options).items():
         try:
             check()
         except OptionError as error:
             for fault in error.faults:
-                keys.document.add(fault.code, (*at, option), fault.message, fault.hint)
+                keys.document.add(
+                    fault.code, (*location, option), fault.message, fault.hint
+                )
     for field in fields(pass_.options):
         value = getattr(options, field.name)
         if isinstance(value, Path):
-            keys.read_file((*at, field.name), str(value))
+            keys.read_file((*location, field.name), str(value))

@@ -187,8 +187,8 @@ class OutputModel(FileModel):
 
     file: str | None = key(
         "File to write: USD, or "
-        f"{', '.join(f'`{one}`' for one in file_suffixes())}. Default: USD next to "
-        "the source.",
+        f"{', '.join(f'`{suffix}`' for suffix in file_suffixes())}. "
+        "Default: USD next to the source.",
         "shot.usdc",
         default=None,
     )
@@ -296,38 +296,42 @@ class SceneModel(FileModel):
     def system_names(self) -> list[str]:
         """Names of all systems, faulty ones included."""
         return [
-            getattr(e, key).name for e in self.systems for key in e.model_fields_set
+            getattr(entry, key).name
+            for entry in self.systems
+            for key in entry.model_fields_set
         ]
 
 
 def full_model() -> type[SceneModel]:
     """Return the model of a scene with every kind of system."""
-    return _with_kinds(tuple(SYSTEM_KINDS))
+    return _model_with_kinds(tuple(SYSTEM_KINDS))
 
 
-def model_for(written: Any) -> type[SceneModel]:
-    """Return a model that reads a scene as `full_model` does.
+def model_for(raw_scene: Any) -> type[SceneModel]:
+    """Return a scene model with only the system kinds that a raw scene uses.
 
-    It includes only the kinds of systems that the scene names, so that no other is
-    imported. If a key is unknown, or an entry is not a mapping, all kinds are included.
+    It reads the scene as `full_model` does, but imports only these kinds. If a key is
+    unknown, or an entry is not a mapping, all kinds are included.
     """
     known_keys = {
         field.alias or name for name, field in SceneModel.model_fields.items()
     }
-    if not isinstance(written, dict) or not known_keys.issuperset(written):
+    if not isinstance(raw_scene, dict) or not known_keys.issuperset(raw_scene):
         return full_model()
-    systems = written.get("systems") or []
+    systems = raw_scene.get("systems") or []
     entries = systems if isinstance(systems, list) else [systems]
     if not all(isinstance(entry, dict) for entry in entries):
         return full_model()
     named_kinds = {kind for entry in entries for kind in entry}
     if not named_kinds.issubset(SYSTEM_KINDS):
         return full_model()
-    return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named_kinds))
+    return _model_with_kinds(
+        tuple(kind for kind in SYSTEM_KINDS if kind in named_kinds)
+    )
 
 
 @cache
-def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
+def _model_with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
     # An entry has one of the kinds, whose value must not be null.
     unset: Any = None
     fields: dict[str, Any] = {

@@ -13,7 +13,7 @@ from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.onto_rig import NameMap
 
-KINDS = ("joints", "shapes", "controls")
+TRACK_KINDS = ("joints", "shapes", "controls")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,20 +35,29 @@ class Tracks:
 
     def __bool__(self) -> bool:
         """Return whether any track is selected."""
-        return any(len(self.of(kind)) for kind in KINDS)
+        return any(len(self.indices(kind)) for kind in TRACK_KINDS)
 
-    def of(self, kind: str) -> IntArray:
+    def indices(self, kind: str) -> IntArray:
         """Return the indices of one of `KINDS`."""
         indices: IntArray = getattr(self, kind)
         return indices
 
     def names(self, rig: Rig) -> list[str]:
         """Return the names of the tracks."""
-        return [getattr(rig, kind)[i].name for kind in KINDS for i in self.of(kind)]
+        return [
+            getattr(rig, kind)[i].name
+            for kind in TRACK_KINDS
+            for i in self.indices(kind)
+        ]
 
-    def also_in(self, other: Tracks) -> Tracks:
+    def intersection(self, other_tracks: Tracks) -> Tracks:
         """Return the tracks that another selection contains too."""
-        return Tracks(*(np.intersect1d(self.of(k), other.of(k)) for k in KINDS))
+        return Tracks(
+            *(
+                np.intersect1d(self.indices(k), other_tracks.indices(k))
+                for k in TRACK_KINDS
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,20 +66,20 @@ class UnknownTrack:
 
     kind: str  # ``joints``, ``shapes`` or ``controls``
     pattern: str
-    known: list[str]  # valid names, for hints
+    valid_names: list[str]  # valid names, for hints
 
 
-def chosen_tracks(
+def select_tracks(
     requested: TrackNames, names: NameMap
 ) -> tuple[Tracks, list[UnknownTrack]]:
-    """Return the tracks of two rigs that match patterns, and unmatched patterns.
+    """Return the common tracks of two rigs that match patterns; and unmatched ones.
 
-    Tracks driven by a chosen control are chosen too, since a motion stores their
+    Tracks driven by a selected control are selected too, since a motion stores their
     values.
     """
     rig, unknown = names.rig, []
-    chosen: dict[str, set[int]] = {kind: set() for kind in KINDS}
-    for kind in KINDS:
+    selected: dict[str, set[int]] = {kind: set() for kind in TRACK_KINDS}
+    for kind in TRACK_KINDS:
         mapped_indices = np.flatnonzero(getattr(names, kind) >= 0).tolist()
         index_by_name = {getattr(rig, kind)[i].name: i for i in mapped_indices}
         for pattern in getattr(requested, kind):
@@ -79,56 +88,59 @@ def chosen_tracks(
             }
             if not matching_names:
                 unknown.append(UnknownTrack(kind, pattern, list(index_by_name)))
-            chosen[kind] |= matching_names
-    _add_driven(rig, chosen)
-    tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
+            selected[kind] |= matching_names
+    _add_driven(rig, selected)
+    tracks = Tracks(
+        *(np.array(sorted(selected[kind]), np.int64) for kind in TRACK_KINDS)
+    )
     return _common_tracks(tracks, names), unknown
 
 
-def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
+def _add_driven(rig: Rig, selected: dict[str, set[int]]) -> None:
     """Add the tracks that selected controls drive, recursively."""
     indices = {
         kind.removesuffix("s"): {
             element.name: i for i, element in enumerate(getattr(rig, kind))
         }
-        for kind in KINDS
+        for kind in TRACK_KINDS
     }
-    pending_controls = sorted(chosen["controls"])
+    pending_controls = sorted(selected["controls"])
     while pending_controls:
         for drive in rig.controls[pending_controls.pop()].drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
                 name, _ = split_part(name, DRIVEN_PARTS)
             index = indices[kind][name]
-            if kind == "control" and index not in chosen["controls"]:
+            if kind == "control" and index not in selected["controls"]:
                 pending_controls.append(index)
-            chosen[f"{kind}s"].add(index)
+            selected[f"{kind}s"].add(index)
 
 
-def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
+def moving_tracks(motion: Motion, names: NameMap, motion_rig: Rig) -> Tracks:
     """Return the tracks of a motion that leave the rest pose."""
-    at_rest = names.apply(rest_motion(other))
+    rest_on_rig = names.apply(rest_motion(motion_rig))
 
-    def moved(kind: str) -> IntArray:
+    def moving_indices(kind: str) -> IntArray:
         channel: Channel | None = getattr(motion, kind)
         if channel is None:
             return np.zeros(0, np.int64)
-        rest_channel: Channel | None = getattr(at_rest, kind)
+        rest_channel: Channel | None = getattr(rest_on_rig, kind)
         is_moving = (
             channel.rest != (1.0 if rest_channel is None else rest_channel.rest)
         ).any(axis=1)
         is_moving[channel.animated] = True
         return np.flatnonzero(is_moving)
 
-    joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
+    joints = [moving_indices(kind) for kind in ("translations", "rotations", "scales")]
     joint_indices = np.unique(np.concatenate(joints))
     return _common_tracks(
-        Tracks(joint_indices, moved("weights"), moved("controls")), names
+        Tracks(joint_indices, moving_indices("weights"), moving_indices("controls")),
+        names,
     )
 
 
 def rest_motion(rig: Rig) -> Motion:
-    """Return one frame of a rig at rest, controls at their defaults."""
+    """Return one frame of a rig in the rest pose, with controls at their defaults."""
     weights = np.zeros((1, len(rig.shapes), 1))
     return Motion(
         Channel.from_dense(rig.rest_translations[None]),
@@ -143,39 +155,46 @@ def _defaults(rig: Rig) -> FloatArray:
 
 
 def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
-    """Return the tracks that the other rig has."""
-    return Tracks(*(tracks.of(k)[getattr(names, k)[tracks.of(k)] >= 0] for k in KINDS))
+    """Return the tracks that both rigs of a name map have."""
+    return Tracks(
+        *(
+            tracks.indices(k)[getattr(names, k)[tracks.indices(k)] >= 0]
+            for k in TRACK_KINDS
+        )
+    )
 
 
-def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion:
-    """Return a motion with some tracks replaced by those of another."""
+def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> Motion:
+    """Return a motion with some tracks replaced by those of another motion."""
 
     def optional(
-        name: str, chosen: IntArray, neutral: float | FloatArray
+        name: str, indices: IntArray, neutral: float | FloatArray
     ) -> Channel | None:
         base_channel: Channel | None = getattr(base, name)
-        other_channel: Channel | None = getattr(other, name)
-        if not len(chosen) or (base_channel is None and other_channel is None):
+        other_channel: Channel | None = getattr(replacement, name)
+        if not len(indices) or (base_channel is None and other_channel is None):
             return base_channel
-        base_channel = base_channel or _steady(other_channel, neutral)
+        base_channel = base_channel or _constant_channel(other_channel, neutral)
         return _replace_entries(
-            base_channel, other_channel or _steady(base_channel, neutral), chosen
+            base_channel,
+            other_channel or _constant_channel(base_channel, neutral),
+            indices,
         )
 
     return Motion(
-        _replace_entries(base.translations, other.translations, tracks.joints),
-        _replace_entries(base.rotations, other.rotations, tracks.joints),
+        _replace_entries(base.translations, replacement.translations, tracks.joints),
+        _replace_entries(base.rotations, replacement.rotations, tracks.joints),
         optional("scales", tracks.joints, 1.0),
         optional("weights", tracks.shapes, 0.0),
         optional("controls", tracks.controls, _defaults(rig)),
     )
 
 
-def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
+def _constant_channel(template: Channel | None, value: float | FloatArray) -> Channel:
     """Return a constant channel of another channel's size."""
-    assert like is not None
-    rest_values = np.broadcast_to(value, like.rest.shape).astype(np.float64)
-    return Channel.static(rest_values, len(like.values))
+    assert template is not None
+    rest_values = np.broadcast_to(value, template.rest.shape).astype(np.float64)
+    return Channel.static(rest_values, len(template.values))
 
 
 def _replace_entries(

@@ -1,4 +1,4 @@
-"""The cycle of a take, written as a repeated take."""
+"""Cycles of takes: find or measure one, and write its repetition."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def loop_source(
     source: Path,
     output: Path | None,
     options: LoopOptions,
-    reading: SourceOptions | None = None,
+    source_options: SourceOptions | None = None,
     *,
     overwrite: bool = False,
     strict: bool = False,
@@ -49,14 +49,14 @@ def loop_source(
         source: BVH, USD or clip.
         output: ``.bvh``, ``.clip.yaml`` or a USD file; None writes nothing.
         options: The cycle, or where to search for it.
-        reading: Properties of the source.
+        source_options: Properties of the source.
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
         progress: Called with the fraction done, 0 to 1.
     """
     for check in PASS.checks(options).values():
         check()
-    stream = open_checked(source, reading, progress=progress)
+    stream = open_checked(source, source_options, progress=progress)
     take = stream.collect()
     with faults_in(source):
         if options.find:
@@ -74,7 +74,7 @@ def loop_source(
         source,
         output,
         [(PASS, options)],
-        reading,
+        source_options,
         overwrite=overwrite,
         strict=strict,
         progress=progress,

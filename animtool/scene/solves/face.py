@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 # Rotation from a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-# A larger mean head rotation indicates axes that differ from the rig's.
+# A larger mean head rotation indicates that axes differ from the rig's.
 MAX_MEAN_ROTATION = np.radians(75)
 
 
@@ -58,7 +58,7 @@ class FaceJob:
     camera_name: str | None = None  # name of the camera, if the file has several
     options: FaceOptions = field(default_factory=FaceOptions)
     # Properties of the capture.
-    reading: SourceOptions = field(default_factory=SourceOptions)
+    source_options: SourceOptions = field(default_factory=SourceOptions)
     # Its `overwrite` and `strict` apply to all outputs.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
@@ -133,16 +133,21 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Return a face fitted to its landmarks, without writing it."""
     start_time = time.perf_counter()
     capture = read_capture(
-        job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
+        job.capture,
+        unit=job.source_options.unit,
+        up=job.source_options.up,
+        fps=job.source_options.fps,
     )
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
-    model = _model(job, capture, rig)
+    model = _load_model(job, capture, rig)
     landmark_points, point_notices = order_landmarks(capture, model)
     camera, landmark_points = _undistort(job, capture, landmark_points)
-    read_at = time.perf_counter()
+    read_end_time = time.perf_counter()
     with faults_in(job.capture):
-        model = _proportions(job.options, model, landmark_points, camera is not None)
+        model = _with_neutral_proportions(
+            job.options, model, landmark_points, camera is not None
+        )
         fit = fit_face(
             model,
             landmark_points,
@@ -158,24 +163,24 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
     head_motion = job.options.head or ("rotation" if camera is None else "none")
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
-        fit = _turned_up(fit)
+        fit = _rotate_to_y_up(fit)
     motion, head_notices = face_motion(fit, links, rig, head_motion)
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = drive_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {
-        "read": read_at - start_time,
-        "solve": time.perf_counter() - read_at,
+        "read": read_end_time - start_time,
+        "solve": time.perf_counter() - read_end_time,
     }
-    scale = None
+    pixels_per_meter = None
     if camera is not None:
-        scale = float(camera[0] / np.median(fit.translations[:, 2]))
+        pixels_per_meter = float(camera[0] / np.median(fit.translations[:, 2]))
     return FaceResult(
-        job, fit, links, take, camera is not None, notices, seconds, scale
+        job, fit, links, take, camera is not None, notices, seconds, pixels_per_meter
     )
 
 
-def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
+def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     if job.landmarks is not None:
         return face_model(load_landmarks(job.landmarks), rig)
     if capture.model is None:
@@ -204,8 +209,10 @@ def _undistort(
     from animtool.capture.cameras.file import load_cameras
 
     lens = _camera(job, load_cameras(job.camera).cameras)
-    numbers = np.array([*lens.focal, *lens.centre])
-    return numbers, pixel_rays(lens, points)[..., :2] * numbers[:2] + numbers[2:]
+    intrinsics = np.array([*lens.focal, *lens.centre])
+    return intrinsics, pixel_rays(lens, points)[..., :2] * intrinsics[:2] + intrinsics[
+        2:
+    ]
 
 
 def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
@@ -221,7 +228,7 @@ def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
     return cameras[names.index(job.camera_name)]
 
 
-def _proportions(
+def _with_neutral_proportions(
     options: FaceOptions, model: FaceModel, points: FloatArray, pixels: bool
 ) -> FaceModel:
     if options.neutral is None:
@@ -244,7 +251,7 @@ def _proportions(
     return model.with_proportions(points[options.neutral])
 
 
-def _turned_up(fit: FaceFit) -> FaceFit:
+def _rotate_to_y_up(fit: FaceFit) -> FaceFit:
     """Return a fit rotated from Z up to Y up."""
     return replace(
         fit,
@@ -254,15 +261,15 @@ def _turned_up(fit: FaceFit) -> FaceFit:
 
 
 def face_motion(
-    fit: FaceFit, links: ShapeLinks, rig: Rig, head: str
+    fit: FaceFit, links: ShapeLinks, rig: Rig, head_mode: str
 ) -> tuple[Motion, list[Fault]]:
     """Return weights and head pose as motion of a rig, with warnings.
 
     Args:
         fit: The face over frames.
-        links: Which shape of the rig follows which of the face.
+        links: Mapping from the shapes of the face to those of the rig.
         rig: The rig.
-        head: ``rotation``, ``pose`` or ``none``.
+        head_mode: ``rotation``, ``pose`` or ``none``.
     """
     count = len(fit.weights)
     weights = links.apply(fit.weights, len(rig.shapes))
@@ -270,12 +277,12 @@ def face_motion(
     translations = Channel.static(rig.rest_translations, count)
     notices: list[Fault] = []
     joint = head_joints(rig).get(HEAD)
-    if head != "none" and joint is None:
+    if head_mode != "none" and joint is None:
         message = "the rig has no joint called head: head motion is ignored"
         notices.append(Fault("FAC109", message, severity=Severity.NOTE))
-    elif head != "none" and joint is not None:
-        mean = np.abs(fit.rotations[:, 3]).mean()
-        if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_ROTATION:
+    elif head_mode != "none" and joint is not None:
+        mean_rotation = np.abs(fit.rotations[:, 3]).mean()
+        if 2 * np.arccos(min(float(mean_rotation), 1.0)) > MAX_MEAN_ROTATION:
             message = "the head faces far away from the rig's in most frames"
             hint = (
                 f"set the up axis with {argument('source.up')}; "
@@ -283,11 +290,13 @@ def face_motion(
             )
             fault = Fault("FAC110", message, hint=hint, severity=Severity.WARNING)
             notices.append(fault)
-        local = local_rotations(rig, joint, fit.rotations)
-        rotations = rotations.put(np.array([joint]), local[:, None])
-        if head == "pose":
-            translations, more = _head_translations(fit, rig, joint, translations)
-            notices += more
+        local_rotations_ = local_rotations(rig, joint, fit.rotations)
+        rotations = rotations.put(np.array([joint]), local_rotations_[:, None])
+        if head_mode == "pose":
+            translations, translation_notices = _head_translations(
+                fit, rig, joint, translations
+            )
+            notices += translation_notices
     motion = Motion(
         translations.compact(),
         rotations.compact(),
@@ -310,9 +319,11 @@ def _head_translations(
     rest_pose = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
-    at = rest_pose.positions[0, joint]
+    joint_position = rest_pose.positions[0, joint]
     # The head rotates about its joint, so only the joint is moved.
-    head_offsets = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
-    shift = head_offsets + fit.translations - at
+    head_offsets = rotate(
+        fit.rotations, np.broadcast_to(joint_position, fit.translations.shape)
+    )
+    shift = head_offsets + fit.translations - joint_position
     root_translations = rig.rest_translations[root] + shift
     return translations.put(np.array([root]), root_translations[:, None]), []

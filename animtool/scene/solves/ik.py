@@ -61,7 +61,7 @@ from animtool.scene.sources.onto_rig import map_names, open_rig
 from animtool.scene.sources.open import (
     SourceOptions,
     open_source,
-    takes_option,
+    supports_option,
 )
 
 if TYPE_CHECKING:
@@ -81,15 +81,15 @@ class IkJob:
     pose: bool = False  # solve one frame only
     frame: Fraction | None = None  # which; None is the first
     options: TakeOptions = field(default_factory=TakeOptions)  # how to solve
-    # A position that is off by more is missed [m], and none is solved to less; None is
-    # a tenth of a millimetre, or what `options` solve to where that is more.
+    # Positions with a larger error count as missed, and are solved at least this
+    # accurately [m]; None is 0.1 mm, or the tolerance of `options` if larger.
     tolerance: float | None = None
-    # An orientation, aim or pole likewise [rad]; None is a tenth of a degree.
+    # The same for orientations, aims and poles [rad]; None is 0.1 degrees.
     angle_tolerance: float | None = None
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
-    # How USD is written; its ``reduce`` and ``overwrite`` are for others too, and
-    # ``strict`` refuses to write what misses, or what there are warnings about.
+    # USD options. Its ``reduce`` and ``overwrite`` apply to all formats; with
+    # ``strict``, nothing is written if a goal is missed or there are warnings.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
@@ -136,7 +136,7 @@ class IkReport:
 
     @property
     def moved(self) -> bool:
-        """Whether written frames have other numbers than solved ones."""
+        """Whether written frame numbers differ from the solved ones."""
         clock, span = self.solved.take.clock, self.span
         is_same_clock = (span.first, span.fps) == (clock.start, clock.fps)
         return self.written is not None and not is_same_clock
@@ -153,7 +153,7 @@ class MissedGoalsError(ToleranceError):
     """Goals are missed by more than the tolerance, and ``strict`` is on.
 
     Attributes:
-        report: What came of it.
+        report: The report of the solve.
     """
 
     def __init__(self, faults: list[Fault], report: IkReport) -> None:
@@ -167,8 +167,8 @@ class IkContext:
 
     tracks: TargetTracks  # the targets
     take: Take  # the poses to start from
-    at_rest: bool  # they are the rest pose
-    only: int | None  # index of the one frame to solve; None is all
+    at_rest: bool  # whether these poses are the rest pose
+    only_index: int | None  # index of the one frame to solve; None is all
     notices: list[Fault]  # warnings collected so far
 
 
@@ -180,21 +180,21 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
     if job.start is None:
         clock = tracks.clock
         if job.pose and job.frame is not None:
-            notices += _outside_targets(job, tracks)
+            notices += _outside_targets_warning(job, tracks)
             clock = replace(clock, start=job.frame, count=1)
             tracks = tracks.placed(tracks.clock)
         take = rest_take(rig, clock)
         return IkContext(tracks, take, True, 0 if job.pose else None, notices)
     take = open_start(job.start, rig, job.rig, job.source, progress=progress)
     notices += take.notices
-    only = frame_index(take, job.frame, job.start) if job.pose else None
-    return IkContext(tracks, take, False, only, notices)
+    only_index = frame_index(take, job.frame, job.start) if job.pose else None
+    return IkContext(tracks, take, False, only_index, notices)
 
 
-def _outside_targets(job: IkJob, tracks: TargetTracks) -> list[Fault]:
-    """Return the warning of a pose outside the frames of the targets (TGT107).
+def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:
+    """Warn if the solved frame is outside the frames of the targets (TGT107).
 
-    Curves that continue there, by their ``pre`` or ``post``, need no warning.
+    Curves that extrapolate there, by their ``pre`` or ``post``, cause no warning.
     """
     assert job.frame is not None
     clock = tracks.clock
@@ -208,8 +208,8 @@ def _outside_targets(job: IkJob, tracks: TargetTracks) -> list[Fault]:
         for value in goal.values.values()
         if isinstance(value, Keyed)
     ]
-    ends = [curve.post if is_later else curve.pre for curve in curves]
-    if ends and Extrapolation.HOLD not in ends:
+    extrapolations = [curve.post if is_later else curve.pre for curve in curves]
+    if extrapolations and Extrapolation.HOLD not in extrapolations:
         return []
     message = (
         f"frame {float(job.frame):g} is outside the targets, which run from frame "
@@ -242,10 +242,11 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     """Solve a job and write its output.
 
-    Outputs are checked before the work. Nothing is written where ``strict`` refuses.
+    Outputs are checked before the solve. With ``strict``, nothing is written if there
+    are warnings.
 
     Args:
-        job: What to do.
+        job: Arguments of the solve.
         progress: Called with the fraction done, 0 to 1.
     """
     target = job.target
@@ -253,15 +254,15 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     report = _solve(job, progress)
     if target.outline is None:
         return report
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     take = replace(report.solved.take, notices=())
     target.write(TakeStream.of(take), report, "ik", progress)
-    report.seconds["write"] = time.perf_counter() - began
+    report.seconds["write"] = time.perf_counter() - start_time
     return report
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
-    """Return the rig if a clip of the output can refer to its file."""
+    """Return the rig file if a clip at the output can refer to it, else None."""
     if output in {None, STDOUT}:
         return None
     is_in_project = any(
@@ -271,21 +272,24 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 
 
 def _solve(job: IkJob, progress: Progress) -> IkReport:
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
-    read = time.perf_counter()
+    read_end_time = time.perf_counter()
     with faults_in(job.rig):
         solution = solve_take(
             context.take,
             context.tracks,
-            _as_fine(job),
+            _with_goal_tolerances(job),
             static=context.at_rest,
-            only=context.only,
+            only=context.only_index,
             progress=progress,
         )
-    seconds = {"read": read - began, "solve": time.perf_counter() - read}
-    goals = goal_reports(solution, *_missed_by(job))
+    seconds = {
+        "read": read_end_time - start_time,
+        "solve": time.perf_counter() - read_end_time,
+    }
+    goals = goal_reports(solution, *_goal_tolerances(job))
     missed_goals = missed_notices(solution, goals)
     notices = [
         *context.notices,
@@ -303,9 +307,9 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
     return report
 
 
-def _as_fine(job: IkJob) -> TakeOptions:
-    """Return options with tolerances as strict as those of the missed goals."""
-    length, angle = _missed_by(job)
+def _with_goal_tolerances(job: IkJob) -> TakeOptions:
+    """Return options whose tolerances are at least as strict as those of goals."""
+    length, angle = _goal_tolerances(job)
     options = job.options
     return replace(
         options,
@@ -314,8 +318,8 @@ def _as_fine(job: IkJob) -> TakeOptions:
     )
 
 
-def _missed_by(job: IkJob) -> tuple[float, float]:
-    """Return the error of a missed goal [m], [rad]."""
+def _goal_tolerances(job: IkJob) -> tuple[float, float]:
+    """Return the errors above which a goal counts as missed [m], [rad]."""
     options, length, angle = job.options, job.tolerance, job.angle_tolerance
     return (
         max(MISSED_LENGTH, options.tolerance) if length is None else length,
@@ -327,7 +331,7 @@ MAX_NAMED = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return a take with controls at their defaults in all frames."""
+    """Return a take of the rest pose, with controls at their defaults."""
     last = clock.start + clock.step * (clock.count - 1)
     empty_clip = Clip("rest", clock.fps, clock.start, last, ())
     return empty_clip.sample(rig, step=clock.step)
@@ -341,24 +345,24 @@ def open_start(
     *,
     progress: Progress = None,
 ) -> Take:
-    """Return a take of a rig: its clip, or motion of joints with the same names.
+    """Return a take of a rig: its clip, or motion mapped by joint names.
 
-    Joints that the motion lacks stay at rest; what it has beside the rig's is left
-    out. Both are said in the take's notices.
+    Joints that the motion lacks stay at rest; joints that the rig lacks are ignored.
+    The take's notices report both.
     """
-    if options.rig is None and takes_option(path, "rig"):
+    if options.rig is None and supports_option(path, "rig"):
         options = replace(options, rig=rig_path)
     stream = reorient(open_source(path, options, progress=progress), rig.up)
     # What its blocks notice is known when all are read.
     take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return drive_take(replace(take, rig=rig))
-    motion, left_out = _map_motion(take, rig, path, rig_path)
-    return drive_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
+    motion, unmapped_notices = _map_motion(take, rig, path, rig_path)
+    return drive_take(Take(rig, take.clock, motion, (*take.notices, *unmapped_notices)))
 
 
 def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
-    """Return the samples that enclose the frames of a shot."""
+    """Return a take cropped to the samples that enclose the frames of a shot."""
     if shot is None:
         return take
     clock = take.clock
@@ -383,14 +387,16 @@ def _map_motion(
         hint += f"this rig: animtool retarget {path.name} {flag('to')} {rig_path.name}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
-    missing_joints = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
-    spare = [take.rig.names[j] for j in names.spare]
-    for which, what in (
+    missing_joints = [
+        rig.names[index] for index in np.flatnonzero(names.joints < 0).tolist()
+    ]
+    unmatched_joints = [take.rig.names[index] for index in names.unmatched_joints]
+    for joint_names, template in (
         (missing_joints, "does not have {}: they stay at rest"),
-        (spare, "moves {}, which the rig does not have: they are ignored"),
+        (unmatched_joints, "moves {}, which the rig does not have: they are ignored"),
     ):
-        if which:
-            message = what.format(listed(which, MAX_NAMED))
+        if joint_names:
+            message = template.format(listed(joint_names, MAX_NAMED))
             fault = Fault("TGT102", message, str(path), severity=Severity.WARNING)
             notices.append(fault)
     motion = replace(names.apply(take.motion), weights=None, controls=None)

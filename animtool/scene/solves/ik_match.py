@@ -40,13 +40,13 @@ class MatchJob:
     rig: Path  # rig file, USD file or BVH, with chains
     take: Path  # file with the poses
     output: Path  # targets file to write
-    # What the file of poses is.
+    # Properties of the take that its file does not state.
     source: SourceOptions = field(default_factory=SourceOptions)
     chains: tuple[str, ...] = ()  # names of chains, or patterns; none is all
     pose: bool = False  # match one frame only
     frame: Fraction | None = None  # which; None is the first
-    # How targets are written: `reduce`, of sparse keys, `overwrite` and `strict` alone.
-    written: BakeOptions = field(default_factory=BakeOptions)
+    # Only `reduce` (for sparse keys), `overwrite` and `strict` are used.
+    write_options: BakeOptions = field(default_factory=BakeOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     """Write targets that reproduce the limbs of a take.
 
     Args:
-        job: What to do.
+        job: Arguments of the matching.
         progress: Called with the fraction done, 0 to 1.
     """
     if (
@@ -84,41 +84,45 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
 
 def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     inputs = [job.rig, job.take]
-    check_outputs([job.output], inputs, overwrite=job.written.overwrite)
-    began = time.perf_counter()
+    check_outputs([job.output], inputs, overwrite=job.write_options.overwrite)
+    start_time = time.perf_counter()
     with protect_inputs([job.output, arrays_of(job.output)]):
         rig, notices = open_rig(job.rig)
         with faults_in(job.rig):
             chains = chains_of(rig, job.chains)
         take = open_start(job.take, rig, job.rig, job.source, progress=progress)
     if job.pose:
-        take = _pose(take, frame_index(take, job.frame, job.take))
-    read = time.perf_counter()
-    left = [replace(fault, path=str(job.take)) for fault in left_out(take, chains)]
-    notices = [*notices, *take.notices, *left]
-    refuse_warnings(notices, strict=job.written.strict)
-    tracks = match_take(take, chains, job.output, reduce=job.written.reduce)
+        take = _select_frame(take, frame_index(take, job.frame, job.take))
+    read_end_time = time.perf_counter()
+    skipped_notices = [
+        replace(fault, path=str(job.take)) for fault in left_out(take, chains)
+    ]
+    notices = [*notices, *take.notices, *skipped_notices]
+    refuse_warnings(notices, strict=job.write_options.strict)
+    tracks = match_take(take, chains, job.output, reduce=job.write_options.reduce)
     text = targets_text(tracks, ClipUnits.of_rig(rig))
-    end_time = time.perf_counter()
+    match_end_time = time.perf_counter()
     outputs = [job.output]
     if text.arrays:
         outputs.insert(0, arrays_of(job.output))
-        check_outputs(outputs, inputs, overwrite=job.written.overwrite)
+        check_outputs(outputs, inputs, overwrite=job.write_options.overwrite)
         write_arrays(outputs[0], _arrays_by_name(text.arrays))
     write_parts(job.output, [text.text.encode()])
     seconds = {
-        "read": read - began,
-        "match": end_time - read,
-        "write": time.perf_counter() - end_time,
+        "read": read_end_time - start_time,
+        "match": match_end_time - read_end_time,
+        "write": time.perf_counter() - match_end_time,
     }
     return MatchReport(tracks, take.clock, outputs, notices, seconds)
 
 
-def _pose(take: Take, frame: int) -> Take:
+def _select_frame(take: Take, frame: int) -> Take:
     """Return one frame of a take."""
     clock = take.clock
-    only = replace(clock, start=clock.start + frame * clock.step, count=1)
-    return replace(take, clock=only, motion=take.motion.select(slice(frame, frame + 1)))
+    one_frame_clock = replace(clock, start=clock.start + frame * clock.step, count=1)
+    return replace(
+        take, clock=one_frame_clock, motion=take.motion.select(slice(frame, frame + 1))
+    )
 
 
 def _arrays_by_name(arrays: dict[str, FloatArray]) -> StoredArrays:

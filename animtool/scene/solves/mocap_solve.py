@@ -49,7 +49,7 @@ class MocapSolveJob:
     static: Path | None = None  # take of the subject standing at rest
     calibrate: bool = False  # fit bone lengths and marker offsets first
     # Properties of the source.
-    reading: SourceOptions = field(default_factory=SourceOptions)
+    source_options: SourceOptions = field(default_factory=SourceOptions)
     options: SolveOptions = field(default_factory=SolveOptions)
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
@@ -60,7 +60,7 @@ class MocapSolveJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """The output, without the arrays of a rig."""
+        """The output and the subject's files, without the arrays of a rig."""
         subject_files, rig = (
             (self.write_rig, self.write_template),
             self.write_rig or self.rig,
@@ -162,17 +162,19 @@ def _solve(
 ) -> tuple[TakeStream, MocapSolveResult]:
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
     start_time = time.perf_counter()
-    reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
+    reader_options = {
+        name: getattr(job.source_options, name) for name in ("unit", "up", "fps")
+    }
     calibration: Calibration | None = None
     with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)
         rig = at_origin(rig)
-        markers = open_markers(job.source, **reading)
+        markers = open_markers(job.source, **reader_options)
         seconds["read"] = time.perf_counter() - start_time
         if job.calibrate:
             static_markers = None
             if job.static is not None:
-                static_markers = open_markers(job.static, **reading)
+                static_markers = open_markers(job.static, **reader_options)
             with faults_in(job.source):
                 calibration = calibrate(
                     markers, rig, template, static=static_markers, options=job.options
@@ -184,7 +186,7 @@ def _solve(
             solve = solve_markers(markers, rig, template, job.options)
     stream = solve_stream(solve, job.source, progress)
     stream.notices = [*notices, *stream.notices]
-    stream = with_source_warnings(job.source, stream, job.reading.up)
+    stream = with_source_warnings(job.source, stream, job.source_options.up)
     stream.blocks = timed(stream.blocks, seconds, "solve")
     result = MocapSolveResult(
         job.source, rig_path, solve, calibration, list(stream.notices), seconds

@@ -46,7 +46,7 @@ class RetargetJob:
     source: Path  # BVH, USD or clip with the take
     rig: Path  # target: rig file, USD file or BVH
     # Properties of the source.
-    reading: SourceOptions = field(default_factory=SourceOptions)
+    source_options: SourceOptions = field(default_factory=SourceOptions)
     options: RetargetOptions = field(default_factory=RetargetOptions)
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
@@ -58,8 +58,10 @@ class RetargetJob:
     @property
     def target(self) -> SolvedOutput:
         """The outputs, including the map."""
-        others = (self.write_map,)
-        return SolvedOutput.of(self.output, self.source, self.bake, self.rig, others)
+        extra_files = (self.write_map,)
+        return SolvedOutput.of(
+            self.output, self.source, self.bake, self.rig, extra_files
+        )
 
 
 @dataclass(slots=True)
@@ -68,7 +70,7 @@ class RetargetResult:
 
     source: Path
     rig: Path
-    going: Retargeting
+    retargeting: Retargeting
     joint_map: JointMap
     source_rig: Rig
     target: Rig
@@ -77,7 +79,7 @@ class RetargetResult:
     # First frame of the source, and its frames a second.
     start: Fraction = Fraction(1)
     rate: Fraction = Fraction(24)
-    numbers: FrameNumbers = field(default_factory=FrameNumbers)
+    frame_numbers: FrameNumbers = field(default_factory=FrameNumbers)
     outputs: list[Path] = field(default_factory=list)
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
@@ -105,12 +107,12 @@ class RetargetResult:
     @property
     def verdict(self) -> Verdict:
         """Whether the take is usable; frames are those of the output."""
-        return self.going.verdict().numbered(self.numbers)
+        return self.retargeting.verdict().numbered(self.frame_numbers)
 
     @property
     def score(self) -> RetargetReport:
         """Score of the fit."""
-        return self.going.report()
+        return self.retargeting.report()
 
 
 def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
@@ -138,11 +140,11 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
             text = map_text(report.joint_map, report.source_rig, report.target)
             write_parts(job.write_map, [text.encode()])
     report.outputs = target.files
-    report.numbers = _numbers(job, report)
+    report.frame_numbers = _output_frame_numbers(job, report)
     return report
 
 
-def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
+def _output_frame_numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
     """Return the frame numbers of the take in the output."""
     start, rate = report.start, report.rate
     fps = job.bake.fps or rate
@@ -164,8 +166,8 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
 def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     """Return a take without its placement, for a rig that has one.
 
-    The placement stays if an option requests it, or if the take is on a moving prim, as
-    in a bake.
+    As in a bake, the placement stays if an option requests it, or if the take is on a
+    moving prim.
     """
     rig, layer = stream.rig, job.bake.rig_layer
     if rig.stands is None or rig.rides or layer is None or job.bake.placement:
@@ -188,8 +190,8 @@ def _retarget(
         rig, notices = open_rig(job.rig)
         # Placement of the take, not of the rig's stage.
         rig = at_origin(rig)
-        reading = replace(job.reading, placement=job.bake.placement)
-        stream = open_source(job.source, reading, progress=progress)
+        source_options = replace(job.source_options, placement=job.bake.placement)
+        stream = open_source(job.source, source_options, progress=progress)
         rig = replace(rig, rides=stream.rig.rides)
         stream = _without_placement(stream, job)
         seconds["read"] = time.perf_counter() - start_time

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, check_outline, outlined
+from animtool.scene.bake.outline import Outline, check_outline, create_outline
 from animtool.scene.bake.progress import Progress
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SolveReport(Protocol):
-    """Report of a solve that writing completes."""
+    """Report of a solve, to which writing adds the written output."""
 
     notices: list[Fault]
     written: OutputReport | None
@@ -34,7 +34,7 @@ class SolvedOutput:
 
     outline: Outline | None  # outline of the take; None if it is not written
     bake: BakeOptions  # bake options
-    others: tuple[Path, ...] = ()  # further files to write
+    extra_files: tuple[Path, ...] = ()  # further files to write
 
     @staticmethod
     def of(
@@ -42,19 +42,22 @@ class SolvedOutput:
         source: Path,
         bake: BakeOptions,
         rig: Path | None,
-        others: Iterable[Path | None] = (),
+        extra_files: Iterable[Path | None] = (),
     ) -> SolvedOutput:
         """Return the output of a solve; a clip names a rig file."""
         outline = None
         if output is not None:
             named_rig = rig if rig is not None and has_kind_suffix(rig, "rig") else None
-            outline = outlined(source, output, bake, rig_file=named_rig)
-        return SolvedOutput(outline, bake, tuple(filter(None, others)))
+            outline = create_outline(source, output, bake, rig_file=named_rig)
+        return SolvedOutput(outline, bake, tuple(filter(None, extra_files)))
 
     @property
     def files(self) -> list[Path]:
         """Files to write; for a clip, the clip itself is last."""
-        return [*self.others, *([] if self.outline is None else self.outline.files)]
+        return [
+            *self.extra_files,
+            *([] if self.outline is None else self.outline.files),
+        ]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
         """Refuse an invalid output before the work."""
@@ -68,20 +71,20 @@ class SolvedOutput:
         self,
         stream: TakeStream,
         report: SolveReport,
-        form: str | None = None,
+        source_kind: str | None = None,
         progress: Progress = None,
     ) -> None:
         """Write a take and complete the report; without an output, solve only.
 
-        form: What the take is of, as details of its source say; None leaves these.
+        source_kind: Kind of the source for the report; None keeps the take's details.
 
         Raises:
             OutputError: A file cannot be written.
             StrictError: There were warnings, and ``strict`` is on.
         """
-        if form is not None:
+        if source_kind is not None:
             units = unit_name(stream.rig.meters_per_unit)
-            stream.details = {"format": form, "units": units}
+            stream.details = {"format": source_kind, "units": units}
         if self.outline is None:
             deque(stream.blocks, maxlen=0)
             stream_notices = stream.notices

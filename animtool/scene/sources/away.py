@@ -1,4 +1,4 @@
-"""Shots without frames of their media: the distance, and a hint."""
+"""Errors of shots that show none of their take's frames."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
 
-HOUR = 3600
-# A range within this time of a whole number of hours from its take is hours off [s].
-NEAR_HOUR = 600
+SECONDS_PER_HOUR = 3600
+# A distance within this time of a multiple of an hour suggests a wrong hour [s].
+HOUR_TOLERANCE = 600
 
 
-def no_frames(
+def no_frames_error(
     shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
 ) -> OptionError:
-    """Return the fault of a shot outside the frames of its take (SCN042).
+    """Return the error of a shot outside the frames of its take (SCN042).
 
     Args:
         shot: Shot that places its media.
@@ -29,13 +29,15 @@ def no_frames(
     prefix = f"shot {shot.name}: " if shot.name else ""
     message, hint = f"{prefix}the take has no frame from {first} to {last}", None
     if shot.timecode is not None:
-        gap, hint = range_away(shot, first, last, length)
-        message += f"; {gap}"
+        distance, hint = range_distance(shot, first, last, length)
+        message += f"; {distance}"
     return OptionError(Fault("SCN042", message, path, (), hint))
 
 
-def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str, str]:
-    """Return the distance of shot frames from a take without any, and a hint.
+def range_distance(
+    shot: Shot, first: int, last: int, length: Fraction
+) -> tuple[str, str]:
+    """Return texts with the distance of a shot from its take, and with a hint.
 
     Args:
         shot: Shot that places its media.
@@ -68,21 +70,21 @@ def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str
 
 
 def _distance(seconds: Fraction) -> str:
-    """Return a time as text.
+    """Return a distance in time as text.
 
     >>> _distance(Fraction(3601)), _distance(Fraction(-12))
     ('about an hour (3601 s)', '12 s')
     """
     duration = abs(seconds)
-    hours = round(duration / HOUR)
-    text = f"{float(duration):.7g} s"
-    if hours and abs(duration - hours * HOUR) < NEAR_HOUR:
-        return f"about {'an hour' if hours == 1 else f'{hours} hours'} ({text})"
-    return text
+    hours = round(duration / SECONDS_PER_HOUR)
+    seconds_text = f"{float(duration):.7g} s"
+    if hours and abs(duration - hours * SECONDS_PER_HOUR) < HOUR_TOLERANCE:
+        return f"about {'an hour' if hours == 1 else f'{hours} hours'} ({seconds_text})"
+    return seconds_text
 
 
 def _first_label(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
-    """Return the hour of a take's first time code, else a pattern."""
+    """Return the likely first time code of a take, a full hour; else a pattern."""
     clock = shot.timecode
     assert clock is not None
     label = clock.label(shot_seconds)

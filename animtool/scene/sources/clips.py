@@ -82,8 +82,8 @@ def clip_stream(
             for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
                 yield to_motion(sampled)
 
-    frames = float(clip.first) + np.arange(count, dtype=np.float64)
-    stream.blocks, stream.count = blocks(frames), count
+    frame_codes = float(clip.first) + np.arange(count, dtype=np.float64)
+    stream.blocks, stream.count = blocks(frame_codes), count
     keyed_curve = KeyedCurve(
         curve, lambda: None if clamp else clip, sample_blocks=blocks
     )
@@ -92,7 +92,7 @@ def clip_stream(
 
 
 def _fault_of(path: Path, rig: Rig, notice: ClipNotice) -> Fault:
-    """Return the fault of a notice, at the key or channel that causes it.
+    """Return the fault of a notice, located at the key or channel that causes it.
 
     The file is read again, since streams do not keep its text.
     """
@@ -101,7 +101,7 @@ def _fault_of(path: Path, rig: Rig, notice: ClipNotice) -> Fault:
     except FormatError:
         return replace(notice.fault, path=str(path))
     document = file.document
-    for i, channel in _causes(file, rig, notice.target):
+    for i, channel in _causing_channels(file, rig, notice.target):
         key_path: Location = ("channels", i)
         if notice.frame is not None:
             (earlier_keys,) = np.nonzero(key_times(channel) <= notice.frame)
@@ -121,10 +121,10 @@ def _fault_of(path: Path, rig: Rig, notice: ClipNotice) -> Fault:
     return replace(notice.fault, path=str(document.path))
 
 
-def _causes(
+def _causing_channels(
     file: ClipFile, rig: Rig, target: str
 ) -> Iterator[tuple[int, ChannelModel]]:
-    """Yield the channels of a target, then those of controls that drive it."""
+    """Yield the channels of a target, then channels of controls that drive it."""
     targets = [target]
     for drive_target in targets:
         for i, channel in enumerate(file.model.channels):

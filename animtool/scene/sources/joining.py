@@ -25,9 +25,9 @@ from animtool.motion.take import Take, TakeStream
 from animtool.scene.file.tracks import (
     TrackNames,
     Tracks,
-    chosen_tracks,
     moving_tracks,
     rest_motion,
+    select_tracks,
     with_tracks,
 )
 from animtool.scene.sources.onto_rig import Notify, on_rig
@@ -36,7 +36,7 @@ MAX_NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
-class SourcePart:
+class JoinedSource:
     """One of several sources to join."""
 
     stream: TakeStream
@@ -47,13 +47,15 @@ class SourcePart:
     note: Notify  # creates its faults
 
 
-def joined(first: SourcePart, other_sources: Sequence[SourcePart]) -> TakeStream:
+def join_sources(
+    first: JoinedSource, other_sources: Sequence[JoinedSource]
+) -> TakeStream:
     """Return the first source with tracks replaced by those of other sources.
 
     The result has the rig, rate and frames of the first source. The others are mapped
-    to that rig by name, start with the first source or at their time codes, and hold
-    their first and last frame. Held frames, left-out tracks and duplicates are reported
-    in the notices; those about frames may appear only while blocks are read.
+    to that rig by name. They start with the first source or at their time codes, and
+    hold their first and last frame. Notices report held frames, unmapped tracks and
+    duplicates; those about frames may appear only while blocks are read.
     """
     layers: list[_Layer] = []
     faults: list[Fault] = []
@@ -75,7 +77,7 @@ def joined(first: SourcePart, other_sources: Sequence[SourcePart]) -> TakeStream
 class _Layer:
     """A source mapped to the rig of the first."""
 
-    part: SourcePart  # its source
+    source: JoinedSource  # its source
     take: Take  # its frames
     tracks: Tracks  # its tracks
     # Time from the first frame of the first source to its own [s].
@@ -83,17 +85,17 @@ class _Layer:
     notices: list[Fault]  # notices of its file
 
     def frames(self, rate: Fraction, first: int, count: int) -> Motion:
-        """Return its motion at frames of the first source, clamped to its ends."""
+        """Return its motion at frames of the first source, clamped to its range."""
         clock = self.take.clock
-        if self.part.stream.curve is None:
+        if self.source.stream.curve is None:
             return other_frames(self.take, rate, first, count, self.delay * rate)
         begin_code = clock.start + (first / rate - self.delay) * clock.fps
         return self._sample_curve(time_codes(begin_code, clock.fps / rate, count))
 
-    def at(self, seconds: FloatArray) -> Motion:
+    def sample(self, seconds: FloatArray) -> Motion:
         """Return its motion at times from the first frame of the first source."""
         clock, layer_seconds = self.take.clock, seconds - float(self.delay)
-        if self.part.stream.curve is not None:
+        if self.source.stream.curve is not None:
             return self._sample_curve(
                 float(clock.start) + layer_seconds * float(clock.fps)
             )
@@ -101,16 +103,16 @@ class _Layer:
         return self.take.motion.map(samples.interpolate)
 
     def _sample_curve(self, codes: FloatArray) -> Motion:
-        curve, clock = self.part.stream.curve, self.take.clock
+        curve, clock = self.source.stream.curve, self.take.clock
         assert curve is not None
         last_code = clock.start + clock.step * (clock.count - 1)
-        return _stored_like(
+        return _with_animated_entries_of(
             curve(np.clip(codes, float(clock.start), float(last_code))),
             self.take.motion,
         )
 
 
-def _stored_like(motion: Motion, like: Motion) -> Motion:
+def _with_animated_entries_of(motion: Motion, template: Motion) -> Motion:
     """Return a motion with the same animated entries as another."""
 
     def convert(channel: Channel, other_channel: Channel) -> Channel:
@@ -121,7 +123,7 @@ def _stored_like(motion: Motion, like: Motion) -> Motion:
         )
 
     def optional(name: str) -> Channel | None:
-        channel, like_channel = getattr(motion, name), getattr(like, name)
+        channel, like_channel = getattr(motion, name), getattr(template, name)
         return (
             None
             if channel is None or like_channel is None
@@ -129,36 +131,36 @@ def _stored_like(motion: Motion, like: Motion) -> Motion:
         )
 
     return Motion(
-        convert(motion.translations, like.translations),
-        convert(motion.rotations, like.rotations),
+        convert(motion.translations, template.translations),
+        convert(motion.rotations, template.rotations),
         optional("scales"),
         optional("weights"),
         optional("controls"),
     )
 
 
-def _layer(first: SourcePart, part: SourcePart) -> _Layer:
+def _layer(first: JoinedSource, source: JoinedSource) -> _Layer:
     """Return a source mapped to the rig and the clock of the first."""
     rig = first.stream.rig
-    stream, names = on_rig(part.stream, rig, part.note)
-    placed_source, take = replace(part, stream=stream), stream.collect()
+    stream, names = on_rig(source.stream, rig, source.note)
+    placed_source, take = replace(source, stream=stream), stream.collect()
     notices = [
         note
         if note.path
-        else part.note(note.code, note.message, note.hint, note.severity)
+        else source.note(note.code, note.message, note.hint, note.severity)
         for note in placed_source.stream.notices
     ]
-    if part.tracks is None:
-        source_rig = reorient(replace(part.stream, blocks=iter(())), rig.up).rig
+    if source.tracks is None:
+        source_rig = reorient(replace(source.stream, blocks=iter(())), rig.up).rig
         tracks = moving_tracks(take.motion, names, source_rig)
     else:
-        tracks, unmatched_names = chosen_tracks(part.tracks, names)
+        tracks, unmatched_names = select_tracks(source.tracks, names)
         faults = [
-            part.note(
+            source.note(
                 "SCN037",
                 f"tracks.{unknown_track.kind}: nothing in it and {rig.name!r} matches "
                 f"{excerpt(unknown_track.pattern)}",
-                nearest(unknown_track.pattern, unknown_track.known),
+                nearest(unknown_track.pattern, unknown_track.valid_names),
             )
             for unknown_track in unmatched_names
         ]
@@ -166,40 +168,45 @@ def _layer(first: SourcePart, part: SourcePart) -> _Layer:
             raise OptionError(faults)
     if not tracks:
         message = f"has no tracks of {rig.name!r}"
-        raise OptionError(part.note("SCN036", message, "list its tracks under tracks:"))
-    return _Layer(placed_source, take, tracks, _delay(first, part), notices)
+        raise OptionError(
+            source.note("SCN036", message, "list its tracks under tracks:")
+        )
+    return _Layer(placed_source, take, tracks, _delay(first, source), notices)
 
 
-def _delay(first: SourcePart, other_part: SourcePart) -> Fraction:
+def _delay(first: JoinedSource, other_part: JoinedSource) -> Fraction:
     """Return the delay of a source after the first [s]."""
     both_sources = (first, other_part)
     if first.timecode is None and other_part.timecode is None:
         return Fraction(0)
-    for part in both_sources:
-        if part.timecode is None:
+    for source in both_sources:
+        if source.timecode is None:
             message = "it has no time code, but another source has one"
             hint = "write the timecode of its first frame for all sources or for none"
-            raise OptionError(part.note("SCN034", message, hint))
+            raise OptionError(source.note("SCN034", message, hint))
     start_seconds = [
-        (str(part.timecode), part.timecode_fps or part.stream.fps / part.stream.step)
-        for part in both_sources
+        (
+            str(source.timecode),
+            source.timecode_fps or source.stream.fps / source.stream.step,
+        )
+        for source in both_sources
     ]
-    for part, (label, rate) in zip(both_sources, start_seconds, strict=True):
+    for source, (label, rate) in zip(both_sources, start_seconds, strict=True):
         try:
             seconds_between(label, rate, label, rate)
         except ValueError as error:
             hint = f"it counts {rate_label(rate)}; set another rate with timecode_fps"
-            raise OptionError(part.note("SCN033", str(error), hint)) from error
+            raise OptionError(source.note("SCN033", str(error), hint)) from error
     return seconds_between(*start_seconds[0], *start_seconds[1])
 
 
-def _duplicate_tracks(layer: _Layer, earlier: Sequence[_Layer]) -> list[Fault]:
-    """Warn if two sources set the same tracks without a track list."""
-    if layer.part.tracks is not None:
+def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fault]:
+    """Warn if a source without a track list sets tracks of a source above it."""
+    if layer.source.tracks is not None:
         return []
     rig = layer.take.rig
     shared_tracks = [
-        layer.tracks.also_in(other_layer.tracks) for other_layer in earlier
+        layer.tracks.intersection(other_layer.tracks) for other_layer in lower_layers
     ]
     shared_names = dict.fromkeys(
         name for tracks in shared_tracks for name in tracks.names(rig)
@@ -210,7 +217,7 @@ def _duplicate_tracks(layer: _Layer, earlier: Sequence[_Layer]) -> list[Fault]:
         f"moves {listed(list(shared_names), MAX_NAMED)}, as a source above it does"
     )
     hint = "its own are used; list the tracks of each under tracks:"
-    return [layer.part.note("SCN105", message, hint, Severity.WARNING)]
+    return [layer.source.note("SCN105", message, hint, Severity.WARNING)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +235,7 @@ class _JoinedTake:
         if self.base.curve is not None:
             joined_stream.curve = self._curve
             self._report_frames(self.base.count)
-        elif any(layer.part.stream.curve is not None for layer in self.layers):
+        elif any(layer.source.stream.curve is not None for layer in self.layers):
             # Layers keep their curves even if the first source has samples.
             joined_stream.curve, joined_stream.is_altered = self._curve, True
         return joined_stream
@@ -246,9 +253,9 @@ class _JoinedTake:
         for block in self.base.blocks:
             joined_block = block
             for layer in self.layers:
-                other = layer.frames(self._rate, frames_read, block.frames)
+                layer_motion = layer.frames(self._rate, frames_read, block.frames)
                 joined_block = with_tracks(
-                    self.base.rig, joined_block, other, layer.tracks
+                    self.base.rig, joined_block, layer_motion, layer.tracks
                 )
             yield joined_block
             frames_read += block.frames
@@ -259,30 +266,32 @@ class _JoinedTake:
         motion = self._base_at(times)
         seconds = (times - float(self._start)) / float(self.base.fps)
         for layer in self.layers:
-            motion = with_tracks(self.base.rig, motion, layer.at(seconds), layer.tracks)
+            motion = with_tracks(
+                self.base.rig, motion, layer.sample(seconds), layer.tracks
+            )
         return motion
 
     def _base_at(self, times: FloatArray) -> Motion:
-        """Return the motion of the first source; at rest if it is sampled."""
+        """Return the motion of the first source; the rest pose if it has no curve."""
         if self.base.curve is not None:
             return self.base.curve(times)
         return rest_motion(self.base.rig).select(np.zeros(len(times), np.int64))
 
     def _control_curves(self) -> dict[str, Curves]:
         """Return the curves of controls, each from the source that sets it."""
-        merged = dict(self.base.control_curves)
+        merged_curves = dict(self.base.control_curves)
         for layer in self.layers:
-            clock, curves = layer.take.clock, layer.part.stream.control_curves
+            clock, curves = layer.take.clock, layer.source.stream.control_curves
             ratio = float(self.base.fps / clock.fps)
             begin = float(self._start + layer.delay * self.base.fps)
             for i in layer.tracks.controls.tolist():
                 name = self.base.rig.controls[i].name
-                merged.pop(name, None)
+                merged_curves.pop(name, None)
                 if name in curves:
-                    merged[name] = curves[name].retimed(
+                    merged_curves[name] = curves[name].retimed(
                         float(clock.start), ratio, begin
                     )
-        return merged
+        return merged_curves
 
     def _report_frames(self, count: int) -> None:
         """Report missing and unused frames of each source."""
@@ -291,7 +300,7 @@ class _JoinedTake:
 
     def _frame_messages(self, layer: _Layer, count: int) -> Iterator[Fault]:
         """Yield messages on the frames of a source."""
-        clock, note = layer.take.clock, layer.part.note
+        clock, note = layer.take.clock, layer.source.note
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)
         layer_step = self._rate / clock.rate

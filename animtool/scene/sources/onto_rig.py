@@ -69,7 +69,7 @@ class NameMap:
     joints: IntArray
     shapes: IntArray
     controls: IntArray
-    spare: tuple[int, ...]  # joints of the other rig that this one lacks
+    unmatched_joints: tuple[int, ...]  # joints of the other rig that this one lacks
 
     def apply(self, motion: Motion) -> Motion:
         """Return a motion of the other rig on this one; missing tracks are at rest."""
@@ -79,53 +79,61 @@ class NameMap:
         return Motion(
             _gather_entries(motion.translations, self.joints, rig.rest_translations),
             _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
-            _moved_if(motion.scales, self.joints, one_frame),
-            self._with_combined(_moved_if(motion.weights, self.shapes, zero_weights)),
-            _moved_if(motion.controls, self.controls, defaults),
+            _gather_or_rest(motion.scales, self.joints, one_frame),
+            self._with_combined(
+                _gather_or_rest(motion.weights, self.shapes, zero_weights)
+            ),
+            _gather_or_rest(motion.controls, self.controls, defaults),
         )
 
     def _with_combined(self, weights: Channel | None) -> Channel | None:
-        """Return weights with those of combined shapes that only this rig has."""
+        """Return weights, adding those of combination shapes that only this rig has."""
         if weights is None:
             return None
         missing = np.flatnonzero(self.shapes < 0)
         return with_combined_weights(weights, self.rig.shapes, missing)
 
 
-def map_names(rig: Rig, other: Rig) -> NameMap:
+def map_names(rig: Rig, other_rig: Rig) -> NameMap:
     """Return the indices of a rig's tracks in another rig, by name.
 
-    A joint that was renamed on reading is found under both names. Of several joints
-    with one name, it is the one below the joint that its parent is.
+    A joint that was renamed on reading is found by either name. Of several joints with
+    one name, the one below the mapped parent is taken.
     """
-    by_name: dict[str, list[int]] = {}
-    for j, joint in enumerate(other.joints):
+    indices_by_name: dict[str, list[int]] = {}
+    for index, joint in enumerate(other_rig.joints):
         for name in dict.fromkeys((joint.source_name or joint.name, joint.name)):
-            by_name.setdefault(name, []).append(j)
+            indices_by_name.setdefault(name, []).append(index)
     joints: list[int] = []
     for joint in rig.joints:
-        matches = [*by_name.get(joint.name, ()), *by_name.get(joint.source_name, ())]
+        candidates = [
+            *indices_by_name.get(joint.name, ()),
+            *indices_by_name.get(joint.source_name, ()),
+        ]
         parent = joints[joint.parent] if joint.parent >= 0 else -1
-        below = [j for j in matches if other.joints[j].parent == parent]
-        joints.append(next(iter(below or matches), -1))
+        with_mapped_parent = [
+            index for index in candidates if other_rig.joints[index].parent == parent
+        ]
+        joints.append(next(iter(with_mapped_parent or candidates), -1))
     return NameMap(
         rig,
         np.array(joints, np.int64),
         _indices(
-            [shape.name for shape in rig.shapes], [shape.name for shape in other.shapes]
+            [shape.name for shape in rig.shapes],
+            [shape.name for shape in other_rig.shapes],
         ),
         _indices(
             [control.name for control in rig.controls],
-            [control.name for control in other.controls],
+            [control.name for control in other_rig.controls],
         ),
-        tuple(sorted(set(range(len(other.joints))) - set(joints))),
+        tuple(sorted(set(range(len(other_rig.joints))) - set(joints))),
     )
 
 
 def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, NameMap]:
     """Return a source mapped to a rig by name, and the name map.
 
-    Tracks that the rig lacks are left out; tracks that only the rig has stay at rest.
+    Tracks that the rig lacks are dropped; tracks that only the rig has stay at rest.
     """
     stream = reorient(stream, rig.up)
     names = map_names(rig, stream.rig)
@@ -146,7 +154,9 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
         rig=rig,
         blocks=(names.apply(block) for block in source_blocks),
         control_curves={
-            k: c for k, c in stream.control_curves.items() if k in control_names
+            name: curves
+            for name, curves in stream.control_curves.items()
+            if name in control_names
         },
     )
     if curve is not None:
@@ -154,22 +164,22 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
     return mapped_stream, names
 
 
-def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
+def unmapped_notices(names: NameMap, other_rig: Rig, path: str) -> list[Fault]:
     """Return notices of tracks that only one of two rigs has."""
     shapes = set(names.shapes.tolist())
-    joints = [other.names[j] for j in names.spare]
+    joints = [other_rig.names[index] for index in names.unmatched_joints]
     spare_names = [
-        shape.name for i, shape in enumerate(other.shapes) if i not in shapes
+        shape.name for i, shape in enumerate(other_rig.shapes) if i not in shapes
     ]
     missing_joints = [
-        names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()
+        names.rig.names[index] for index in np.flatnonzero(names.joints < 0).tolist()
     ]
     return [
         names_fault(
             code,
             f"{len(track_names)} {description}: ",
             track_names,
-            where,
+            path,
             hint,
             severity,
         )
@@ -218,7 +228,7 @@ def on_rig_file(
     rig = at_origin(rig)
     reoriented_stream = reorient(stream, rig.up)
     mapped_stream, names = on_rig(reoriented_stream, rig, note)
-    unmatched_notices = left_out(names, reoriented_stream.rig, str(path))
+    unmatched_notices = unmapped_notices(names, reoriented_stream.rig, str(path))
     differences: list[Fault] = []
     if reoriented_stream.rig.joints and rig.joints:
         _, differences = check_fit(
@@ -239,20 +249,20 @@ def _indices(names: list[str], other_names: list[str]) -> IntArray:
     return np.array([index_by_name.get(name, -1) for name in names], np.int64)
 
 
-def _moved_if(
-    channel: Channel | None, indices: IntArray, rest: FloatArray
+def _gather_or_rest(
+    channel: Channel | None, indices: IntArray, rest_values: FloatArray
 ) -> Channel | None:
     return (
         None
         if channel is None or not len(indices)
-        else _gather_entries(channel, indices, rest)
+        else _gather_entries(channel, indices, rest_values)
     )
 
 
 def _gather_entries(
     channel: Channel, indices: IntArray, rest_values: FloatArray
 ) -> Channel:
-    """Return a channel's entries at indices; -1 is an entry at rest."""
+    """Return a channel's entries at indices; -1 gives the rest value."""
     exists = indices >= 0
     values = np.array(rest_values, np.float64)
     values[exists] = channel.rest[indices[exists]]

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 # Options that apply to every source.
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
-# Options that no reader receives.
-BEYOND_READERS = frozenset({"force_fit", "shot"})
+# Options that are not passed to readers.
+NON_READER_OPTIONS = frozenset({"force_fit", "shot"})
 _IGNORED_OPTIONS = ("interpolate", "hold", "close")
-_POSITIONS = ("channels", "offsets")
-_OF_BVH = "sets what a BVH does not state; this file states it"
-_UNITS = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
+_POSITION_MODES = ("channels", "offsets")
+_ONLY_BVH_REASON = "sets what a BVH does not state; this file states it"
+_UNIT_REASON = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
 
 
 @inherits_docs
@@ -51,7 +51,7 @@ class SourceOptions:
         None,
         "unit",
         flag="units",
-        reason=_UNITS,
+        reason=_UNIT_REASON,
         scene=Key(
             "Unit of the lengths of a BVH, glTF or FBX. Default: cm; m for a glTF; "
             "as stated in an FBX.",
@@ -70,7 +70,7 @@ class SourceOptions:
     up: UpAxis | None = option(
         None,
         "axis",
-        reason=_UNITS,
+        reason=_UNIT_REASON,
         scene=Key(
             "Up axis of a BVH, glTF or FBX. Default: Y; as stated in an FBX.",
             "Z",
@@ -84,20 +84,20 @@ class SourceOptions:
     positions: str | None = option(
         None,
         "choice",
-        reason=_OF_BVH,
+        reason=_ONLY_BVH_REASON,
         scene=Key(
             "For a BVH: use the position channels of joints below a root, or their "
             "OFFSETs. Default: `channels`.",
             "offsets",
-            _POSITIONS,
+            _POSITION_MODES,
         ),
         batch=Key(
             "For BVH files: use the position channels of joints below a root, or "
             "their OFFSETs. Default: `channels`.",
             "offsets",
-            _POSITIONS,
+            _POSITION_MODES,
         ),
-        choices=_POSITIONS,
+        choices=_POSITION_MODES,
         help="For a BVH: use the position channels of joints below a root, or their "
         "OFFSETs, as when all these channels are 0.  [default: channels]",
     )
@@ -105,7 +105,7 @@ class SourceOptions:
         None,
         "rate",
         flag="source-fps",
-        reason=_UNITS,
+        reason=_UNIT_REASON,
         scene=Key(
             "For a BVH: its true frame rate; for a face recording: the rate of its "
             "time code; for a glTF or FBX: the rate to sample its keys at. Default: "
@@ -258,7 +258,7 @@ def source_stem(path: Path) -> str:
     return path.stem.removesuffix(".clip").removesuffix(".scene")
 
 
-def takes_option(path: Path, name: str) -> bool:
+def supports_option(path: Path, name: str) -> bool:
     """Return whether a file format supports an option of `SourceOptions`.
 
     >>> takes_option(Path("walk.bvh"), "unit"), takes_option(Path("walk.bvh"), "rig")
@@ -271,7 +271,7 @@ def takes_option(path: Path, name: str) -> bool:
 
 
 def fitting_options(
-    options: SourceOptions, path: Path, others: Sequence[Path]
+    options: SourceOptions, path: Path, all_paths: Sequence[Path]
 ) -> SourceOptions:
     """Return the options that apply to one of several files.
 
@@ -285,14 +285,14 @@ def fitting_options(
     (None, True)
     """
     defaults = SourceOptions()
-    left_out = {
+    default_values = {
         field.name: getattr(defaults, field.name)
         for field in fields(SourceOptions)
         if field.name not in ANY_SOURCE
-        and not takes_option(path, field.name)
-        and any(takes_option(other_path, field.name) for other_path in others)
+        and not supports_option(path, field.name)
+        and any(supports_option(other_path, field.name) for other_path in all_paths)
     }
-    return replace(options, **left_out)
+    return replace(options, **default_values)
 
 
 def open_source(
@@ -340,7 +340,7 @@ def open_source(
     arguments = {
         field.name: value
         for field in fields(SourceOptions)
-        if field.name not in BEYOND_READERS
+        if field.name not in NON_READER_OPTIONS
         and (value := getattr(options, field.name)) != getattr(defaults, field.name)
     }
     if "placement" not in reader.options:
@@ -348,7 +348,9 @@ def open_source(
         arguments.pop("placement", None)
     unsupported_options = [name for name in arguments if name not in reader.options]
     if unsupported_options:
-        raise OptionError([_refusal(name, path) for name in unsupported_options])
+        raise OptionError(
+            [_unsupported_option_fault(name, path) for name in unsupported_options]
+        )
     if "progress" in reader.options:
         arguments["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
@@ -374,7 +376,7 @@ def open_checked(
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return functions that open the take of each Skeleton in a USD file, by path."""
+    """Return a function to open the take of each Skeleton in a USD file, by path."""
     from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
@@ -386,7 +388,7 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
 
 def _drive_tracks(stream: TakeStream) -> TakeStream:
-    """Return a source whose driven tracks are evaluated from its rig."""
+    """Return a source with tracks evaluated that the rig's controls drive."""
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driving import drive_stream
@@ -394,7 +396,7 @@ def _drive_tracks(stream: TakeStream) -> TakeStream:
     return drive_stream(stream, report_replaced=True)
 
 
-def _refusal(name: str, path: Path) -> Fault:
+def _unsupported_option_fault(name: str, path: Path) -> Fault:
     declaration = options_of(SourceOptions)[name]
     hint = None
     if name in {"unit", "up", "fps"}:

@@ -24,7 +24,7 @@ from animtool.scene.bake.progress import Meter, StageCost
 from animtool.scene.file.entries import SceneProp
 from animtool.usd.props.reader import PropSource, open_prop
 
-# Largest shear of a transform between keys that is not reported, being invisible [1].
+# Shear of a transform between keys up to this is invisible and not reported [1].
 VISIBLE_SHEAR = 1e-9
 
 
@@ -48,7 +48,7 @@ def open_props(
 
     ``source`` is the file of the take, whose prims follow its placement.
     """
-    open_list: list[OpenProp] = []
+    opened_props: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
         stage = meter.stage(entry.file.name, entry.location.where)
@@ -62,12 +62,12 @@ def open_props(
         same_source = same_file(
             entry.file.resolve(), source
         ) or not entry.path.startswith("/")
-        open_list.append(
+        opened_props.append(
             OpenProp(entry, prop, replace(track, follows_placement=same_source))
         )
     if faults:
         raise FormatError(faults)
-    return open_list
+    return opened_props
 
 
 def with_props(
@@ -84,7 +84,7 @@ def with_props(
     """
     start = Fraction(1) if stream.start is None else stream.start
     props = [
-        _Prop(
+        _TimedProp(
             prop,
             prop.entry.frame if prop.entry.frame is not None else first or start,
             prop.source.fps * stream.step / stream.fps,
@@ -96,13 +96,13 @@ def with_props(
         stream.notices += prop.notes(fps or stream.fps)
     prop_tracks = (prop.track(stream, dropped) for prop in props)
     tracks = (*stream.tracks, *prop_tracks)
-    with_tracks = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
+    stream_with_props = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
-        with_tracks.curve = lambda times: props_stream.added(
+        stream_with_props.curve = lambda times: props_stream.with_prop_times(
             curve(times), props_stream.times_at(times)
         )
-    return with_tracks
+    return stream_with_props
 
 
 def _metered_track(
@@ -131,10 +131,10 @@ def _metered_track(
 
 
 @dataclass(frozen=True, slots=True)
-class _Prop:
+class _TimedProp:
     """A prop sampled at the frames of a take."""
 
-    opened: OpenProp
+    open_prop: OpenProp
     begin: Fraction  # time code of its file at the first frame
     step: Fraction  # time codes of its file per frame
 
@@ -145,8 +145,8 @@ class _Prop:
     def track(
         self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
     ) -> Track:
-        """Return its track; follows the take if the placement is dropped."""
-        track = self.opened.track
+        """Return its track, relative to the take if the placement is dropped."""
+        track = self.open_prop.track
         if dropped is None or not track.follows_placement:
             return track
         start = Fraction(1) if stream.start is None else stream.start
@@ -160,7 +160,7 @@ class _Prop:
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield notices of the prop that do not depend on frames."""
-        source, entry = self.opened.source, self.opened.entry
+        source, entry = self.open_prop.source, self.open_prop.entry
         note = entry.location.fault
         if source.unstated_range:
             message = f"{entry.prim} does not state {listed(source.unstated_range)}"
@@ -185,7 +185,7 @@ class _PropStream:
     """A take with its props."""
 
     stream: TakeStream
-    props: Sequence[_Prop]
+    props: Sequence[_TimedProp]
 
     @property
     def _start(self) -> Fraction:
@@ -195,10 +195,10 @@ class _PropStream:
         frames_read = 0
         for block in self.stream.blocks:
             times = [prop.times(frames_read, block.frames) for prop in self.props]
-            yield self.added(block, np.stack(times, axis=1))
+            yield self.with_prop_times(block, np.stack(times, axis=1))
             frames_read += block.frames
 
-    def added(self, motion: Motion, times: FloatArray) -> Motion:
+    def with_prop_times(self, motion: Motion, times: FloatArray) -> Motion:
         """Return a motion with the times ``(F, N)`` of props appended."""
         if motion.track_times is not None:
             times = np.concatenate([motion.track_times.dense()[..., 0], times], axis=1)

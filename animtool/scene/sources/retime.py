@@ -1,4 +1,4 @@
-"""Retimed takes: preroll frames, and frames of a shot."""
+"""Retiming of takes: pre-roll frames, and frames of a shot."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from animtool.edit.between import TakeSampler
 from animtool.edit.travel import nearby_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
-from animtool.scene.sources.away import no_frames
+from animtool.scene.sources.away import no_frames_error
 
 
 @dataclass(frozen=True, slots=True)
 class Preroll:
-    """Number of frames that passes need before the output."""
+    """Frames that passes with state need before the output."""
 
     # Frame of the take's start; None is as its source states, or 1.
     start: Fraction | None
@@ -37,7 +37,7 @@ class Preroll:
 
 
 def with_preroll(stream: TakeStream, count: int) -> TakeStream:
-    """Return a take with frames before its first that repeat its pose.
+    """Return a take that starts with copies of its first pose.
 
     The take's own frames keep their time codes.
     """
@@ -84,17 +84,17 @@ def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeSt
 
 
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
-    """Return a take in shot frames, each sample at its exact time.
+    """Return a take with its samples at their exact times in frames of a shot.
 
-    Nothing is resampled or left out. The take is unchanged if the shot does not place
-    its media; a shot that holds a pose repeats it in each frame.
+    No sample is resampled or dropped. The take is unchanged if the shot does not place
+    its media. A shot that holds a pose repeats it in each frame.
     """
     if shot is None or shot.fps is None or not shot.places_media:
         return stream
     if shot.speed == 0:
-        return _constant_pose(stream, shot)
+        return _hold_pose(stream, shot)
     if shot.speed < 0:
-        return _backwards(stream, shot)
+        return _reverse(stream, shot)
     shot_step = stream.step / stream.fps * shot.fps / shot.speed
     return _retime_stream(stream, shot, shot.frame_at(0), shot_step)
 
@@ -126,7 +126,7 @@ def _retime_stream(
     )
 
 
-def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
+def _reverse(stream: TakeStream, shot: Shot) -> TakeStream:
     """Return a take reversed in time; it is read completely."""
     assert shot.fps is not None
     motion = stream.collect().motion
@@ -139,14 +139,16 @@ def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
     )
 
 
-def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:
+def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     """Return one pose of a take in every frame of a shot; it is read completely."""
     assert shot.fps is not None
     assert shot.media_in is not None
     take, count = stream.collect(), shot.end - shot.start + 1
     sample = shot.media_in * stream.fps / stream.step
     if not 0 <= sample < take.clock.count:
-        raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
+        raise no_frames_error(
+            shot, shot.start, shot.end, take.clock.count / take.clock.rate
+        )
     pose = TakeSampler.of(take).at(nearby_positions([float(sample)], take.clock.count))
     constant = pose.select(np.zeros(count, np.int64))
     return replace(

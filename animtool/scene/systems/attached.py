@@ -1,4 +1,4 @@
-"""Colliders of springs on a scene's character, taken from its systems."""
+"""Colliders from a scene's systems for springs attached to its character."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ def with_colliders(
     options: Any,
     lead: float = 0.0,
 ) -> tuple[TakeStream, Colliders]:
-    """Return a take, and the colliders that the options of a pass name.
+    """Return a take and the colliders that the options of a pass name.
 
-    The named systems are simulated with those they depend on, over the frames of the
-    take. The scene's own character is the take as it is, and its frames are then read
-    at once.
+    The named systems and their dependencies are simulated over the frames of the take.
+    If they need the scene's own character, all frames of the take are read at once.
 
     Args:
         systems: Systems of the scene.
@@ -46,21 +45,22 @@ def with_colliders(
     surroundings = Surroundings((), options.characters, options.systems, options.meshes)
     names = {entry.system for entry in options.systems}
     named_systems = [i for i, system in enumerate(systems) if system.name in names]
-    numbers = with_dependencies(systems, named_systems) if named_systems else []
+    system_indices = with_dependencies(systems, named_systems) if named_systems else []
     character, running_systems = None, []
-    if numbers:
+    if system_indices:
         take = stream.collect()
         stream = replace(stream, blocks=iter([take.motion]))
         character = motion_of(path, take)
         character = replace(character, times=character.times + lead)
-        needed_systems = [systems[i] for i in numbers]
+        simulated_systems = [systems[i] for i in system_indices]
         running_systems = open_systems(
-            needed_systems, float(character.times[-1]), character
+            simulated_systems, float(character.times[-1]), character
         )
     run_by_name = {
-        systems[i].name: run for i, run in zip(numbers, running_systems, strict=True)
+        systems[i].name: run
+        for i, run in zip(system_indices, running_systems, strict=True)
     }
-    colliders = surroundings.built(characters_with(character), run_by_name)
+    colliders = surroundings.build(characters_with(character), run_by_name)
     rotation = up_from_up(stream.rig.up, UpAxis.Y)
     if rotation is not None:
         colliders = _rotate_colliders(colliders, np.array(rotation))
@@ -73,34 +73,35 @@ def _rotate_colliders(colliders: Colliders, rotation: FloatArray) -> Colliders:
     """Return colliders rotated about the origin by a quaternion ``(4,)``."""
     return Colliders(
         [
-            replace(collider, poses=_turned_poses(collider.poses, rotation))
+            replace(collider, poses=_rotate_poses(collider.poses, rotation))
             for collider in colliders
         ],
         [
-            replace(collider, motion=_TurnedMotion(collider.motion, rotation))
+            replace(collider, motion=_RotatedSheetMotion(collider.motion, rotation))
             for collider in colliders.sheets
         ],
         # No forces act on them, so only their motion is rotated.
         [
-            cast("MovingBodies", _TurnedBodies(collider, rotation))
+            cast("MovingBodies", _RotatedBodies(collider, rotation))
             for collider in colliders.bodies
         ],
     )
 
 
-def _turned_poses(poses: Poses, rotation: FloatArray) -> Poses:
-    rows = _turned_rows(poses.rows, rotation)
+def _rotate_poses(poses: Poses, rotation: FloatArray) -> Poses:
+    """Return poses rotated about the origin by a quaternion ``(4,)``."""
+    rows = _rotate_pose_rows(poses.rows, rotation)
     return Poses(poses.sample_times, rows[:, :3], rows[:, 3:])
 
 
-def _turned_rows(rows: FloatArray, rotation: FloatArray) -> FloatArray:
+def _rotate_pose_rows(rows: FloatArray, rotation: FloatArray) -> FloatArray:
     """Return origins and quaternions ``(…, 7)`` rotated about the origin."""
     origins = so3.rotate(rotation, rows[..., :3])
     return np.concatenate([origins, so3.multiply(rotation, rows[..., 3:])], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
-class _TurnedMotion:
+class _RotatedSheetMotion:
     """A moving surface, rotated about the origin."""
 
     motion: SheetMotion
@@ -119,8 +120,8 @@ class _TurnedMotion:
         self.motion.forget(t)
 
 
-class _TurnedBodies:
-    """Rigid bodies that are not pushed, rotated about the origin."""
+class _RotatedBodies:
+    """One-way coupled rigid bodies, rotated about the origin."""
 
     def __init__(self, bodies: MovingBodies, rotation: FloatArray) -> None:
         self._bodies, self._rotation = bodies, rotation
@@ -134,7 +135,7 @@ class _TurnedBodies:
 
     def ends(self, t0: float, t1: float) -> FloatArray:
         """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
-        return _turned_rows(self._bodies.ends(t0, t1), self._rotation)
+        return _rotate_pose_rows(self._bodies.ends(t0, t1), self._rotation)
 
     def forget(self, t: float) -> None:
         """Drop data before a time, which will not be sampled again [s]."""

@@ -22,7 +22,7 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.prims import BakePlan, BakeState, OneFile, TakeReport
 from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import source_stem
-from animtool.scene.systems.character_motion import CharacterWatch
+from animtool.scene.systems.character_motion import CharacterRecorder
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.chunks import growing_layer, system_clip_files
@@ -51,14 +51,14 @@ Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 @dataclass(frozen=True, slots=True)
 class SystemPrims:
-    """Prims of simulated points, curves and meshes."""
+    """Prims of simulated points, curves and meshes in a bake."""
 
     scene: Scene
     job: SimulatedJob
     start: Fraction  # time code at 0 s; with a take, its first frame
     # Time codes to write, ascending; empty uses the take's.
     codes: tuple[Fraction, ...] = ()
-    watch: CharacterWatch | None = None  # records the take
+    recorder: CharacterRecorder | None = None  # records the take
     # Displacement of a layer; None is the identity.
     displacement: Displacement | None = None
 
@@ -67,16 +67,18 @@ class SystemPrims:
         return float((code - self.start) / self.job.metadata.span.fps)
 
     def author(self, draft: BakeState) -> None:
-        """Simulate; without chunks, when the layer is saved."""
+        """Set up the simulation; without chunks it runs when the layer is saved."""
         plan = draft.plan
-        prims = self if self.watch is None else self._on_take(self.watch)
+        prims = self if self.recorder is None else self._with_take_codes(self.recorder)
         codes, job = prims.codes, prims.job
-        character = None if self.watch is None else self.watch.motion(self.scene.path)
+        character = (
+            None if self.recorder is None else self.recorder.motion(self.scene.path)
+        )
         if character is not None and prims.start < self.start:
             delay = float((self.start - prims.start) / job.metadata.span.fps)
             character = replace(character, times=character.times + delay)
         systems = self.scene.systems
-        main_rig = None if self.watch is None else plan.takes[0].stream.rig
+        main_rig = None if self.recorder is None else plan.takes[0].stream.rig
         last_seconds = prims.seconds(codes[-1])
         run = SystemRun(systems, last_seconds, character, draft.progress, main_rig)
         keeps_stopped = plan.options.keep_stopped
@@ -90,27 +92,27 @@ class SystemPrims:
             frames.chunk(draft.layer, plan.output, plan.options.chunk)
         draft.growth = frames
 
-    def _on_take(self, watch: CharacterWatch) -> SystemPrims:
-        """Return a copy with the time codes of the take."""
-        codes = [Fraction(code) for code in watch.codes.tolist()]
-        metadata_before = self.job.metadata
-        span = FrameSpan(codes[0], codes[-1], metadata_before.span.fps)
-        metadata = replace(metadata_before, span=span)
+    def _with_take_codes(self, recorder: CharacterRecorder) -> SystemPrims:
+        """Return a copy with the time codes and placement of the recorded take."""
+        codes = [Fraction(code) for code in recorder.codes.tolist()]
+        old_metadata = self.job.metadata
+        span = FrameSpan(codes[0], codes[-1], old_metadata.span.fps)
+        metadata = replace(old_metadata, span=span)
         # If a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
         displacement = (
-            None if self.displacement is None else self.displacement(watch.codes)
+            None if self.displacement is None else self.displacement(recorder.codes)
         )
         job = replace(
             self.job,
             metadata=metadata,
             placement_matrices=displacement,
-            codes=watch.codes,
+            codes=recorder.codes,
         )
         return replace(self, job=job, start=start, codes=tuple(codes))
 
     def _begin(self, draft: BakeState) -> None:
-        """Create a layer that holds only systems, and its report."""
+        """Create a layer that contains only systems, and its report."""
         plan, metadata = draft.plan, self.job.metadata
         layer = simulated_layer(self.job, plan.output)
         take = WrittenTake("", metadata.span, samples=len(self.codes))
@@ -135,21 +137,21 @@ class SystemPrims:
 
 @dataclass(slots=True)
 class SystemFrames:
-    """Frames of systems, simulated while they are written; see `Growth`."""
+    """Frames of systems that are simulated while they are written; see `Growth`."""
 
     prims: SystemPrims
     job: SimulatedJob
     run: SystemRun
     rows: Iterator[Any]  # rows of all systems, frame by frame
     strict: bool
-    # Known after the frames are simulated: files next to the layer, their contents, and
-    # the layer that a stopped run ends.
+    # Set after simulating: chunk files, results of the meshes, and the layer of a run
+    # that stopped early.
     files: list[Path] = field(default_factory=list)
     written: list[CachedMesh] = field(default_factory=list)
-    ended: Any = None
+    ended_layer: Any = None
 
     def chunk(self, layer: Any, output: Path, size: int) -> None:
-        """Simulate into files of some samples each, which a layer joins."""
+        """Simulate into files of ``size`` samples each, joined by a layer."""
         clips = system_clip_files(output)
         self.files, self.written = chunk_simulated(
             self.job, self.rows, layer, clips, size
@@ -157,7 +159,7 @@ class SystemFrames:
         self._end(layer)
 
     def save(self, layer: Any, path: Path) -> int:
-        """Write a layer; frames that are not in chunks are simulated into it."""
+        """Write a layer; simulate the frames that are not in chunks into it."""
         if self.files:
             return save_layer(layer, path)
         with growing_layer(layer, path) as growing_file:
@@ -166,47 +168,47 @@ class SystemFrames:
         return growing_file.size
 
     def _end(self, layer: Any) -> None:
-        """Set the last frame that was reached; save requested states."""
+        """Set the last simulated frame; save requested states."""
         run, prims = self.run, self.prims
-        if run.stopped is not None and prims.watch is None:
+        if run.stopped is not None and prims.recorder is None:
             metadata = prims.job.metadata
             span = replace(metadata.span, last=prims.codes[run.done - 1])
             author_metadata(layer, replace(metadata, span=span))
-            self.ended = layer
-        run.note(self.written)
+            self.ended_layer = layer
+        run.add_notices(self.written)
         refuse_warnings(run.notices, strict=self.strict)
         run.save_states(prims.scene.path.resolve().parent)
 
     def complete(self, draft: BakeState) -> None:
         """Add the simulated frames to the report."""
-        report, run, written = draft.report, self.run, self.written
+        report, run, written_meshes = draft.report, self.run, self.written
         assert report is not None
         report.notices += run.notices
         report.stopped = run.stopped
         report.result.outputs[:0] = self.files
         report.result.bytes += sum(map(written_size, self.files))
         for take in report.takes:
-            take.meshes += run.reports(written, take.source.name)
+            take.meshes += run.reports(written_meshes, take.source.name)
             take.simulated += run.simulated
-        if self.prims.watch is not None:
+        if self.prims.recorder is not None:
             return
         if run.stopped is not None:
-            report.result.span = layer_span(self.ended)
+            report.result.span = layer_span(self.ended_layer)
             stopped_take = report.takes[0]
             stopped_take.source_frames = stopped_take.written.samples = run.done
             stopped_take.written.span = report.result.span
-        worst_mesh = max(written, key=lambda prim: prim.error)
+        worst_mesh = max(written_meshes, key=lambda prim: prim.error)
         (take,) = report.takes
         take.written.sampled = list(worst_mesh.sampled)
         take.written.rounding = Rounding(worst_mesh.error, worst_mesh.error_code)
-        worst_index = run.written[written.index(worst_mesh)]
+        worst_index = run.written[written_meshes.index(worst_mesh)]
         take.error_joint = self.prims.scene.systems[worst_index].name
         draft.read += run.seconds
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     """Return the plan of a scene's systems."""
-    _check(scene, options)
+    _refuse_character_options(scene, options)
     fps = options.fps or DEFAULT_FPS
     frames, scene_frames = options.frame_range, scene.bake.frame_range
     if frames is None:
@@ -240,7 +242,7 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
     )
 
 
-def _check(scene: Scene, options: BakeOptions) -> None:
+def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
     """Refuse options that need a character."""
     option_names = [
         option.label for option in refused_options(options, "systems").values()
@@ -257,19 +259,20 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 
 
 def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
-    """Return the plan of a scene's systems with a take.
+    """Return the plan of a scene's systems that are written with a take.
 
-    They are below the character's model, so that both share its world: its placement,
-    unit and up axis.
+    They are below the character's model, so they share its placement, unit and up axis.
     """
     unit, up = plan.meters_per_unit, plan.rig.up
-    stage = (unit, up) if plan.target is None else (plan.target.unit, plan.target.up)
+    unit_and_up = (
+        (unit, up) if plan.target is None else (plan.target.unit, plan.target.up)
+    )
     model = plan.paths.model
     placeholder_span = FrameSpan(Fraction(0), Fraction(0), plan.fps)
-    metadata = StageMetadata(model.split("/")[1], placeholder_span, *stage)
+    metadata = StageMetadata(model.split("/")[1], placeholder_span, *unit_and_up)
     job = system_job(scene.systems, model, metadata, unit, up)
     _check_prim_paths(scene, job, plan)
-    watch = CharacterWatch(
+    recorder = CharacterRecorder(
         records_motion=any(scene.path in system.setup.files for system in scene.systems)
     )
     displacement: Displacement | None = None
@@ -279,20 +282,22 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
         joint_map, path = plan.takes[0].mapping, f"{model}/system"
         to_rig = None if joint_map is None else joint_map.to_rig
         displacement = partial(matrices_inside, plan.target, to_rig, path)
-    return SystemPrims(scene, job, plan.start, watch=watch, displacement=displacement)
+    return SystemPrims(
+        scene, job, plan.start, recorder=recorder, displacement=displacement
+    )
 
 
 def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
-    """Refuse systems whose prim paths are taken."""
+    """Refuse systems whose prim paths are already used."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     owner_by_path = {paths.root: "the character"}
     owner_by_path |= {path: "a prop" for path in prop_paths(tracks, paths.model)}
     faults = []
-    written = [system for system in scene.systems if system.written]
-    for system, path in zip(written, job.paths, strict=True):
+    written_systems = [system for system in scene.systems if system.written]
+    for system, path in zip(written_systems, job.paths, strict=True):
         owners = [owner for prim, owner in owner_by_path.items() if overlap(path, prim)]
-        if not owners and target is not None and _is_other(target, path):
+        if not owners and target is not None and _is_foreign_prim(target, path):
             owners = ["the rig layer"]
         if owners:
             message = f"{path} belongs to {owners[0]}"
@@ -303,8 +308,8 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
         raise FormatError(faults)
 
 
-def _is_other(target: RigTarget, path: str) -> bool:
-    """Return whether a stage has a prim at a path that no earlier bake wrote."""
+def _is_foreign_prim(target: RigTarget, path: str) -> bool:
+    """Return whether a prim at a path was not written by an earlier bake."""
     prim = target.stage.GetPrimAtPath(target.on_stage(path))
     if not prim or any(map(prim.IsA, ("PointBased", "PointInstancer"))):
         return False

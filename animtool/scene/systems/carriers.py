@@ -19,7 +19,7 @@ from animtool.scene.file.entries import EntryLocation
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
     CharacterSkin,
-    no_mesh,
+    missing_mesh_fault,
 )
 from animtool.sim.colliders import Poses, joint_poses
 from animtool.systems.framework.fields import PlacedModel
@@ -40,7 +40,7 @@ class OnJoint:
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return the fault of an unknown joint, at its key; None without one."""
+        """Return the fault of an unknown joint, at its key; None if the rig has it."""
         if self.joint in rig.names:
             return None
         message = f"unknown joint {self.joint!r} of {rig.name!r}"
@@ -50,7 +50,7 @@ class OnJoint:
     def poses(self, characters: CharacterMotions) -> Poses:
         """Return its poses over time."""
         character = characters.of(self.file)
-        _check(self.fault(character.rig), self.location)
+        _raise_fault(self.fault(character.rig), self.location)
         return joint_poses(
             character.world, character.rig.index(self.joint), character.times
         )
@@ -67,8 +67,8 @@ class OnVertex:
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return the fault of an unknown vertex, at its key; None without one."""
-        fault = no_mesh(rig, self.mesh)
+        """Return the fault of an unknown vertex, at its key; None if it exists."""
+        fault = missing_mesh_fault(rig, self.mesh)
         if fault is not None:
             return fault
         (mesh,) = [surface for surface in surfaces_of(rig) if surface.name == self.mesh]
@@ -81,7 +81,7 @@ class OnVertex:
     def poses(self, characters: CharacterMotions) -> Poses:
         """Return its positions over time, with constant rotation."""
         character = characters.of(self.file)
-        _check(self.fault(character.rig), self.location)
+        _raise_fault(self.fault(character.rig), self.location)
         # The next block reuses the buffer of the last one.
         position_blocks = [
             block.points[:, self.vertex].copy()
@@ -93,7 +93,7 @@ class OnVertex:
         )
 
 
-def _check(fault: Fault | None, location: EntryLocation | None) -> None:
+def _raise_fault(fault: Fault | None, location: EntryLocation | None) -> None:
     if fault is not None:
         raise OptionError(fault if location is None else location.locate(fault))
 
@@ -108,10 +108,10 @@ class OnPrim:
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
         """Return its poses over time."""
-        return self.over_time()
+        return self.sample_poses()
 
-    def over_time(self) -> Poses:
-        """Return its poses over time, with a sample at 0 s."""
+    def sample_poses(self) -> Poses:
+        """Return the prim's poses over time, with a sample at 0 s."""
         from animtool.usd.props.reader import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
@@ -129,8 +129,8 @@ class OnPrim:
         return Poses(times, sample.translations, so3.align_signs(sample.rotations))
 
 
-def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
-    """Return the poses of an entry with its own translation and rotation keys."""
+def keyed_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
+    """Return the poses of an entry with its translation and rotation keys applied."""
     if not model.moves and not model.turns:
         return entry_poses
     translation_keys = np.array(model.moves or [[0.0] * 4])

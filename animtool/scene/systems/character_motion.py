@@ -41,23 +41,23 @@ class CharacterMotion:
     world: WorldTransforms  # of its joints
     times: FloatArray  # times of the frames, the first at 0 s ``(F,)`` [s]
 
-    def colliders(self, like: Collider) -> list[Collider]:
-        """Return the capsules of its rig over its frames [m]."""
+    def colliders(self, template: Collider) -> list[Collider]:
+        """Return the capsules of its rig over all frames, as moving colliders [m]."""
         if not self.rig.colliders:
             message = f"the rig {self.rig.name!r} has no colliders"
             hint = "particles collide with the capsules listed in its rig file"
             raise OptionError(Fault("SIM020", message, str(self.path), (), hint))
-        return rig_colliders(self.rig, self.world, self.times, like)
+        return rig_colliders(self.rig, self.world, self.times, template)
 
 
 @dataclass
 class CharacterMotions:
-    """Characters by file, each read once; the scene's own by its file."""
+    """Cache of characters by file; the scene's own character is stored by its file."""
 
     by_path: dict[Path, CharacterMotion] = field(default_factory=dict)
 
     def of(self, path: Path) -> CharacterMotion:
-        """Return the character of a clip or a scene."""
+        """Return the character of a clip or scene file; read it once."""
         if path not in self.by_path:
             self.by_path[path] = _read(path)
         return self.by_path[path]
@@ -83,20 +83,20 @@ def open_take(path: Path) -> TakeStream:
         return open_source(path)
     from animtool.scene.file.read import load_scene
 
-    return load_scene(path).open(keeps=False)
+    return load_scene(path).open(writes_files=False)
 
 
-# Number of cached frames: both ends of a step, and those of the last.
+# Number of cached frames: two for this step and two for the previous one.
 CACHED_FRAMES = 4
 
 
-def no_mesh(rig: Rig, name: str) -> Fault | None:
+def missing_mesh_fault(rig: Rig, name: str) -> Fault | None:
     """Return the fault of a mesh that a rig lacks (SIM053); None where it exists."""
-    names = [surface.name for surface in surfaces_of(rig)]
-    if name in names:
+    mesh_names = [surface.name for surface in surfaces_of(rig)]
+    if name in mesh_names:
         return None
     message = f"unknown mesh {name!r} of {rig.name!r}"
-    return Fault("SIM053", message, hint=nearest(name, names), where="mesh")
+    return Fault("SIM053", message, hint=nearest(name, mesh_names), where="mesh")
 
 
 class CharacterSkin:
@@ -115,7 +115,7 @@ class CharacterSkin:
 
     def __init__(self, character: CharacterMotion, name: str) -> None:
         rig = character.rig
-        fault = no_mesh(rig, name)
+        fault = missing_mesh_fault(rig, name)
         if fault is not None:
             raise OptionError(fault)
         (self.surface,) = [
@@ -191,7 +191,7 @@ class SkinMotion:
 def character_colliders(
     models: Sequence[CharacterModel], characters: CharacterMotions
 ) -> tuple[list[Collider], list[Sheet]]:
-    """Return the capsules and the meshes of characters, each once."""
+    """Return the capsules and meshes of characters, without duplicates."""
     distinct_models: dict[tuple[str, str | None], CharacterModel] = {}
     for model in models:
         distinct_models.setdefault((str(model.file), model.mesh), model)
@@ -209,12 +209,12 @@ def character_colliders(
     return colliders, sheets
 
 
-class CharacterWatch:
-    """Records the written time codes of a take, and its motion if required.
+class CharacterRecorder:
+    """Records the written time codes of a take, and optionally its motion.
 
-    Frames are read once, by the writer; the watch records the blocks on their way. A
-    source that is sampled as a function of time has no blocks, so the watch samples it
-    itself.
+    The writer reads the frames once, and the recorder records the blocks as they pass.
+    A source that is sampled as a function of time has no blocks, so the recorder
+    samples it itself.
 
     Attributes:
         records_motion: Whether the motion is recorded.

@@ -1,4 +1,4 @@
-"""Reading, running and trials of a system kind, derived from its spec and build."""
+"""Reading of system entries, derived from the types of their spec."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ Reader: TypeAlias = Callable[[Location, Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Prototype:
-    """A mesh that copies are made of, at the phases of its cycle."""
+    """A mesh to copy, sampled at phases of its animation cycle."""
 
     path: Path
     prim: str | None  # path of a prim in a USD file
@@ -71,27 +71,30 @@ class Prototype:
     samples: int  # number of phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
-        """Return its mesh at each phase; one for a static mesh."""
-        frame_at, span = self._of_rig() if self.prim is None else self._of_stage()
+        """Return the mesh at each phase; a single one if it is static."""
+        sample_frame, span = (
+            self._rig_sampler() if self.prim is None else self._stage_sampler()
+        )
         fractions = [0.0] if span is None else np.arange(self.samples) / self.samples
         begin, end = span or (0.0, 0.0)
         return tuple(
-            frame_at(begin + (end - begin) * float(fraction)) for fraction in fractions
+            sample_frame(begin + (end - begin) * float(fraction))
+            for fraction in fractions
         )
 
-    def _of_stage(self) -> _MovingFrame:
+    def _stage_sampler(self) -> _FrameSampler:
         from animtool.usd.caches.reader import open_mesh
 
         assert self.prim is not None
         source = open_mesh(self.path, self.prim, UpAxis.Y)
 
-        def at(code: float) -> MeshFrame:
+        def frame_at_code(code: float) -> MeshFrame:
             surface = source.at(None if source.span is None else code)
             return _frame(surface.points, surface.counts, surface.indices)
 
-        return at, source.span
+        return frame_at_code, source.span
 
-    def _of_rig(self) -> _MovingFrame:
+    def _rig_sampler(self) -> _FrameSampler:
         from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
 
         assert self.mesh is not None
@@ -99,14 +102,14 @@ class Prototype:
         motion = SkinMotion(character, self.mesh)
         counts, indices = motion.faces
 
-        def at(t: float) -> MeshFrame:
+        def frame_at_time(t: float) -> MeshFrame:
             return _frame(motion.points(t), counts, indices)
 
         first, last = character.times[[0, -1]].tolist()
-        return at, (first, last) if last > first else None
+        return frame_at_time, (first, last) if last > first else None
 
 
-_MovingFrame = tuple[Callable[[float], MeshFrame], tuple[float, float] | None]
+_FrameSampler = tuple[Callable[[float], MeshFrame], tuple[float, float] | None]
 
 
 def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame:
@@ -134,18 +137,18 @@ class SpecPartReader(EntryReader):
         self._gaits: dict[GaitsSource, GaitsSource] = {}
 
     def parts(
-        self, at: Location, model: FileModel, keys: Collection[str] | None = None
+        self, location: Location, model: FileModel, keys: Collection[str] | None = None
     ) -> dict[str, Any]:
-        """Return the parsed entries of a model by key, without plain values.
+        """Return the parsed entries of a model by key; plain values are left out.
 
-        A list contains one part per valid entry. A nested model becomes such parts
-        again, or its record; a placed entry includes its ``poses``.
+        A list has one element per valid entry. A nested model becomes such a mapping,
+        or its record; an entry with a position includes its ``poses``.
         """
         parts: dict[str, Any] = {}
         check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
-            poses = self.poses(at, model, model.code)
-            parts["poses"] = self._checked_part(at, poses, check=check)
+            poses = self.poses(location, model, model.code)
+            parts["poses"] = self._checked_part(location, poses, check=check)
         for key, field_info in type(model).model_fields.items():
             if keys is not None and key not in keys:
                 continue
@@ -157,40 +160,40 @@ class SpecPartReader(EntryReader):
             if is_placed or part_reader is None or value is None:
                 continue
             if EntryPart.ARRAY in _marks(field_info.annotation, field_info.metadata):
-                values = part_reader((*at, key), value)
+                values = part_reader((*location, key), value)
                 factor = self.units.array_factor(field_info.description)
                 parts[key] = values
                 if values is not None and factor != 1.0:
                     parts[key] = values * factor
             elif isinstance(value, list):
-                parts[key] = self.each((*at, key), value, part_reader)
+                parts[key] = self.read_each((*location, key), value, part_reader)
             else:
-                parts[key] = part_reader((*at, key), value)
+                parts[key] = part_reader((*location, key), value)
         return parts
 
-    def entry(self, at: Location, model: FileModel) -> Any:
-        """Return the parts of a model, or its record; None with faults."""
-        self.note_ranges(at, model)
-        parts = self.parts(at, model)
+    def entry(self, location: Location, model: FileModel) -> Any:
+        """Return the parsed entries of a model, or its record; None with faults."""
+        self.note_ranges(location, model)
+        parts = self.parts(location, model)
         if not isinstance(model, RecordModel):
             return parts
         complete = all(part is not None for part in parts.values())
         record = model.record(parts) if complete else None
-        return self.checked(at, record, model)
+        return self.checked(location, record, model)
 
     def _reader(
         self, annotation: Any, marks: Sequence[Any] = (), *, check: bool
     ) -> Reader | None:
         """Return the method that reads entries of a type; None for plain values.
 
-        Faults of places and shapes are noted where nothing else does.
+        With ``check``, the faults of the parsed entries are recorded too.
         """
         for mark in marks:
             if isinstance(mark, EntryPart):
                 read: Reader = getattr(self, READERS[mark])
                 if mark in {EntryPart.EMITTER_SHAPE, EntryPart.SHAPE}:
-                    return lambda at, base: self._checked_part(
-                        at, read(at, base), check=check
+                    return lambda location, base: self._checked_part(
+                        location, read(location, base), check=check
                     )
                 return read
         if get_origin(annotation) is Annotated:
@@ -203,38 +206,38 @@ class SpecPartReader(EntryReader):
         item_type = (self._reader(base, check=check) for base in get_args(annotation))
         return next((read for read in item_type if read is not None), None)
 
-    def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
-        """Return the mesh of copies; a USD file is checked now."""
+    def prototype(self, location: Location, model: PrototypeModel) -> Prototype | None:
+        """Return the mesh to copy; a USD file is checked now."""
         if (model.prim is None) is (model.mesh is None):
             message = "write either the prim of a USD file, or the mesh of a rig"
             hint = "write prim: /bird/body, or mesh: body"
-            self.note(at, Fault("SIM053", message, hint=hint))
+            self.note(location, Fault("SIM053", message, hint=hint))
             return None
-        path = self.followed((*at, "file"), model.file)
+        path = self.find_followed((*location, "file"), model.file)
         if path is None:
             return None
         prototype = Prototype(path, model.prim, model.mesh, model.samples)
         if model.prim is not None:
-            self.opened((*at, "prim"), prototype, "SIM051")
+            self.try_read((*location, "prim"), prototype, "SIM051")
         return prototype
 
-    def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
+    def gaits(self, location: Location, model: GaitsModel) -> GaitsSource | None:
         """Return gait clips of a rig, checked now and once for each rig."""
         from animtool.scene.systems.gaits import GaitsSource
 
-        rig = self.followed((*at, "rig"), model.rig)
-        clips = self.each((*at, "clips"), model.clips, self.followed)
+        rig = self.find_followed((*location, "rig"), model.rig)
+        clips = self.read_each((*location, "clips"), model.clips, self.find_followed)
         if rig is None or len(clips) < len(model.clips):
             return None
         source = GaitsSource(rig, tuple(clips))
         source = self._gaits.setdefault(source, source)
-        return None if self.opened(at, source) is None else source
+        return None if self.try_read(location, source) is None else source
 
-    def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
+    def physics(self, location: Location, model: PhysicsStageModel) -> Physics | None:
         """Return the UsdPhysics bodies of a stage."""
         from animtool.usd.physics.read import read_bodies
 
-        path = self.followed((*at, "file"), model.file)
+        path = self.find_followed((*location, "file"), model.file)
         if path is None:
             return None
         try:
@@ -243,41 +246,43 @@ class SpecPartReader(EntryReader):
             for fault in error.faults:
                 prim_name = path.name, fault.where or model.prim
                 message = ": ".join([*prim_name, fault.message])
-                self.note((*at, "prim"), replace(fault, code="SIM051", message=message))
+                self.note(
+                    (*location, "prim"), replace(fault, code="SIM051", message=message)
+                )
             return None
 
-    def names(self, at: Location, entry: str | int) -> list[str | int]:
+    def names(self, location: Location, entry: str | int) -> list[str | int]:
         """Return a name or number, or those of an array; none if unreadable."""
         if not isinstance(entry, str) or ".npz" not in entry:
             return [entry]
-        parent_keys = [step for step in at[:-2] if isinstance(step, str)]
-        values = self.array(at, entry, parent_keys[-1])
+        parent_keys = [step for step in location[:-2] if isinstance(step, str)]
+        values = self.array(location, entry, parent_keys[-1])
         return [] if values is None else [int(n) for n in values.ravel().tolist()]
 
-    def rest_mesh(self, at: Location, model: PrimMeshModel) -> StaticMesh | None:
+    def rest_mesh(self, location: Location, model: PrimMeshModel) -> StaticMesh | None:
         """Return a mesh of a USD file at its first frame."""
         from animtool.usd.caches.reader import read_static_mesh
 
-        path = self.input((*at, "file"), model.file)
+        path = self.input((*location, "file"), model.file)
         if path is None:
             return None
-        return self.opened(
-            (*at, "prim"),
+        return self.try_read(
+            (*location, "prim"),
             lambda: read_static_mesh(path, model.prim, UpAxis.Y),
             kind=OptionError,
         )
 
     def carrying_character(
-        self, at: Location, model: CarryingJointModel | CarryingVertexModel
+        self, entry_path: Location, model: CarryingJointModel | CarryingVertexModel
     ) -> OnJoint | OnVertex | None:
         """Return a joint or vertex as a carrier.
 
-        It is checked now; of the scene's own character that is later.
+        It is checked now; the scene's own character is checked later.
         """
-        path = self.character(at, model)
+        path = self.character(entry_path, model)
         if path is None:
             return None
-        location = entry_location(self.document, at, model)
+        location = entry_location(self.document, entry_path, model)
         carrier: OnJoint | OnVertex
         if isinstance(model, CarryingJointModel):
             carrier = OnJoint(path, model.joint, location)
@@ -295,30 +300,38 @@ class SpecPartReader(EntryReader):
             return None
         fault = carrier.fault(rig)
         if fault is not None:
-            self.note((*at, str(fault.where)), fault)
+            self.note((*entry_path, str(fault.where)), fault)
         return carrier
 
-    def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
+    def carrying_prim(
+        self, location: Location, model: CarryingPrimModel
+    ) -> OnPrim | None:
         """Return a prim as a carrier."""
         from animtool.usd.props.reader import open_prop
 
-        path = self.input((*at, "file"), model.file)
+        path = self.input((*location, "file"), model.file)
         if path is None:
             return None
         self.carriers.append(path)
         request = PropRequest(path, model.prim, model.prim)
-        self.opened((*at, "prim"), lambda: open_prop(request, UpAxis.Y), "SIM053")
+        self.try_read(
+            (*location, "prim"), lambda: open_prop(request, UpAxis.Y), "SIM053"
+        )
         return OnPrim(path, model.prim, model.frame)
 
-    def carrying_body(self, at: Location, model: CarryingBodyModel) -> BodyCarrier:  # noqa: ARG002
+    def carrying_body(
+        self,
+        location: Location,  # noqa: ARG002
+        model: CarryingBodyModel,
+    ) -> BodyCarrier:
         """Return a rigid body as a carrier; its system is checked later."""
         return BodyCarrier(model.system, model.body)
 
-    def _checked_part(self, at: Location, part: Any, *, check: bool) -> Any:
+    def _checked_part(self, location: Location, part: Any, *, check: bool) -> Any:
         """Return a parsed entry, with its own faults recorded if requested."""
         self.sound &= part is not None
         for reason in part.faults() if check and part is not None else ():
-            self.note(at, Fault("SIM020", reason))
+            self.note(location, Fault("SIM020", reason))
         return part
 
 
@@ -346,60 +359,80 @@ READERS: Mapping[Any, str] = {
 
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     """Return the markers of a type or of its alternatives."""
-    inner = [_marks(argument, ()) for argument in get_args(annotation)]
+    inner_marks = [_marks(argument, ()) for argument in get_args(annotation)]
     metadata = getattr(annotation, "__metadata__", ())
-    return [*marks, *metadata, *(mark for alternative in inner for mark in alternative)]
+    return [
+        *marks,
+        *metadata,
+        *(mark for alternative in inner_marks for mark in alternative),
+    ]
 
 
-# Keys of system sizes to check, and the values to compare them with.
-SIZES = {"stretch", "bodies"}
-OF_SIZES = {"radius", "self_contact", "springs", "mass", "start", "end", "across", "up"}
+# Keys whose values are compared with sizes, and keys of the sizes.
+COMPARED_KEYS = {"stretch", "bodies"}
+SIZE_KEYS = {
+    "radius",
+    "self_contact",
+    "springs",
+    "mass",
+    "start",
+    "end",
+    "across",
+    "up",
+}
 
 
 def read_spec(
     document: Document,
-    at: Location,
+    location: Location,
     spec: SystemSpec,
     roots: Sequence[Path],
     units: SceneUnits = METRES,
 ) -> SystemSetup | None:
     """Return the setup of an entry; None with faults.
 
-    ``units`` are those of the scene, which arrays of files that it names count too.
+    ``units`` are those of the scene; they also apply to arrays that it names.
 
     The keys `colliders`, `characters`, `systems` and `meshes` name its colliders, if
     the spec has them; other keys are read as their types say.
     """
     spec = units.converted(spec)
     collider_reader, reader = (SpecPartReader(document, roots, units) for _ in range(2))
-    collider_parts = collider_reader.parts(at, spec, COLLISION_KEYS[:1])
+    collider_parts = collider_reader.parts(location, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.
     is_valid = collider_reader.sound
-    collider_parts |= collider_reader.parts(at, spec, COLLISION_KEYS[1:])
-    parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS})
-    reader.note_ranges(at, spec)
-    if not SIZES.isdisjoint(type(spec).model_fields):
-        warn_of_sizes(document, at, spec.model_dump(include=SIZES | OF_SIZES))
+    collider_parts |= collider_reader.parts(location, spec, COLLISION_KEYS[1:])
+    parts = reader.parts(
+        location, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS}
+    )
+    reader.note_ranges(location, spec)
+    if not COMPARED_KEYS.isdisjoint(type(spec).model_fields):
+        warn_of_sizes(
+            document, location, spec.model_dump(include=COMPARED_KEYS | SIZE_KEYS)
+        )
     stated_values = spec.model_dump(include=FORCE_KEYS, exclude_unset=True)
-    warn_of_forces(document, at, stated_values, units.length, shape_volume)
+    warn_of_forces(document, location, stated_values, units.length, shape_volume)
     record, faults = spec.build_record(parts)
     for fault in faults:
-        at_key = (*at, *parse_location(fault.where or ""))
-        document.add(fault.code, at_key, fault.message, fault.hint)
+        key_location = (*location, *parse_location(fault.where or ""))
+        document.add(fault.code, key_location, fault.message, fault.hint)
     if reader.sound:
-        reader.note_entry(at, spec, spec.faults(parts))
+        reader.note_entry(location, spec, spec.faults(parts))
     resume = None
     if spec.resume is not None:
-        resume = reader.input((*at, "resume"), spec.resume)
+        resume = reader.input((*location, "resume"), spec.resume)
     if spec.save is not None:
-        reader.output((*at, "save"), spec.save)
+        reader.output((*location, "save"), spec.save)
     if record is None and (faults or not (is_valid and reader.sound)):
         return None
     followed_files = (*collider_reader.files, *reader.files)
     collider_arguments = {key: tuple(parts) for key, parts in collider_parts.items()}
     tied_bodies = tuple(getattr(record, "tied", ()))
     surroundings = Surroundings(
-        **collider_arguments, tied=tied_bodies, followed=followed_files, at=at
+        **collider_arguments,
+        tied=tied_bodies,
+        followed=followed_files,
+        at=location,
     )
     carriers = tuple(reader.carriers)
-    return SystemSetup(spec, surroundings, parts, record, at, carriers, resume)
+    return SystemSetup(spec, surroundings, parts, record, location, carriers, resume)

@@ -1,4 +1,4 @@
-"""Reading of entries that systems have in common; all faults are recorded."""
+"""Readers of entries that several kinds of systems use; they record all faults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from animtool.documents.references import (
     split_reference,
 )
 from animtool.maths import so3
-from animtool.scene.systems.carriers import OnPrim, moved_poses
+from animtool.scene.systems.carriers import OnPrim, keyed_poses
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.framework.conversion import METRES, SceneUnits
@@ -75,24 +75,24 @@ class EntryReader:
         self.sound = True
         self.files: list[Path] = []
 
-    def note(self, at: Location, fault: Fault) -> None:
+    def note(self, location: Location, fault: Fault) -> None:
         """Record a fault at a location."""
         self.sound = False
-        self.document.add(fault.code, at, fault.message, fault.hint)
+        self.document.add(fault.code, location, fault.message, fault.hint)
 
-    def note_all(self, at: Location, faults: LocatedFaults) -> None:
+    def note_all(self, location: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
         for key, fault in faults:
-            self.note((*at, *key), fault)
+            self.note((*location, *key), fault)
 
-    def note_ranges(self, at: Location, model: FileModel) -> None:
+    def note_ranges(self, location: Location, model: FileModel) -> None:
         """Record numbers of an entry that are out of range."""
         for fault in range_faults(model, ENTRY_RANGE_MESSAGE):
-            self.note((*at, fault.where or ""), fault)
+            self.note((*location, fault.where or ""), fault)
 
-    def opened(
+    def try_read(
         self,
-        at: Location,
+        location: Location,
         read: Callable[[], Kind],
         code: str | None = None,
         kind: type[AnimtoolError] = AnimtoolError,
@@ -105,11 +105,13 @@ class EntryReader:
             return read()
         except kind as error:
             for fault in error.faults[: None if code is None else 1]:
-                self.note(at, fault if code is None else replace(fault, code=code))
+                self.note(
+                    location, fault if code is None else replace(fault, code=code)
+                )
             return None
 
     def checked(
-        self, at: Location, record: RecordT | None, model: FileModel
+        self, location: Location, record: RecordT | None, model: FileModel
     ) -> RecordT | None:
         """Return a record after recording its faults at their keys."""
         if record is None:
@@ -117,28 +119,35 @@ class EntryReader:
             return None
         problems = record.problems()
         self.note_entry(
-            at,
+            location,
             model,
             [Fault(record.code, reason, where=key) for key, reason in problems],
         )
         return record
 
     def note_entry(
-        self, at: Location, model: FileModel, faults: Sequence[Fault]
+        self, location: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
         """Record faults of an entry, each at its key if that is present."""
         for fault in faults:
             key = fault.where
-            self.note((*at, key) if key in model.model_fields_set else at, fault)
+            self.note(
+                (*location, key) if key in model.model_fields_set else location, fault
+            )
 
-    def each(
-        self, at: Location, models: Iterable[Any], read: Callable[[Location, Any], Any]
+    def read_each(
+        self,
+        location: Location,
+        models: Iterable[Any],
+        read: Callable[[Location, Any], Any],
     ) -> list[Any]:
         """Return the parsed entries of a list, without faulty ones."""
-        read_parts = [read((*at, i), model) for i, model in enumerate(models)]
+        read_parts = [read((*location, i), model) for i, model in enumerate(models)]
         return [entry for entry in read_parts if entry is not None]
 
-    def around(self, at: Location, key: str, models: Iterable[Any]) -> tuple[Any, ...]:
+    def around(
+        self, location: Location, key: str, models: Iterable[Any]
+    ) -> tuple[Any, ...]:
         """Return the parsed colliders of one of the keys in `AROUND`."""
         readers: Mapping[str, Callable[[Location, Any], Any]] = {
             "colliders": self.collider,
@@ -147,60 +156,66 @@ class EntryReader:
             "meshes": self.mesh,
         }
         converted_models = map(self.units.converted, models)
-        return tuple(self.each((*at, key), converted_models, readers[key]))
+        return tuple(self.read_each((*location, key), converted_models, readers[key]))
 
-    def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
+    def collider(
+        self, location: Location, model: SystemColliderModel
+    ) -> Collider | None:
         """Return a valid collider of an entry; None with faults."""
-        shape = self.shape((*at, "shape"), model.shape)
-        poses = None if shape is None else self.poses(at, model, "SIM020")
+        shape = self.shape((*location, "shape"), model.shape)
+        poses = None if shape is None else self.poses(location, model, "SIM020")
         collider = None
         if poses is not None:
             collider = record_of(Collider, model, shape=shape, poses=poses)
-        return self.checked(at, collider, model)
+        return self.checked(location, collider, model)
 
-    def shape(self, at: Location, entry: Named) -> Any:
+    def shape(self, location: Location, entry: Named) -> Any:
         """Return a collider shape."""
-        return self.named(at, entry, SHAPES, "shape", "SIM020")
+        return self.named(location, entry, SHAPES, "shape", "SIM020")
 
-    def force(self, at: Location, entry: Named) -> Force | None:
+    def force(self, location: Location, entry: Named) -> Force | None:
         """Return a force, its numbers checked for their ranges."""
         from animtool.systems.particles.forces.table import find_force
 
         ((name, options),) = entry.items()
-        kind = self.opened((*at, name), lambda: find_force(name))
+        kind = self.try_read((*location, name), lambda: find_force(name))
         if kind is None:
             return None
-        force = self.record((*at, name), kind, options or {}, name)
+        force = self.record((*location, name), kind, options or {}, name)
         for option, reason in [] if force is None else force.faults():
             key = [option] if option in (options or {}) else []
-            self.note((*at, name, *key), Fault("SIM022", f"its {option} {reason}"))
+            self.note(
+                (*location, name, *key), Fault("SIM022", f"its {option} {reason}")
+            )
         return force
 
-    def emitter_shape(self, at: Location, entry: Named) -> Any:
+    def emitter_shape(self, location: Location, entry: Named) -> Any:
         """Return an emitter shape, which may be the surface of a mesh."""
         from animtool.systems.particles.emitter_shapes import (
             EMITTER_SHAPES,
             MeshSurface,
         )
 
-        shape = self.named(at, entry, EMITTER_SHAPES, "place", "SIM021")
+        shape = self.named(location, entry, EMITTER_SHAPES, "place", "SIM021")
         return MeshSurface(shape) if isinstance(shape, Mesh) else shape
 
-    def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
-        """Return a mesh of a USD file, possibly animated, with its full path."""
-        path = self.followed((*at, "file"), model.file)
+    def mesh(
+        self, location: Location, model: MovingMeshModel
+    ) -> MovingMeshModel | None:
+        """Return a mesh of a USD file, animated or static, with its absolute path."""
+        path = self.find_followed((*location, "file"), model.file)
         if path is None:
             return None
         mesh = model.model_copy(update={"file": str(path)})
-        if self.opened((*at, "prim"), lambda: moving_sheet(mesh), "SIM051"):
-            self.note_ranges(at, model)
+        if self.try_read((*location, "prim"), lambda: moving_sheet(mesh), "SIM051"):
+            self.note_ranges(location, model)
         return mesh
 
-    def poses(self, at: Location, model: PlacedModel, code: str) -> Poses | None:
+    def poses(self, location: Location, model: PlacedModel, code: str) -> Poses | None:
         """Return the poses of an entry over time; None with faults.
 
         Args:
-            at: Location of the entry.
+            location: Location of the entry.
             model: Model of the entry.
             code: Code for invalid poses.
         """
@@ -209,8 +224,8 @@ class EntryReader:
         if entry_poses.faults():
             return entry_poses
         if model.prim is not None:
-            return self._prim_poses(at, model, entry_poses, code)
-        sound = True
+            return self._prim_poses(location, model, entry_poses, code)
+        is_valid = True
         for pose_key in ("moves", "turns"):
             rows = np.array(getattr(model, pose_key)).reshape(
                 -1, 5 if pose_key == "turns" else 4
@@ -221,13 +236,13 @@ class EntryReader:
             elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
                 message = "a quaternion must not be all 0"
             if message:
-                sound = False
-                self.note((*at, pose_key), Fault(code, message))
-        return moved_poses(model, entry_poses) if sound else None
+                is_valid = False
+                self.note((*location, pose_key), Fault(code, message))
+        return keyed_poses(model, entry_poses) if is_valid else None
 
     def _prim_poses(
         self,
-        at: Location,
+        location: Location,
         model: PlacedModel,
         entry_poses: Poses,
         code: str,
@@ -237,12 +252,14 @@ class EntryReader:
         for key in ("moves", "turns"):
             if getattr(model, key):
                 message = f"{key} does not apply to something that follows a prim"
-                self.note((*at, key), Fault(code, message))
-        path = self.followed((*at, "prim", "file"), model.prim.file)
+                self.note((*location, key), Fault(code, message))
+        path = self.find_followed((*location, "prim", "file"), model.prim.file)
         if path is None:
             return None
         prim = OnPrim(path, model.prim.prim, model.prim.frame)
-        carrier = self.opened((*at, "prim", "prim"), prim.over_time, "SIM053")
+        carrier = self.try_read(
+            (*location, "prim", "prim"), prim.sample_poses, "SIM053"
+        )
         if carrier is None:
             return None
         offset = entry_poses.rows[0]
@@ -254,87 +271,91 @@ class EntryReader:
         )
 
     def character_collider(
-        self, at: Location, model: CharacterModel
+        self, location: Location, model: CharacterModel
     ) -> CharacterModel | None:
-        """Return a character collider, with its file's full path."""
-        path = self.character(at, model)
+        """Return a character collider, with the absolute path of its file."""
+        path = self.character(location, model)
         if path is None:
             return None
-        self.note_ranges(at, model)
+        self.note_ranges(location, model)
         if model.mesh is not None and model.margin <= 0:
             reason = "its margin must be above 0: it is half the thickness of the mesh"
-            self.note((*at, "margin"), Fault("SIM020", reason))
+            self.note((*location, "margin"), Fault("SIM020", reason))
         return model.model_copy(update={"file": str(path)})
 
-    def surface(self, at: Location, model: SystemSurfaceModel) -> SystemSurfaceModel:
-        """Return the surface of a scene's system that an entry names."""
-        self.note_ranges(at, model)
+    def surface(
+        self, location: Location, model: SystemSurfaceModel
+    ) -> SystemSurfaceModel:
+        """Return the collision surface of a scene's system that an entry names."""
+        self.note_ranges(location, model)
         return model
 
     def character(
         self,
-        at: Location,
+        location: Location,
         model: CharacterModel | CarryingJointModel | CarryingVertexModel,
     ) -> Path | None:
         """Return the file of a character; the scene file for the scene's own."""
         if model.source is (model.file is not None):
             message = "write either a file, or the character of this scene"
             hint = "write file: walk.clip.yaml, or source: true"
-            self.note(at, Fault("SCN066", message, hint=hint))
+            self.note(location, Fault("SCN066", message, hint=hint))
             return None
         if model.file is not None:
-            return self.input((*at, "file"), model.file)
+            return self.input((*location, "file"), model.file)
         if not self.document.value.get("source"):
             message = "the scene has no character, as it has no source"
             hint = "name a file, or give the scene a source"
-            self.note((*at, "source"), Fault("SCN066", message, hint=hint))
+            self.note((*location, "source"), Fault("SCN066", message, hint=hint))
             return None
         return self.document.path
 
     def named(
         self,
-        at: Location,
+        location: Location,
         entry: Named,
         table: Mapping[str, type[Any]],
-        what: str,
+        noun: str,
         code: str,
     ) -> Any:
-        """Return the record of an entry that names one of a table."""
+        """Return the record of an entry that names a type of a table."""
         ((name, values),) = entry.items()
         if name not in table:
             hint = nearest(_OTHER_SHAPES.get(name, name), list(table))
-            self.note((*at, name), Fault(code, f"unknown {what} {name!r}", hint=hint))
+            self.note(
+                (*location, name), Fault(code, f"unknown {noun} {name!r}", hint=hint)
+            )
             return None
         if table[name] is Mesh:
-            return self._mesh((*at, name), values or {})
+            return self._mesh((*location, name), values or {})
         if table[name] is HeightField:
-            return self._height_field((*at, name), values or {})
-        return self.record((*at, name), table[name], values or {}, name)
+            return self._height_field((*location, name), values or {})
+        return self.record((*location, name), table[name], values or {}, name)
 
     def record(
-        self, at: Location, kind: type[Kind], values: dict[str, Any], name: str
+        self, location: Location, kind: type[Kind], values: dict[str, Any], name: str
     ) -> Kind | None:
-        """Return a record of options after checking all of them."""
+        """Return an options record after checking all options; None with faults."""
         record, faults = record_of_options(kind, values, name)
-        self.note_all(at, faults)
+        self.note_all(location, faults)
         return None if faults else record
 
-    def _mesh(self, at: Location, values: dict[str, Any]) -> Mesh | None:
-        """Return the mesh of a file's arrays."""
+    def _mesh(self, location: Location, values: dict[str, Any]) -> Mesh | None:
+        """Return the mesh made from arrays of a file; None with faults."""
         unknown_keys = unknown_options(
             values, ["points", "triangles", "closed"], "mesh"
         )
-        self.note_all(at, unknown_keys)
+        self.note_all(location, unknown_keys)
         is_closed = values.get("closed", False)
         if not isinstance(is_closed, bool):
             fault = Fault(
                 "SCN002", f"must be true or false, not {excerpt(repr(is_closed))}"
             )
-            self.note((*at, "closed"), fault)
+            self.note((*location, "closed"), fault)
             return None
         points, triangles = (
             self._named_array(
-                at, values, key, f"a mesh needs {key}, such as stairs.npz"
+                location, values, key, f"a mesh needs {key}, such as stairs.npz"
             )
             for key in ("points", "triangles")
         )
@@ -343,71 +364,75 @@ class EntryReader:
         points = points * self.units.length
         return Mesh(points, np.asarray(triangles, np.int64), is_closed)
 
-    def _height_field(self, at: Location, values: dict[str, Any]) -> Mesh | None:
-        """Return the mesh of a file's heights."""
+    def _height_field(self, location: Location, values: dict[str, Any]) -> Mesh | None:
+        """Return the mesh of a height field from a file; None with faults."""
         message = "a height field needs heights, such as hill.npz"
-        heights = self._named_array(at, values, "heights", message)
+        heights = self._named_array(location, values, "heights", message)
         if heights is not None:
             heights = heights * self.units.length
         other_options = {
             key: value for key, value in values.items() if key != "heights"
         }
-        field = self.record(at, HeightField, other_options, "height_field")
+        field = self.record(location, HeightField, other_options, "height_field")
         if heights is None or field is None:
             return None
         faults = [("size", reason) for reason in field.faults()]
         faults += [("heights", reason) for reason in field.height_faults(heights)]
         for key, reason in faults:
-            self.note((*at, key), Fault("SIM020", reason))
+            self.note((*location, key), Fault("SIM020", reason))
         return None if faults else field.mesh(heights)
 
     def _named_array(
-        self, at: Location, values: dict[str, Any], key: str, what: str
+        self, location: Location, values: dict[str, Any], key: str, missing_message: str
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a required option names."""
+        """Return the array that a required option names; None with a fault."""
         text = values.get(key)
         if isinstance(text, str):
-            return self.array((*at, key), text, key)
-        at_key = (*at, key) if key in values else at
-        self.note(at_key, Fault("SCN002", f"{what}#{key}"))
+            return self.array((*location, key), text, key)
+        key_location = (*location, key) if key in values else location
+        self.note(key_location, Fault("SCN002", f"{missing_message}#{key}"))
         return None
 
     def array(
-        self, at: Location, text: str, default: str | None = None
+        self, location: Location, text: str, default: str | None = None
     ) -> npt.NDArray[np.float64] | None:
         """Return the array that a reference names; report a fault if it is unreadable.
 
         ``default`` is the array's name if the text has none; None uses the key.
         """
-        name, key = split_reference(text, str(at[-1]) if default is None else default)
-        path = self.input(at, name)
+        name, key = split_reference(
+            text, str(location[-1]) if default is None else default
+        )
+        path = self.input(location, name)
         if path is None:
             return None
         try:
             values = load_array(path, key)
         except ValueError as error:
-            self.note(at, Fault("RIG018", str(error)))
+            self.note(location, Fault("RIG018", str(error)))
             return None
         reason = _array_fault(values)
         if reason is not None:
-            self.note(at, Fault("RIG018", f"{path.name}#{key} {reason}"))
+            self.note(location, Fault("RIG018", f"{path.name}#{key} {reason}"))
         return values if reason is None else None
 
-    def input(self, at: Location, name: str) -> Path | None:
+    def input(self, location: Location, name: str) -> Path | None:
         """Return a file to read; None with a fault if it is missing."""
-        path = resolve_input(self.document, at, name, self.roots)
+        path = resolve_input(self.document, location, name, self.roots)
         self.sound &= path is not None
         return path
 
-    def followed(self, at: Location, name: str) -> Path | None:
-        """Return a USD file that the system depends on; None as in `input`."""
-        path = self.input(at, name)
+    def find_followed(self, location: Location, name: str) -> Path | None:
+        """Return a USD file that the system depends on; None if it is missing."""
+        path = self.input(location, name)
         self.files += [] if path is None else [path]
         return path
 
-    def output(self, at: Location, name: str) -> None:
-        """Record the fault of a file that cannot be written."""
-        path = resolve_reference(self.document, at, name, self.roots, written=True)
+    def output(self, location: Location, name: str) -> None:
+        """Record a fault if a file cannot be written."""
+        path = resolve_reference(
+            self.document, location, name, self.roots, written=True
+        )
         self.sound &= path is not None
 
 

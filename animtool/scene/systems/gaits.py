@@ -1,4 +1,4 @@
-"""Clips as gaits of a rig, retargeted from other skeletons."""
+"""Clips as gaits of a rig, retargeted where the skeleton differs."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.framework.spec import Member
 
 
-def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
+def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return groups of system indices in simulation order.
 
     A system comes after those it depends on, otherwise in the scene's order.
@@ -36,27 +36,27 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
 
 
 def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
-    """Return the systems that a joined group depends on.
+    """Return the indices of the systems that a joined group depends on.
 
-    They include indirect dependencies, each with the systems that it is joined to.
+    They include indirect dependencies and the systems these are joined to.
     """
-    groups = in_order(systems)
-    names = {name for i in group for name, _ in systems[i].setup.around.needs}
-    numbers: list[int] = []
+    groups = simulation_order(systems)
+    needed_names = {name for i in group for name, _ in systems[i].setup.around.needs}
+    system_indices: list[int] = []
     for earlier_group in reversed(groups[: groups.index(list(group))]):
-        if any(systems[i].name in names for i in earlier_group):
-            numbers += earlier_group
-            names |= {
+        if any(systems[i].name in needed_names for i in earlier_group):
+            system_indices += earlier_group
+            needed_names |= {
                 name for i in earlier_group for name, _ in systems[i].setup.around.needs
             }
-    return sorted(numbers)
+    return sorted(system_indices)
 
 
 def with_dependencies(
     systems: Sequence[SceneSystem], requested: Sequence[int]
 ) -> list[int]:
-    """Return some systems with those they are joined to or depend on."""
-    ordered_groups, included_indices = in_order(systems), {*requested}
+    """Return indices of systems, with those they are joined to or depend on."""
+    ordered_groups, included_indices = simulation_order(systems), {*requested}
     while True:
         groups = [
             group for group in ordered_groups if not included_indices.isdisjoint(group)
@@ -77,28 +77,33 @@ def with_dependencies(
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return groups of joined systems, ordered by their first member.
+    """Return groups of indices of joined systems, ordered by their first member.
 
-    Systems on the same rigid bodies are joined by them.
+    Systems attached to the same rigid bodies are joined too.
     """
-    group = list(range(len(systems)))
+    group_of = list(range(len(systems)))
     tied_first: dict[str, int] = {}  # rigid systems, by the first that they carry
     for i, system in enumerate(systems):
         joined_names = {name for name, _ in system.setup.joined}
         joined_indices = [
-            k
-            for k, other_system in enumerate(systems)
+            other_index
+            for other_index, other_system in enumerate(systems)
             if other_system.name in joined_names
         ]
         joined_indices += [
             tied_first.setdefault(name, i) for name in system.setup.around.carriers
         ]
-        for k in joined_indices:
-            old_group, new_group = max(group[i], group[k]), min(group[i], group[k])
-            group = [new_group if member == old_group else member for member in group]
+        for other_index in joined_indices:
+            old_group, new_group = (
+                max(group_of[i], group_of[other_index]),
+                min(group_of[i], group_of[other_index]),
+            )
+            group_of = [
+                new_group if member == old_group else member for member in group_of
+            ]
     return [
-        [i for i, member in enumerate(group) if member == smallest_member]
-        for smallest_member in sorted(set(group))
+        [i for i, member in enumerate(group_of) if member == smallest_member]
+        for smallest_member in sorted(set(group_of))
     ]
 
 
@@ -109,22 +114,22 @@ def check_links(
     valid_systems = len(systems) == len(names)
     for system in systems:
         setup = system.setup
-        for name, at in setup.joined:
+        for name, location in setup.joined:
             valid_systems &= _check_name(
-                document, at, name, system, systems, names, "weldable"
+                document, location, name, system, systems, names, "weldable"
             )
-        for name, at in setup.around.needs:
+        for name, location in setup.around.needs:
             valid_systems &= _check_name(
-                document, at, name, system, systems, names, "surface"
+                document, location, name, system, systems, names, "surface"
             )
-        for name, at in setup.around.pushes if valid_systems else ():
+        for name, location in setup.around.pushes if valid_systems else ():
             valid_systems &= _check_name(
-                document, at, name, system, systems, names, "rigid"
+                document, location, name, system, systems, names, "rigid"
             )
         for tie in system.setup.around.tied if valid_systems else ():
             valid_systems &= _check_body(document, system, systems, *tie)
-    valid_systems = valid_systems and _check_circles(document, systems)
-    for group in in_order(systems) if valid_systems else ():
+    valid_systems = valid_systems and _check_cycles(document, systems)
+    for group in simulation_order(systems) if valid_systems else ():
         if len(group) > 1:
             _check_joined(document, [systems[i] for i in group])
 
@@ -137,7 +142,7 @@ def check_colliders(
 ) -> None:
     """Record unknown colliders that passes name (SIM183, SIM184, SCN063)."""
     for entry in passes:
-        at = parse_location(entry.location.where)
+        location = parse_location(entry.location.where)
         for i, character in enumerate(getattr(entry.options, "characters", ())):
             if character.source:
                 message = (
@@ -145,14 +150,16 @@ def check_colliders(
                     "with it"
                 )
                 hint = "set how with `capsules` and `skin`, and remove the entry"
-                document.add("SIM183", (*at, "characters", i, "source"), message, hint)
+                document.add(
+                    "SIM183", (*location, "characters", i, "source"), message, hint
+                )
         for i, character in enumerate(getattr(entry.options, "systems", ())):
             if not isinstance(character, SystemSurfaceModel):
                 continue
-            at_key = (*at, "systems", i)
+            key_location = (*location, "systems", i)
             _check_name(
                 document,
-                (*at_key, "system"),
+                (*key_location, "system"),
                 character.system,
                 None,
                 systems,
@@ -162,7 +169,7 @@ def check_colliders(
             if character.two_way:
                 message = "what a pass simulates does not push bodies of systems"
                 hint = "remove two_way, or simulate it as a system"
-                document.add("SIM184", (*at_key, "two_way"), message, hint)
+                document.add("SIM184", (*key_location, "two_way"), message, hint)
 
 
 def _check_body(
@@ -171,7 +178,7 @@ def _check_body(
     systems: Sequence[SceneSystem],
     name: str,
     body: str,
-    where: str,
+    key_text: str,
 ) -> bool:
     """Record a body that a rigid system lacks (SIM162); stages are checked later."""
     specs: list[Any] = [
@@ -184,12 +191,12 @@ def _check_body(
         return True
     message = f"unknown body {body!r} of {name!r}"
     hint = nearest(body, body_names) or f"it has {listed(body_names, 12)}"
-    document.add("SIM162", (*system.setup.at, *parse_location(where)), message, hint)
+    document.add("SIM162", (*system.setup.at, *parse_location(key_text)), message, hint)
     return False
 
 
 def member_of(system: SceneSystem) -> Member:
-    """Return an entry in the form that a build takes."""
+    """Return a system as the member that build functions take."""
     setup = system.setup
     return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
 
@@ -200,12 +207,12 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):
-            at_key = (*system.setup.at, *parse_location(fault.where or ""))
-            document.add(fault.code, at_key, fault.message, fault.hint)
-    joined_text = any(system.setup.around.anything for system in systems)
+            key_location = (*system.setup.at, *parse_location(fault.where or ""))
+            document.add(fault.code, key_location, fault.message, fault.hint)
+    has_colliders = any(system.setup.around.has_colliders for system in systems)
     first_values: dict[str, tuple[str, Any]] = {}
     for system in systems:
-        for key, value in system.setup.spec.shared(meets=joined_text).items():
+        for key, value in system.setup.spec.shared(meets=has_colliders).items():
             name, first_value = first_values.setdefault(key, (system.name, value))
             if value != first_value:
                 message = f"{key} differs from that of {name}: they are "
@@ -214,75 +221,85 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
                 document.add("SIM054", (*system.setup.at, key), message, hint)
 
 
-def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
+def _check_cycles(document: Document, systems: Sequence[SceneSystem]) -> bool:
     """Record the first cycle of systems that collide with each other."""
     try:
-        in_order(systems)
+        simulation_order(systems)
     except CycleError as error:
         groups = joined_groups(systems)
         members = {systems[i].name for k in error.args[1] for i in groups[k]}
         for system in systems:
-            for name, at in system.setup.around.needs if system.name in members else ():
+            for name, location in (
+                system.setup.around.needs if system.name in members else ()
+            ):
                 if name in members:
                     message = f"{listed(sorted(members))} collide with each other in a "
                     message += "circle"
                     hint = "remove the collision that matters less"
-                    document.add("SCN063", at, message, hint)
+                    document.add("SCN063", location, message, hint)
                     return False
     return True
 
 
 def check_names(
-    document: Document, at: Location, requested: Sequence[str], names: Sequence[str]
+    document: Document,
+    location: Location,
+    requested_names: Sequence[str],
+    names: Sequence[str],
 ) -> None:
     """Record unknown system names of an output."""
     known_names = sorted({*names})
-    for i, name in enumerate(requested):
+    for i, name in enumerate(requested_names):
         if name not in names:
             hint = nearest(name, known_names) or f"the scene has {listed(known_names)}"
             hint = hint if known_names else "the scene has no systems"
             message = f"unknown system {name!r}"
-            document.add("SCN063", (*at, i), message, hint)
+            document.add("SCN063", (*location, i), message, hint)
 
 
 def _check_name(
     document: Document,
-    at: Location,
+    location: Location,
     name: str,
     system: SceneSystem | None,
     systems: Sequence[SceneSystem],
     names: Sequence[str],
-    having: str,
+    capability: str,
 ) -> bool:
-    """Record a name that is not another suitable system."""
+    """Record a fault unless a name is that of another, suitable system."""
     self_name = None if system is None else system.name
     matching_systems = [
         other_system for other_system in systems if other_system.name == name
     ]
     message, hint = "", None
     if name not in names:
-        other_names = sorted({*names} - {self_name})
+        selectable_names = sorted({*names} - {self_name})
         message = f"unknown system {name!r}"
-        hint = nearest(name, other_names) or f"the scene has {listed(other_names)}"
-        no_match_text = "there is no other" if self_name else "the scene has no systems"
-        hint = hint if other_names else no_match_text
+        hint = (
+            nearest(name, selectable_names)
+            or f"the scene has {listed(selectable_names)}"
+        )
+        no_system_hint = (
+            "there is no other" if self_name else "the scene has no systems"
+        )
+        hint = hint if selectable_names else no_system_hint
     elif list(names).count(name) > 1:
         message = f"{list(names).count(name)} systems are named {name!r}"
         hint = "give each a unique name"
     elif name == self_name:
         message = f"{name!r} is the system itself"
     elif matching_systems and not getattr(
-        SYSTEM_KINDS[matching_systems[0].kind], having
+        SYSTEM_KINDS[matching_systems[0].kind], capability
     ):
         suitable_kinds = [
             kind
             for kind, system_kind in SYSTEM_KINDS.items()
-            if getattr(system_kind, having)
+            if getattr(system_kind, capability)
         ]
         message = (
             f"{name!r} is of kind {matching_systems[0].kind}, "
             f"not {' or '.join(suitable_kinds)}"
         )
     if message:
-        document.add("SCN063", at, message, hint)
+        document.add("SCN063", location, message, hint)
     return not message

@@ -35,17 +35,17 @@ _UNIT_NAMES = {
 }
 
 
-def misplaced(
+def placement_warnings(
     systems: Sequence[SceneSystem],
     characters: CharacterMotions,
     main_rig: Rig | None = None,
 ) -> list[Fault]:
     """Return warnings of systems that do not fit their characters.
 
-    Pins that begin beyond the size of their character (SIM168), as far as the nearest
-    of their particles is, at 0 s; else systems that are far off or large, and would fit
-    if they counted in the unit of the rig (SIM169). ``main_rig`` is the rig of the
-    scene's own character, whatever a system has to do with it.
+    Pins whose nearest particle is farther away at 0 s than the size of their character
+    (SIM168); else systems that are far away or large, but would fit in the unit of the
+    rig (SIM169). ``main_rig`` is the rig of the scene's own character; every system is
+    compared with it.
     """
     character_motions = CharacterMotions()
     faults = []
@@ -58,7 +58,7 @@ def misplaced(
             path = pinned_points.carrier.file
             if path not in character_motions.by_path:
                 character_motions.by_path[path] = _first_frame(characters.of(path))
-            warnings += _faults(pinned_points, character_motions, length_unit)
+            warnings += _pin_warnings(pinned_points, character_motions, length_unit)
         rigs = [characters.of(path).rig for path in _characters(system)]
         rigs = [main_rig, *rigs] if main_rig is not None else rigs
         scale_warnings = (_out_of_scale(system, rig, length_unit) for rig in rigs)
@@ -71,8 +71,8 @@ def misplaced(
 def _characters(system: SceneSystem) -> list[Path]:
     """Return the files of the characters that a system depends on."""
     files = [Path(str(character.file)) for character in system.setup.around.characters]
-    pins = getattr(system.setup.record, "pinned", ())
-    carriers = [pinned_entries.carrier for pinned_entries in pins]
+    pinned = getattr(system.setup.record, "pinned", ())
+    carriers = [pinned_entries.carrier for pinned_entries in pinned]
     files += [
         character.file
         for character in carriers
@@ -85,7 +85,7 @@ def _out_of_scale(
     system: SceneSystem, rig: Rig, length_unit: LengthUnit
 ) -> Iterator[Fault]:
     """Yield the warning of a system that fits a character only in the rig's unit."""
-    points = _points(system)
+    points = _start_positions(system)
     joint_size, bounds_size = _sizes(rig)
     scale = rig.meters_per_unit / length_unit.meters
     if not bounds_size or not len(points) or np.isclose(scale, 1.0):
@@ -94,17 +94,19 @@ def _out_of_scale(
     rotation = up_from_up(UpAxis.Y, rig.up)
     if rotation is not None:
         joint_positions = so3.rotate(rotation, joint_positions)
-    distance, length = (
-        _gap(points, joint_positions),
+    distance, extent = (
+        _bounds_distance(points, joint_positions),
         float(np.ptp(points, axis=0).max()),
     )
-    fits_in_rig_unit = _gap(points * scale, joint_positions) <= NEAR_RATIO * bounds_size
-    if not fits_in_rig_unit or length * scale > FITTING_RATIO * bounds_size:
+    fits_in_rig_unit = (
+        _bounds_distance(points * scale, joint_positions) <= NEAR_RATIO * bounds_size
+    )
+    if not fits_in_rig_unit or extent * scale > FITTING_RATIO * bounds_size:
         return
     if distance > FAR_RATIO * bounds_size:
         description = f"starts {plain_number(distance, 4)} m from the character"
-    elif length > LARGE_RATIO * bounds_size:
-        description = f"is {plain_number(length, 4)} m large"
+    elif extent > LARGE_RATIO * bounds_size:
+        description = f"is {plain_number(extent, 4)} m large"
     else:
         return
     unit = unit_name(rig.meters_per_unit)
@@ -114,11 +116,11 @@ def _out_of_scale(
         f"{plain_number(joint_size)} m; systems use {counted_name}, "
         f"this rig is in {unit}"
     )
-    hint = _counting_as(unit) or f"write its lengths in {counted_name}"
+    hint = _unit_hint(unit) or f"write its lengths in {counted_name}"
     yield warning("SIM169", message, hint)
 
 
-def _points(system: SceneSystem) -> FloatArray:
+def _start_positions(system: SceneSystem) -> FloatArray:
     """Return the stated positions of a system at 0 s ``(N, 3)`` [m]."""
     positions: FloatArray | None = getattr(system.setup.record, "positions", None)
     if positions is not None:
@@ -134,7 +136,7 @@ def _points(system: SceneSystem) -> FloatArray:
     return np.array(corners, np.float64).reshape(-1, 3)
 
 
-def _gap(points: FloatArray, other_points: FloatArray) -> float:
+def _bounds_distance(points: FloatArray, other_points: FloatArray) -> float:
     """Return the distance between the bounds of two sets of points [m]."""
     gaps = np.maximum(
         points.min(axis=0) - other_points.max(axis=0),
@@ -153,12 +155,12 @@ def _first_frame(character: CharacterMotion) -> CharacterMotion:
     )
 
 
-def _faults(
+def _pin_warnings(
     pinned: PinnedPoints, characters: CharacterMotions, length_unit: LengthUnit
 ) -> Iterator[Fault]:
     """Yield the warning of a pin that is far from its carrier.
 
-    length_unit: what lengths of the system count.
+    length_unit: unit of the system's lengths.
     """
     carrier: OnJoint | OnVertex = pinned.carrier
     rig = characters.of(carrier.file).rig
@@ -181,19 +183,19 @@ def _faults(
     if unit != length_unit:
         counted_name = _UNIT_NAMES[length_unit]
         message += f"; systems use {counted_name}, this rig is in {unit}"
-        hint = "; or ".join(filter(None, [_counting_as(unit), "place it near its pin"]))
+        hint = "; or ".join(filter(None, [_unit_hint(unit), "place it near its pin"]))
     yield warning("SIM168", message, hint, pinned.where)
 
 
-def _counting_as(unit: str) -> str:
-    """Return how to state a unit in a scene; empty if it has no name."""
+def _unit_hint(unit: str) -> str:
+    """Return a hint to set a unit in the scene; empty if the unit has no name."""
     if unit not in {candidate.value for candidate in LengthUnit}:
         return ""
     return f"units: {{length: {unit}}} in the scene uses the rig's unit"
 
 
 def _sizes(rig: Rig) -> tuple[float, float]:
-    """Return the longest side of the joints' bounds at rest, and of all bounds [m]."""
+    """Return the longest extent of the joints at rest, and with meshes [m]."""
     points = rest_world(rig).positions[0]
     spans = [float(np.ptp(points, axis=0).max())]
     spans += [

@@ -43,19 +43,21 @@ def last_states(
     character: CharacterMotion | None = None,
     progress: Progress = None,
 ) -> Mapping[int, Any]:
-    """Return the final states of some systems, by index.
+    """Return the final states of the requested systems, by index.
 
-    A mesh that tears has all its points from the first frame on, so that its topology
-    is constant: what will tear must be known before anything is written. Systems that
-    these do not depend on are left out, since they do not affect them.
+    The topology of a mesh that tears is constant: it has all its points from the first
+    frame on. So the final tears must be known before anything is written. Only the
+    requested systems and their dependencies are simulated.
 
     ``times`` [s].
     """
-    numbers = with_dependencies(systems, requested)
-    running_systems = open_systems([systems[i] for i in numbers], times[-1], character)
+    system_indices = with_dependencies(systems, requested)
+    running_systems = open_systems(
+        [systems[i] for i in system_indices], times[-1], character
+    )
     final_runs = {
         i: system_run
-        for i, system_run in zip(numbers, running_systems, strict=True)
+        for i, system_run in zip(system_indices, running_systems, strict=True)
         if i in requested
     }
     for k, t in enumerate(times):
@@ -67,8 +69,8 @@ def last_states(
     return {i: system_run.run.state.state for i, system_run in final_runs.items()}
 
 
-# Maximum number of steps of a system, from its pre-roll to the last frame; more take
-# hours.
+# Maximum number of steps of a system, from its pre-roll to the last frame; more would
+# take hours.
 MAX_STEPS = 10_000_000
 # Maximum step of a solver that chooses its steps [s].
 MAX_STEP = 1 / 240
@@ -84,7 +86,7 @@ class SystemRun:
         systems: Simulated systems.
         seconds: Time spent on each system [s].
         written: Indices of the systems to write.
-        stopped: Why frames ended before the last one; None if they did not.
+        stopped: Error that stopped the run before the last frame; None if complete.
         done: Number of simulated frames.
     """
 
@@ -106,18 +108,18 @@ class SystemRun:
         self._character = character
         self._phases: ProgressPhases | None = None
         self._frames: Progress = None
-        # Time codes and states of systems with saved states.
-        self._saving: dict[int, float | None] = {
+        # Requested time codes of systems that save states, and the states, by index.
+        self._save_codes: dict[int, float | None] = {
             i: system.setup.spec.save_at
             for i, system in enumerate(systems)
             if system.setup.writes
         }
-        self._kept: dict[int, tuple[float, ReachedState[Any]]] = {}
+        self._saved_states: dict[int, tuple[float, ReachedState[Any]]] = {}
         self._warnings: list[Fault] = []
         if progress is not None:
             progress(0.0)
             self._phases = ProgressPhases(progress)
-        self._open: list[EntryRun] = open_systems(
+        self._entry_runs: list[EntryRun] = open_systems(
             systems,
             last,
             character,
@@ -131,12 +133,12 @@ class SystemRun:
         if self._phases is None:
             return None
 
-        def tell(fraction: float) -> None:
+        def report_preroll(fraction: float) -> None:
             # Before the first frame is done: a pre-roll, or history for other systems.
             if self._frames is not None:
                 self._frames(fraction)
 
-        return SystemProgress(self._phases, TimeProgress(tell, last))
+        return SystemProgress(self._phases, TimeProgress(report_preroll, last))
 
     @property
     def notices(self) -> list[Fault]:
@@ -147,15 +149,19 @@ class SystemRun:
             + self._warnings
             + [
                 system.location.locate(notice)
-                for system, opened in zip(self.systems, self._open, strict=True)
-                for notice in opened.notices
+                for system, entry_run in zip(
+                    self.systems, self._entry_runs, strict=True
+                )
+                for notice in entry_run.notices
             ]
         )
 
     @property
     def simulated(self) -> list[dict[str, object]]:
         """Reports of the systems as plain values."""
-        return [report for opened in self._open if (report := opened.report())]
+        return [
+            report for entry_run in self._entry_runs if (report := entry_run.report())
+        ]
 
     def rows(
         self,
@@ -165,10 +171,10 @@ class SystemRun:
         *,
         keep_stopped: bool = False,
     ) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with the frames of the written systems.
+        """Yield each time code with the frames of the written systems.
 
-        With ``keep_stopped``, frames end before the first one that a system does not
-        reach, unless it is the very first.
+        With ``keep_stopped``, frames end before the first one that a system fails to
+        reach; if that is the very first frame, the error is raised.
         """
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
@@ -186,25 +192,25 @@ class SystemRun:
                 kept_frames = (
                     f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
                 )
-                note = Fault("SIM193", kept_frames, severity=Severity.NOTE)
+                kept_note = Fault("SIM193", kept_frames, severity=Severity.NOTE)
                 self.stopped = ToleranceError(
-                    [*self._faults_with_frame(code, error), note]
+                    [*self._faults_with_frame(code, error), kept_note]
                 )
                 break
             yield float(code), row
             self.done = k + 1
-            self._keep(code)
+            self._record_states(code)
             if show_progress is not None:
                 show_progress((k + 1) / len(codes))
-        self._note_kept()
+        self._warn_of_save_frames()
 
     def _check_resumed(
         self, codes: Sequence[Fraction], times: Sequence[float], fps: Fraction
     ) -> None:
         """Refuse frames before the state that a system resumes (SIM035)."""
         faults = []
-        for system, opened in zip(self.systems, self._open, strict=True):
-            run = opened.run
+        for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
+            run = entry_run.run
             resume_time = run.time(run.state.steps)
             if (
                 run.state.steps
@@ -212,7 +218,9 @@ class SystemRun:
             ):
                 frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
                 message = f"its state is from frame {frame:g}, but "
-                message += _step_end(frame, run.step_length, fps) + "and frame "
+                message += (
+                    _between_frames_text(frame, run.step_length, fps) + "and frame "
+                )
                 message += f"{float(codes[0]):g} is requested"
                 frames = f"{math.ceil(frame - STEP_TOLERANCE)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)
@@ -220,16 +228,17 @@ class SystemRun:
         if faults:
             raise FormatError(faults)
 
-    def _note_kept(self) -> None:
+    def _warn_of_save_frames(self) -> None:
         """Warn of states to save at frames outside the range (SIM185)."""
-        for i, at in self._saving.items():
-            code = self._kept[i][0] if i in self._kept else None
-            if at is not None and code != at:
+        for i, save_code in self._save_codes.items():
+            code = self._saved_states[i][0] if i in self._saved_states else None
+            if save_code is not None and code != save_code:
                 saved_text = (
                     "nothing" if code is None else f"the state of frame {code:g}"
                 )
                 message = (
-                    f"save_at is {at:g}, which is not a frame: {saved_text} is saved"
+                    f"save_at is {save_code:g}, which is not a frame: "
+                    f"{saved_text} is saved"
                 )
                 location = self.systems[i].location
                 hint = "use one of the frames that are written"
@@ -237,8 +246,8 @@ class SystemRun:
                 self._warnings.append(fault)
 
     def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
-        """Give their final states to systems that need them in advance."""
-        runs = {i: self._open[i].run for i in self.written}
+        """Simulate tearing systems once and give them their final states."""
+        runs = {i: self._entry_runs[i].run for i in self.written}
         tearing_systems = {
             i: run
             for i, run in runs.items()
@@ -248,16 +257,16 @@ class SystemRun:
         if not tearing_systems:
             return
         start_time = time.perf_counter()
-        phase = None if self._phases is None else self._phases.phase()
+        phase_progress = None if self._phases is None else self._phases.phase()
         final_states = last_states(
-            self.systems, list(tearing_systems), times, self._character, phase
+            self.systems, list(tearing_systems), times, self._character, phase_progress
         )
         for i, run in tearing_systems.items():
             run.simulation.set_final_state(final_states[i])
         self.seconds[min(tearing_systems)] += time.perf_counter() - start_time
 
     def _faults_with_frame(self, code: Fraction, error: ToleranceError) -> list[Fault]:
-        """Return the faults of a stopped system, the last with the frame."""
+        """Return the faults of a stopped system; the last names the frame."""
         *other_faults, last_fault = error.faults
         message = last_fault.message + f", before frame {float(code):g}"
         hints = [last_fault.hint] if last_fault.hint else []
@@ -265,25 +274,25 @@ class SystemRun:
             if last_fault.where is not None and last_fault.where.startswith(
                 system.location.where
             ):
-                hints += _unlikely(system)
+                hints += _unusual_number_hint(system)
         return [
             *other_faults,
             replace(last_fault, message=message, hint=", ".join(hints) or None),
         ]
 
-    def _keep(self, code: Fraction) -> None:
-        """Keep the states that are saved at a time code."""
-        for i in self._saving:
+    def _record_states(self, code: Fraction) -> None:
+        """Record the states to save at a time code."""
+        for i in self._save_codes:
             # Joined systems stop together, at the same time.
-            self._open[i].run.receive()
-        for i, at in self._saving.items():
-            if at is None or code <= at:
-                self._kept[i] = float(code), self._open[i].run.receive()
+            self._entry_runs[i].run.receive()
+        for i, save_code in self._save_codes.items():
+            if save_code is None or code <= save_code:
+                self._saved_states[i] = float(code), self._entry_runs[i].run.receive()
 
     def save_states(self, folder: Path) -> None:
         """Write the states to save into the scene's folder."""
-        for i, (_, state) in self._kept.items():
-            system, run = self.systems[i], self._open[i].run
+        for i, (_, state) in self._saved_states.items():
+            system, run = self.systems[i], self._entry_runs[i].run
             clocked_system = StateClock(system.kind, run.begin, run.step_length)
             for name in system.setup.writes:
                 write_states(folder / name, {"": (clocked_system, state)})
@@ -291,19 +300,19 @@ class SystemRun:
     def _row(self, i: int, t: float) -> Any:
         start_time = time.perf_counter()
         with located_systems([self.systems[i]]):
-            row = self._open[i].at(t)
+            frame = self._entry_runs[i].at(t)
         self.seconds[i] += time.perf_counter() - start_time
-        return row
+        return frame
 
-    def note(self, written: Sequence[CachedMesh]) -> None:
-        """Add the notices of prims, each located at its system."""
+    def add_notices(self, meshes: Sequence[CachedMesh]) -> None:
+        """Add the notices of written meshes, each located at its system."""
         self._warnings += [
             self.systems[i].location.locate(notice)
-            for i, prim in zip(self.written, written, strict=True)
+            for i, prim in zip(self.written, meshes, strict=True)
             for notice in prim.notices
         ]
 
-    def reports(self, written: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
+    def reports(self, meshes: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
         """Return the report of each written system."""
         return [
             MeshReport(
@@ -315,14 +324,14 @@ class SystemRun:
                 True,
                 scene,
             )
-            for i, prim in zip(self.written, written, strict=True)
+            for i, prim in zip(self.written, meshes, strict=True)
         ]
 
 
-def _unlikely(system: SceneSystem) -> list[str]:
-    """Return a hint at the number of a system that is most unusual."""
+def _unusual_number_hint(system: SceneSystem) -> list[str]:
+    """Return a hint to check the number of a system with the most extreme exponent."""
     values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
-    sizes = [*_sizes(values, ""), *_sizes(system.setup.parts, "")]
+    sizes = [*_number_sizes(values, ""), *_number_sizes(system.setup.parts, "")]
     exponents = [
         (abs(math.log10(size)), name, size) for name, size in sizes if size > 0
     ]
@@ -332,32 +341,34 @@ def _unlikely(system: SceneSystem) -> list[str]:
     )
 
 
-def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
-    """Yield numbers, the longest component of vectors, and the width of arrays."""
+def _number_sizes(node: Any, key_path: str) -> Iterator[tuple[str, float]]:
+    """Yield sizes by key: numbers, lengths of vectors, and extents of arrays."""
     if isinstance(node, Mapping):
         for key, value in node.items():
-            yield from _sizes(value, f"{name}.{key}" if name else str(key))
+            yield from _number_sizes(
+                value, f"{key_path}.{key}" if key_path else str(key)
+            )
     elif isinstance(node, float):
-        yield name, abs(node)
+        yield key_path, abs(node)
     elif isinstance(node, np.ndarray) and node.size and node.dtype.kind == "f":
         rows = node.reshape(-1, node.shape[-1]) if node.ndim > 1 else node
         width = float(np.ptp(rows, axis=0).max())
-        yield name, width or float(np.abs(rows).max())
+        yield key_path, width or float(np.abs(rows).max())
     elif isinstance(node, (list, tuple)):
         if node and all(isinstance(item, float) for item in node):
-            yield name, max(map(abs, node))
+            yield key_path, max(map(abs, node))
             return
         for i, value in enumerate(node):
-            yield from _sizes(value, f"{name}[{i}]")
+            yield from _number_sizes(value, f"{key_path}[{i}]")
 
 
-def _step_end(frame: float, length: float, fps: Fraction) -> str:
-    """Return why a state is between frames; empty if it is on one."""
-    if abs(frame - round(frame)) < 1e-6 or length * float(fps) > 1:
+def _between_frames_text(frame: float, step_length: float, fps: Fraction) -> str:
+    """Return the reason why a state is between frames; empty if it is on a frame."""
+    if abs(frame - round(frame)) < 1e-6 or step_length * float(fps) > 1:
         return ""
     return (
         f"the end of its last step before frame {math.ceil(frame)} (of "
-        f"{length:.4g} s, which does not divide a frame), "
+        f"{step_length:.4g} s, which does not divide a frame), "
     )
 
 
@@ -387,10 +398,10 @@ def system_job(
 ) -> SimulatedJob:
     """Return the writer's job for systems: ``meters_per_unit`` [m]."""
     rotation = up_from_up(up, UpAxis.Y)
-    written = [system for system in systems if system.written]
+    written_systems = [system for system in systems if system.written]
     return SimulatedJob(
         model,
-        _prim_names(written),
+        _prim_names(written_systems),
         metadata,
         meters_per_unit,
         None if rotation is None else np.array(rotation),
@@ -398,7 +409,7 @@ def system_job(
 
 
 def duplicate_prims(systems: Sequence[SceneSystem]) -> list[Fault]:
-    """Return a warning for each system whose prim name is taken (SCN090)."""
+    """Return a warning for each system whose prim name is already used (SCN090)."""
     faults = []
     for system, prim in zip(systems, _prim_names(systems), strict=True):
         if prim != legal_name(system.name):

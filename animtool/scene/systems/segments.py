@@ -35,36 +35,35 @@ def segments_of(
     progress: Progress = None,
     lead: float = 0.0,
 ) -> FloatArray:
-    """Return a particle of a rope or strand, the one before it first ``(F, 2, 3)`` [m].
+    """Return positions of a particle of a rope and of its predecessor.
 
-    The system is simulated with those that it needs, over the frames of the take; the
-    scene's own character is the take as it is.
+    The predecessor is first: ``(F, 2, 3)`` [m]. The system and its dependencies are
+    simulated over the frames of the take, which is the scene's own character. The first
+    frame is held for ``lead``.
 
     ``lead`` [s].
     """
     index = _index(systems, name)
-    numbers = with_dependencies(systems, [index])
+    system_indices = with_dependencies(systems, [index])
     character = motion_of(path, take)
     times = character.times + lead
     running_systems = open_systems(
-        [systems[i] for i in numbers], float(times[-1]), replace(character, times=times)
+        [systems[i] for i in system_indices],
+        float(times[-1]),
+        replace(character, times=times),
     )
-    system_run = running_systems[numbers.index(index)]
+    system_run = running_systems[system_indices.index(index)]
     particles = _particles(_view(system_run, name), name, particle)
-    rows = []
+    segment_rows = []
     for k, t in enumerate(times.tolist()):
         with located_systems([systems[index]]):
             state, _ = system_run.run.reach(t)
-        rows.append(state.motion[0, particles])
+        segment_rows.append(state.motion[0, particles])
         if progress is not None:
             progress((k + 1) / len(times))
-    segment_ends = np.array(rows)
+    segments = np.array(segment_rows)
     rotation = up_from_up(take.rig.up, UpAxis.Y)
-    return (
-        segment_ends
-        if rotation is None
-        else so3.rotate(np.array(rotation), segment_ends)
-    )
+    return segments if rotation is None else so3.rotate(np.array(rotation), segments)
 
 
 def _index(systems: Sequence[SceneSystem], name: str) -> int:
@@ -80,9 +79,9 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 
-def _view(opened: EntryRun, name: str) -> SpringView:
-    """Return the rows of a rope or strand that are shown."""
-    view = opened.simulation
+def _view(entry_run: EntryRun, name: str) -> SpringView:
+    """Return the simulation view of a rope or strand."""
+    view = entry_run.simulation
     if isinstance(view, SpringView) and isinstance(view.body.shape, CurveShape):
         return view
     message = f"{name!r} has no segments to attach to"
@@ -91,7 +90,7 @@ def _view(opened: EntryRun, name: str) -> SpringView:
 
 
 def _particles(view: SpringView, name: str, particle: str) -> IntArray:
-    """Return the rows of a particle and of the one before it ``(2,)``."""
+    """Return the rows of a particle's predecessor and of the particle ``(2,)``."""
     body = view.body
     is_number = particle.strip().removeprefix("-").isdecimal()
     particles, faults = numbered([int(particle) if is_number else particle], body)

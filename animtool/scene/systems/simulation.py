@@ -22,8 +22,8 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.links import in_order, joined_groups, member_of
-from animtool.scene.systems.proportions import misplaced
+from animtool.scene.systems.links import joined_groups, member_of, simulation_order
+from animtool.scene.systems.proportions import placement_warnings
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -49,7 +49,7 @@ class SystemProgress:
 
 @dataclass
 class BuildContext:
-    """State that systems share while they are built."""
+    """State shared by the systems of a scene while they are built."""
 
     last: float  # latest time that will be requested [s]
     # Characters in motion, each read once.
@@ -76,16 +76,18 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     the first.
     """
 
-    def put(fault: Fault) -> Fault:
-        candidates = (member for member in members if member.location.key_of(fault))
+    def attach_location(fault: Fault) -> Fault:
+        candidates = (
+            member for member in members if member.location.nearest_key(fault)
+        )
         return next(candidates, members[0]).location.locate(fault)
 
     try:
         yield
     except OptionError as error:
-        raise FormatError(list(map(put, error.faults))) from error
+        raise FormatError(list(map(attach_location, error.faults))) from error
     except ToleranceError as error:
-        raise ToleranceError(list(map(put, error.faults))) from error
+        raise ToleranceError(list(map(attach_location, error.faults))) from error
 
 
 def build_entries(
@@ -111,7 +113,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     path = member.setup.resume
     assert path is not None
     with open_states(path) as saved_states:
-        run.state = saved_states.read("", clocked(member, run), run.state)
+        run.state = saved_states.read("", state_clock(member, run), run.state)
     if isinstance(run.simulation, Resumed):
         t = run.time(run.state.steps)
         reason = run.simulation.incompatibility(run.state.state, t)
@@ -121,29 +123,29 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
             )
 
 
-def clocked(member: SceneSystem, run: SimulationRun) -> StateClock:
-    """Return the steps between the states of a system."""
+def state_clock(member: SceneSystem, run: SimulationRun) -> StateClock:
+    """Return the clock of a system's states: its kind, begin and step."""
     return StateClock(member.kind, run.begin, run.step_length)
 
 
 def run_entries(
     members: Sequence[SceneSystem],
     context: BuildContext,
-    changes: Mapping[str, Any] | None = None,
+    spec_changes: Mapping[str, Any] | None = None,
     budget: int | None = None,
 ) -> SimulationRun:
-    """Return the runs of joined systems at their start; characters are read now.
+    """Return the run of joined systems at their start; characters are read now.
 
-    ``changes`` are of their spec, by key.
+    ``spec_changes`` replace values of their spec, by key.
     """
     setups = [member.setup for member in members]
-    changed_keys: dict[str, Any] = {}
+    shared_values: dict[str, Any] = {}
     for setup in setups:
-        changed_keys |= setup.spec.shared()
-    spec = setups[0].spec.model_copy(update={**changed_keys, **(changes or {})})
+        shared_values |= setup.spec.shared()
+    spec = setups[0].spec.model_copy(update={**shared_values, **(spec_changes or {})})
     start_time = -spec.preroll
     surroundings = Surroundings.of([setup.around for setup in setups])
-    colliders = surroundings.built(context.characters, context.built)
+    colliders = surroundings.build(context.characters, context.built)
     carriers = {name: context.built[name].tied() for name in surroundings.carriers}
 
     def poses(carrier: Any) -> Poses:
@@ -192,7 +194,7 @@ def open_systems(
     context = BuildContext(last, characters_with(character), progress=progress)
     built_systems = build_systems(systems, context)
     if warnings is not None:
-        warnings += misplaced(systems, context.characters, main_rig)
+        warnings += placement_warnings(systems, context.characters, main_rig)
     return built_systems
 
 
@@ -200,9 +202,9 @@ def build_systems(
     systems: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
     """Build systems in their initial state, and record them in the context by name."""
-    all_built: dict[int, EntryRun] = {}
+    runs_by_index: dict[int, EntryRun] = {}
     faults: list[Fault] = []
-    for group in in_order(systems):
+    for group in simulation_order(systems):
         members = [systems[i] for i in group]
         needed_names = {
             name
@@ -217,21 +219,21 @@ def build_systems(
         except FormatError as error:
             faults += error.faults
             continue
-        all_built |= dict(zip(group, runs, strict=True))
+        runs_by_index |= dict(zip(group, runs, strict=True))
         member_runs = zip(members, runs, strict=True)
         context.built |= {
             member.name: group_member for member, group_member in member_runs
         }
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
-    return [group_member for _, group_member in sorted(all_built.items())]
+    return [group_member for _, group_member in sorted(runs_by_index.items())]
 
 
-def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
-    """Return the faults of building the systems of a scene, with other faults.
+def build_faults(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
+    """Return the faults of building the systems of a scene.
 
-    Left out are systems with faults, those that depend on one or are joined with one,
-    and those that need the scene's own character.
+    Systems with known faults are skipped, with those that depend on them or are joined
+    to them, and those that need the scene's own character.
     """
     faulty_keys = [fault.where or "" for fault in document.faults]
     if any(where.startswith("units") for where in faulty_keys):
@@ -247,9 +249,9 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
         for group in joined_groups(systems)
         if all(valid_systems[i] for i in group)
     ]
-    built_members = [systems[i] for i in sorted(chain.from_iterable(groups))]
+    buildable_systems = [systems[i] for i in sorted(chain.from_iterable(groups))]
     try:
-        build_systems(built_members, BuildContext(0.0))
+        build_systems(buildable_systems, BuildContext(0.0))
     except FormatError as error:
         return [fault for fault in error.faults if fault.path == str(document.path)]
     except AnimtoolError:
@@ -259,7 +261,7 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
 
 
 def characters_with(character: CharacterMotion | None) -> CharacterMotions:
-    """Return characters that are read on demand, including the scene's own."""
+    """Return the cache of characters, which contains the scene's own character."""
     characters = CharacterMotions()
     if character is not None:
         characters.by_path[character.path] = character

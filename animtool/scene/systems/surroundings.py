@@ -34,19 +34,19 @@ if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource
 
 
-# Number of cached times: both ends of a step, and one within.
+# Number of cached times: both ends of a step, and some within.
 CACHED_TIMES = 4
 
 
 def moving_sheet(mesh: MovingMeshModel) -> Sheet:
-    """Return a mesh of a file as a moving sheet; its path must be absolute."""
+    """Return a mesh of a USD file as a moving sheet; its path must be absolute."""
     from animtool.usd.caches.reader import open_mesh
 
-    motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
+    motion = _MeshMotion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
     return record_of(Sheet, mesh, motion=motion, name=mesh.prim)
 
 
-class _Motion:
+class _MeshMotion:
     """Points of a mesh over time, clamped to its first and last sample.
 
     Args:
@@ -54,7 +54,7 @@ class _Motion:
         frame: Time code at 0 s.
 
     Raises:
-        OptionError: It makes no sense at its first frame (SIM051).
+        OptionError: The mesh is invalid at its first frame (SIM051).
     """
 
     def __init__(self, source: MeshSource, frame: float | None) -> None:
@@ -65,12 +65,12 @@ class _Motion:
         first_frame = source.at(None if source.span is None else self._first)
         self._count = len(first_frame.points)
         self._faces = triangulated(first_frame.counts, first_frame.indices)
-        self._at = lru_cache(CACHED_TIMES)(self._points)
+        self._cached_points = lru_cache(CACHED_TIMES)(self._points)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m]."""
         code = self._start + t * self._source.fps
-        return self._at(min(max(code, self._first), self._last))
+        return self._cached_points(min(max(code, self._first), self._last))
 
     def _points(self, code: float) -> FloatArray:
         points = self._source.at(None if self._source.span is None else code).points
@@ -89,9 +89,9 @@ class _Motion:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """Colliders of a system: shapes, characters, surfaces and meshes of files.
+    """Colliders of a system: shapes, characters, system surfaces and file meshes.
 
-    Records of characters and meshes are as in their entry, except for absolute paths.
+    Records of characters and meshes equal their entries, but have absolute paths.
     """
 
     colliders: tuple[Collider, ...] = ()
@@ -105,7 +105,7 @@ class Surroundings:
 
     @staticmethod
     def of(all_surroundings: Sequence[Surroundings]) -> Surroundings:
-        """Return the colliders of jointly simulated entries."""
+        """Return the combined colliders of jointly simulated entries."""
         (combined, *other_surroundings) = all_surroundings
         return replace(
             combined,
@@ -147,8 +147,8 @@ class Surroundings:
     def _ties(self) -> tuple[tuple[str, Location], ...]:
         """Rigid systems that carry its particles, and their locations."""
         return tuple(
-            (name, (*self.at, *parse_location(where)[:-1], "system"))
-            for name, _, where in self.tied
+            (name, (*self.at, *parse_location(key_text)[:-1], "system"))
+            for name, _, key_text in self.tied
         )
 
     @property
@@ -165,7 +165,7 @@ class Surroundings:
 
     @property
     def reads(self) -> list[str]:
-        """Text of all colliders."""
+        """Descriptions of all colliders, for reports."""
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
@@ -176,7 +176,7 @@ class Surroundings:
         ]
 
     @property
-    def met(self) -> list[str]:
+    def collided_systems(self) -> list[str]:
         """Names of the systems that it collides with."""
         return [surface.system for surface in self.systems]
 
@@ -186,7 +186,7 @@ class Surroundings:
         return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
 
     @property
-    def anything(self) -> bool:
+    def has_colliders(self) -> bool:
         """Whether there is any collider."""
         return any(getattr(self, name) for name in COLLISION_KEYS)
 
@@ -195,20 +195,20 @@ class Surroundings:
         """Number of shapes and meshes, excluding those of characters."""
         return len(self.colliders) + len(self.meshes)
 
-    def built(
-        self, characters: CharacterMotions, opened: Mapping[str, EntryRun]
+    def build(
+        self, characters: CharacterMotions, run_by_name: Mapping[str, EntryRun]
     ) -> Colliders:
-        """Return all colliders; characters are read now.
+        """Return all colliders; read the characters.
 
         Args:
             characters: Characters in motion.
-            opened: Systems of the scene by name, including those it depends on.
+            run_by_name: Runs of the scene's systems, including those it depends on.
         """
         capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
         bodies: list[BodyColliders] = []
         for surface_entry in self.systems:
-            system_run = opened[surface_entry.system]
+            system_run = run_by_name[surface_entry.system]
             if system_run.rigid:
                 material = record_of(Material, surface_entry)
                 bodies_of_system = system_run.bodies(
@@ -219,14 +219,14 @@ class Surroundings:
                 bodies.append(bodies_of_system)
                 continue
             surface = system_run.surface()
-            thickness = {"radius": surface.radius, "closed": surface.closed}
+            sheet_options = {"radius": surface.radius, "closed": surface.closed}
             sheets.append(
                 record_of(
                     Sheet,
                     surface_entry,
                     motion=surface,
                     name=surface_entry.system,
-                    **thickness,
+                    **sheet_options,
                 )
             )
         sheets += [*map(moving_sheet, self.meshes), *skins]

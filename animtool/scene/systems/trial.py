@@ -14,7 +14,7 @@ from animtool.core.plugins import load_object
 from animtool.motion.frames import Frame, PointsFrame, TransformsFrame
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.links import dependencies, in_order
+from animtool.scene.systems.links import dependencies, simulation_order
 from animtool.scene.systems.simulation import (
     BuildContext,
     build_systems,
@@ -40,7 +40,7 @@ from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
 from animtool.systems.framework.spec import SystemSpec
 
-# Ratio of the exact method's step to the file's, if the file's is too long.
+# Step of the exact method over the file's step, if the file's step is too long.
 FINE_STEP_RATIO = 1 / 8
 # Tolerances over the default one; and the maximum step of adaptive methods over the
 # file's step.
@@ -64,7 +64,7 @@ def system_trials(
     """
     end_time, characters = float(times[-1]), characters_with(character)
     trials = []
-    for group in in_order(systems):
+    for group in simulation_order(systems):
         members = [systems[i] for i in group]
         needed_systems = [systems[i] for i in dependencies(systems, group)]
 
@@ -87,26 +87,30 @@ def _trial(
 ) -> Trial:
     """Return the trial of jointly simulated systems.
 
-    ``rebuild`` rebuilds its dependencies for each run; ``times`` ``(F,)`` [s].
+    ``rebuild`` rebuilds their dependencies for each run; ``times`` ``(F,)`` [s].
     """
     max_points = 0  # maximum number of points in any run so far
     spec = members[0].setup.spec
     if spec.tried:
         trial_runs = run_entries(members, rebuild())
         assert isinstance(trial_runs.simulation, Tried)
-        trials = trial_runs.simulation.trial_settings()
+        settings_to_try = trial_runs.simulation.trial_settings()
     else:
-        trials = _trial_settings(spec, members[0].setup.method)
+        settings_to_try = _trial_settings(spec, members[0].setup.method)
 
     def run(setting: Setting) -> TrialOutcome:
         nonlocal max_points
-        is_other_method = setting.method != trials.chosen.method
+        is_other_method = setting.method != settings_to_try.chosen.method
         budget = (
             None
             if spec.tried
-            else _budget(setting.method, max_points, other=is_other_method)
+            else _evaluation_limit(
+                setting.method, max_points, is_other_method=is_other_method
+            )
         )
-        entry_runs = run_entries(members, rebuild(), trials.changes(setting), budget)
+        entry_runs = run_entries(
+            members, rebuild(), settings_to_try.changes(setting), budget
+        )
         outcome = _outcome(entry_runs, times)
         max_points = max(
             [max_points, *(len(shot.points) for shot in outcome.snapshots)]
@@ -117,12 +121,14 @@ def _trial(
         " + ".join(member.name for member in members),
         " + ".join(dict.fromkeys(member.kind for member in members)),
         float(times[-1]) + max(member.setup.spec.preroll for member in members),
-        trials.chosen,
-        trials.settings,
-        trials.references,
+        settings_to_try.chosen,
+        settings_to_try.settings,
+        settings_to_try.references,
         run,
-        changes=trials.changes,
-        lines=lambda setting: [_scene_text(members[0], trials.changes(setting))],
+        changes=settings_to_try.changes,
+        lines=lambda setting: [
+            _scene_text(members[0], settings_to_try.changes(setting))
+        ],
     )
 
 
@@ -137,7 +143,7 @@ def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
 
 
 def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
-    """Return methods, steps and tolerances around those of a spec."""
+    """Return the methods, steps and tolerances to try for a spec."""
     tolerance = getattr(spec, "tolerance", None)
     default = TOLERANCE if tolerance is None else tolerance
     options = {} if _is_fixed(spec_method) else {"tolerance": default}
@@ -163,9 +169,9 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         return known_settings
 
     def references() -> list[list[Setting]]:
-        """Return ever finer steps of the exact method, else of the spec's.
+        """Return settings of ever finer steps of the exact method, else of the spec's.
 
-        Where the exact one is not stable, those of the file's own, or far shorter ones.
+        If the exact method is unstable, use the file's method or far shorter steps.
         """
         exact_method = spec.exact or spec_method
         step_ratios = [(exact_method, 1.0)]
@@ -187,27 +193,29 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             changes.setdefault("tolerance", file_tolerance)
         return changes
 
-    chosen = Setting.of(spec_method, step=spec.step, **options)
-    return TrialSettings(chosen, settings, references, changes)
+    file_setting = Setting.of(spec_method, step=spec.step, **options)
+    return TrialSettings(file_setting, settings, references, changes)
 
 
-def _budget(method: str, most: int, *, other: bool) -> int | None:
-    """Return the maximum of evaluations in a step of a method; None is unlimited.
+def _evaluation_limit(
+    method: str, max_points: int, *, is_other_method: bool
+) -> int | None:
+    """Return the maximum number of evaluations per step; None is unlimited.
 
-    ``most`` is how many points there were at once in a run, ``other`` whether the
-    method is another than that of the file.
+    ``max_points`` is the largest number of points in any run so far,
+    ``is_other_method`` whether the method differs from that of the file.
     """
     if method not in INTEGRATORS:
         return None
     integrator = find_integrator(method)
-    unknowns = 3 * most
-    if other and integrator.implicit and unknowns > MAX_UNKNOWNS:
+    unknowns = 3 * max_points
+    if is_other_method and integrator.implicit and unknowns > MAX_UNKNOWNS:
         message = f"{method} would solve for {unknowns} unknowns at "
         raise OptionError(Fault("SIM024", f"{message}once", where="method"))
     if integrator.solver:
         # Imports are not part of the simulation's time.
         load_object(integrator.solver)
-    return MAX_EVALUATIONS if other else None
+    return MAX_EVALUATIONS if is_other_method else None
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
@@ -216,8 +224,8 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     snapshots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
     try:
-        for t in times.tolist():
-            snapshots.append(_shot(run.at(t)))
+        for sample_time in times.tolist():
+            snapshots.append(_snapshot(run.at(sample_time)))
             energies.append(run.diagnostics.energy)
     except ToleranceError as error:
         status, reason = Status.UNSTABLE, error.faults[0].message
@@ -256,8 +264,8 @@ def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)
 
 
-def _shot(frame: Frame) -> Snapshot:
-    """Return the compared points of a frame."""
+def _snapshot(frame: Frame) -> Snapshot:
+    """Return the points of a frame that are compared."""
     if isinstance(frame, TransformsFrame):
         arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
         sizes = np.abs(frame.scales).max(initial=0.0)

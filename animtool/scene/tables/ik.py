@@ -25,7 +25,7 @@ from animtool.sim.trials.trial import (
     TrialOutcome,
 )
 
-# Relative to the chains' length, and in radians.
+# Tolerances to try, relative to the chains' length and in radians.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 # Tolerances of the reference solution, each a tenth of the one before.
 REFERENCE_TOLERANCES = (1e-8, 1e-9, 1e-10)
@@ -43,7 +43,7 @@ def job_trial(job: IkJob) -> Trial:
             context.tracks,
             options,
             static=context.at_rest,
-            only=context.only,
+            only=context.only_index,
         )
 
     def scene_text(options: TakeOptions) -> list[str]:
@@ -75,8 +75,8 @@ def solve_trial(
 ) -> Trial:
     """Return the trial of targets: tolerances of one method, and each method.
 
-    Compared points are those of the effectors, at the frames with targets, against the
-    finest solution. Figures are distances from the targets.
+    Points of the effectors at the frames with targets are compared with the finest
+    solution. Figures are distances from the targets.
     """
     chosen_result = solve(options)
     length = chosen_result.problem.length
@@ -86,7 +86,7 @@ def solve_trial(
     def setting_of(method: IkMethod, tolerance: float, angle: float) -> Setting:
         return Setting.of(method, tolerance=tolerance, angle_tolerance=angle)
 
-    def options_of(setting: Setting) -> TakeOptions:
+    def options_for(setting: Setting) -> TakeOptions:
         return replace(
             options,
             method=IkMethod(setting.method),
@@ -95,25 +95,27 @@ def solve_trial(
         )
 
     def run(setting: Setting) -> TrialOutcome:
-        return _outcome(solve(options_of(setting)))
+        return _outcome(solve(options_for(setting)))
 
     current_tolerances = (options.tolerance, options.angle_tolerance)
-    chosen = setting_of(options.method, *current_tolerances)
+    current_setting = setting_of(options.method, *current_tolerances)
     settings = [setting_of(options.method, t * length, t) for t in TOLERANCES]
     settings += [setting_of(method, *current_tolerances) for method in IkMethod]
-    finest = [setting_of(options.method, t * length, t) for t in REFERENCE_TOLERANCES]
+    reference_settings = [
+        setting_of(options.method, t * length, t) for t in REFERENCE_TOLERANCES
+    ]
     return Trial(
         name,
         f"ik, {chosen_result.problem.degrees} degrees of freedom, {frames} frames",
         float(clock.duration),
-        chosen,
+        current_setting,
         lambda: settings,
-        lambda: [finest],
+        lambda: [reference_settings],
         run,
         ErrorMeasure.LARGEST,
         unit="iterations",
         where=lambda shot, point: _point_label(chosen_result, shot, point),
-        lines=lambda setting: scene_text(options_of(setting)),
+        lines=lambda setting: scene_text(options_for(setting)),
     )
 
 
@@ -146,11 +148,11 @@ def _outcome(solution: TakeIk) -> TrialOutcome:
     shots = [
         Snapshot(points) for points in world.positions[:, joints] + rotated_offsets
     ]
-    misses = np.where(solution.active, solution.misses, 0.0)
+    goal_errors = np.where(solution.active, solution.misses, 0.0)
     has_converged = [status is IkStatus.CONVERGED for status in solution.statuses]
     figures = {
-        Figure.MISS: float(misses[..., 0].max(initial=0.0)),
-        Figure.MISS_ANGLE: float(misses[..., 1:].max(initial=0.0)),
+        Figure.MISS: float(goal_errors[..., 0].max(initial=0.0)),
+        Figure.MISS_ANGLE: float(goal_errors[..., 1:].max(initial=0.0)),
         Figure.REACHED: float(np.mean(has_converged)),
     }
     steps = int(solution.iterations.sum())

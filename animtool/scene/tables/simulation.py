@@ -54,7 +54,7 @@ ATTACH_METHOD = "xpbd"
 MAX_STEP_RATIO = 8.0
 
 # Maximum number of compared frames, evenly over the range.
-MAX_INSTANTS = 100
+MAX_COMPARED_FRAMES = 100
 
 
 def simulates(scene: Scene) -> bool:
@@ -75,10 +75,12 @@ def simulation_trials(
     """
     trials: list[tuple[EntryLocation, Trial]] = []
     if scene.sources:
-        trials += _pass_trials(scene, MAX_INSTANTS)
+        trials += _pass_trials(scene, MAX_COMPARED_FRAMES)
     if scene.systems:
-        times, character = _times(scene, options or BakeOptions())
-        frame_numbers = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
+        times, character = _compared_times(scene, options or BakeOptions())
+        frame_numbers = np.linspace(
+            0, len(times) - 1, min(len(times), MAX_COMPARED_FRAMES)
+        )
         compared_times = times[frame_numbers.astype(np.int64)]
         for members, trial in system_trials(scene.systems, compared_times, character):
             write = partial(_write_systems, scene, members, trial)
@@ -105,12 +107,12 @@ def _write_systems(
 
 
 def _write_pass(
-    scene: Scene, at: int, setting: Setting, output: Path, name: str
+    scene: Scene, pass_index: int, setting: Setting, output: Path, name: str
 ) -> None:
     """Write a scene with another option of a pass."""
     passes = list(scene.passes)
-    options = replace(passes[at].options, **{name: setting[name]})
-    passes[at] = replace(passes[at], options=options)
+    options = replace(passes[pass_index].options, **{name: setting[name]})
+    passes[pass_index] = replace(passes[pass_index], options=options)
     _write(replace(scene, passes=tuple(passes)), output)
 
 
@@ -124,7 +126,7 @@ def _write(scene: Scene, output: Path) -> None:
     run_stage(plan)
 
 
-def _times(
+def _compared_times(
     scene: Scene, options: BakeOptions
 ) -> tuple[FloatArray, CharacterMotion | None]:
     """Return the compared times of systems [s], and the scene's character."""
@@ -157,8 +159,8 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
     scene = replace(scene, passes=scene.passes[: max(measured_passes, default=-1) + 1])
     trials = []
     steps = zip(scene.passes, scene.steps(), strict=False)
-    for at, (entry, (take, _)) in enumerate(steps):
-        if _solves(entry):
+    for pass_index, (entry, (take, _)) in enumerate(steps):
+        if _is_ik_pass(entry):
             with entry.location.located():
                 tracks = rig_and_tracks(
                     take, entry.options, scene.path.resolve().parent
@@ -166,7 +168,7 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
                 trials.append(
                     (entry.location, pass_trial(*tracks, settings_of(entry.options)))
                 )
-        if not _simulates(entry):
+        if not _is_spring_pass(entry):
             continue
         with entry.location.located():
             bodies = bodies_of(take.rig, entry.options.what)
@@ -174,20 +176,20 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
             options = replace(entry.options, what=(body.name,))
             pass_entry = replace(entry, options=options)
             trial = _attach_trial(scene, pass_entry, take, body, instants)
-            write = partial(_write_pass, full_scene, at, name="rate")
+            write = partial(_write_pass, full_scene, pass_index, name="rate")
             trials.append((entry.location, replace(trial, write=write)))
     return trials
 
 
 def _is_measured(entry: ScenePass) -> bool:
-    return _simulates(entry) or _solves(entry)
+    return _is_spring_pass(entry) or _is_ik_pass(entry)
 
 
-def _solves(entry: ScenePass) -> bool:
+def _is_ik_pass(entry: ScenePass) -> bool:
     return isinstance(entry.options, IkPassOptions)
 
 
-def _simulates(entry: ScenePass) -> bool:
+def _is_spring_pass(entry: ScenePass) -> bool:
     return isinstance(entry.options, SimulateOptions) and moves(entry.options)
 
 
@@ -203,7 +205,9 @@ def _attach_trial(
         """Return the result of the pass on a motion, and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
         changed_options = replace(entry.options, **options)
-        passed_stream = scene.passed(stream, replace(entry, options=changed_options))
+        passed_stream = scene.apply_entry(
+            stream, replace(entry, options=changed_options)
+        )
         result = Motion.concatenate(list(passed_stream.blocks))
         (report,) = passed_stream.simulated
         return result, report
@@ -212,16 +216,18 @@ def _attach_trial(
     frame_rate = float(clock.rate)
     rate = frame_rate * report["steps"]
 
-    def settings(shares: Sequence[float]) -> list[Setting]:
+    def settings(step_ratios: Sequence[float]) -> list[Setting]:
         # A frame has a whole number of steps.
-        steps = [math.ceil(rate / fraction / frame_rate - 1e-9) for fraction in shares]
+        steps = [
+            math.ceil(rate / fraction / frame_rate - 1e-9) for fraction in step_ratios
+        ]
         counts = dict.fromkeys(steps)
         return [Setting.of(ATTACH_METHOD, rate=count * frame_rate) for count in counts]
 
     def run(setting: Setting) -> TrialOutcome:
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         motion, report = run_pass(take.motion, rate=setting["rate"])
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - start_time
         points = _attachment_points(take.rig, body, motion.select(frames))
         shots = [Snapshot(shot_points) for shot_points in points]
         is_valid = bool(np.isfinite(points).all())
@@ -231,7 +237,7 @@ def _attach_trial(
             shots,
             Status.OK if is_valid else Status.UNSTABLE,
             "" if is_valid else "its state is not finite",
-            figures=_figures(report),
+            figures=_error_figures(report),
         )
 
     return Trial(
@@ -246,8 +252,8 @@ def _attach_trial(
     )
 
 
-def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
-    """Return the strain of an attachment and its penetration depth."""
+def _error_figures(report: Mapping[str, Any]) -> dict[Figure, float]:
+    """Return the strain of an attachment, and its penetration depth if reported."""
     figures = {Figure.STRETCH: float(report["stretch"])}
     if report["kind"] == AttachKind.CLOTH:
         figures[Figure.DEPTH] = float(report["depth"]["value"])

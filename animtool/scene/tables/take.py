@@ -51,11 +51,10 @@ CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fractio
 SAMPLE_RATES = (Fraction(1, 8), Fraction(1, 4), Fraction(1, 2), Fraction(1))
 # Tolerances relative to the size of the skeleton, rounded down to a power of ten.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
-# Instants between two frames of a curve; at the highest rate, one is between two
-# samples.
+# Compared times per frame of a curve; at the highest rate, one is between two samples.
 CURVE_INSTANTS = 8
-# Limits so that UsdSkel evaluates all instants in about a second, and of compared
-# points.
+# Maximum number of compared times, so that UsdSkel evaluates them in about a second;
+# and of compared points.
 MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
 
 RATE, SAMPLES, KEYS = "rate", "samples", "keys"
@@ -95,7 +94,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         if notice not in full_take.notices
     )
 
-    def open_source_again() -> Source:
+    def reopen_source() -> Source:
         # Results of passes are computed once.
         stream = TakeStream.of(take)
         if is_curved:
@@ -104,12 +103,12 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
     return [
         replace(
-            _samples(
-                path, open_source_again, plan, take, reference, rate, curved=is_curved
+            _sample_trial(
+                path, reopen_source, plan, take, reference, rate, is_curved=is_curved
             ),
             notices=outside_notices,
         ),
-        _keys(
+        _key_trial(
             path,
             take if step == 1 else resampled(take, rate),
             dict(options.reduce_at),
@@ -118,7 +117,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
 
 def _in_range(take: Take, plan: BakePlan) -> Take:
-    """Return the frames of a take that the output has."""
+    """Return the frames of a take that are in the range of the output."""
     frames, clock = plan.options.frame_range, take.clock
     if frames is None:
         return take
@@ -130,12 +129,12 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
     )
     start, end = (clock.start + n * clock.step for n in (0, clock.count - 1))
     if first > end or last < start:
-        ends = (
+        take_range = (
             plan.start + (frame - clock.start) / codes_per_frame
             for frame in (start, end)
         )
         raise OptionError(
-            replace(outside_take(frames, *ends), path=str(plan.takes[0].source))
+            replace(outside_take(frames, *take_range), path=str(plan.takes[0].source))
         )
     return trim(take, max(first, float(clock.start)), last)
 
@@ -165,7 +164,7 @@ class _ReferencePoints:
             motion = take.motion.select(frame_indices)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
-        snapshots = _shots(take.rig, motion.world(take.rig))
+        snapshots = _snapshots(take.rig, motion.world(take.rig))
         return _ReferencePoints(take.rig, frames / float(clock.rate), snapshots)
 
     def where(self, shot: int, point: int) -> str:
@@ -178,7 +177,7 @@ class _ReferencePoints:
         )
 
 
-def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
+def _snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return the points that joints carry, at each time."""
     attached_offsets = attached_points(rig, SHELL_DISTANCE)
     return [
@@ -197,27 +196,29 @@ def _tolerances(rig: Rig) -> list[float]:
     return [float(f"{fraction * scale:.12g}") for fraction in TOLERANCES]
 
 
-def _samples(
+def _sample_trial(
     path: Path,
-    open_source_stream: Callable[[], Source],
+    reopen_source: Callable[[], Source],
     plan: BakePlan,
     take: Take,
     reference: _ReferencePoints,
     rate: Fraction,
     *,
-    curved: bool,
+    is_curved: bool,
 ) -> Trial:
     """Return the trial of a take's samples in USD."""
     bake_options = plan.options
     trial_options = BakeOptions(source=bake_options.source, to_up=bake_options.to_up)
     fps = bake_options.fps if rate in {bake_options.fps, take.clock.rate} else rate
-    rates = [rate * fraction for fraction in (CURVE_RATES if curved else SAMPLE_RATES)]
-    by_label = {float(sample_rate): sample_rate for sample_rate in rates}
+    rates = [
+        rate * fraction for fraction in (CURVE_RATES if is_curved else SAMPLE_RATES)
+    ]
+    rate_by_value = {float(sample_rate): sample_rate for sample_rate in rates}
 
-    def options_of(setting: Setting) -> BakeOptions:
+    def options_for(setting: Setting) -> BakeOptions:
         setting_options = dict(setting.options)
         if setting.method == RATE:
-            return replace(trial_options, fps=by_label[setting_options["fps"]])
+            return replace(trial_options, fps=rate_by_value[setting_options["fps"]])
         return replace(trial_options, fps=fps, reduce=setting_options["reduce"])
 
     def run(setting: Setting) -> TrialOutcome:
@@ -225,18 +226,18 @@ def _samples(
             return TrialOutcome(0.0, take.clock.count, reference.snapshots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
-            started = time.perf_counter()
-            report = _bake(open_source_stream(), output, options_of(setting))
-            seconds = time.perf_counter() - started
+            start_time = time.perf_counter()
+            report = _write_stage(reopen_source(), output, options_for(setting))
+            seconds = time.perf_counter() - start_time
             codes = float(report.start) + reference.seconds * float(report.fps)
             world = usdskel_world(output, codes)
-        snapshots = _shots(reference.rig, world)
+        snapshots = _snapshots(reference.rig, world)
         return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:
-        _bake(open_source_stream(), output, options_of(setting))
+        _write_stage(reopen_source(), output, options_for(setting))
 
-    chosen = (
+    current_setting = (
         Setting.of(RATE, fps=float(rate))
         if bake_options.reduce is None
         else Setting.of(SAMPLES, reduce=bake_options.reduce)
@@ -248,7 +249,7 @@ def _samples(
         path.name,
         "samples in USD",
         float(take.clock.duration),
-        chosen,
+        current_setting,
         lambda: settings,
         lambda: [[SOURCE]],
         run,
@@ -256,7 +257,7 @@ def _samples(
         CostMeasure.BYTES,
         "samples",
         where=reference.where,
-        lines=lambda setting: [_scene_text(path, setting, by_label)],
+        lines=lambda setting: [_scene_text(path, setting, rate_by_value)],
         write=write,
         size=points_extent(reference.snapshots[:1]),
     )
@@ -287,22 +288,24 @@ class _BakedFile:
     fps: Fraction
 
 
-def _bake(source: Source, output: Path, options: BakeOptions) -> _BakedFile:
+def _write_stage(source: Source, output: Path, options: BakeOptions) -> _BakedFile:
     plan = plan_stage(source, output, replace(options, overwrite=True))
     # Systems next to the take have no joints to measure.
-    result = run_stage(replace(plan, prims=plan.prims[:1], watch=None)).result
+    result = run_stage(replace(plan, prims=plan.prims[:1], recorder=None)).result
     return _BakedFile(result.samples, result.bytes, plan.start, plan.fps)
 
 
-def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
+def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Trial:
     """Return the trial of a take as keys of a clip."""
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
             return TrialOutcome(0.0, take.clock.count, [Snapshot(np.zeros((0, 3)))])
-        started = time.perf_counter()
-        reduction = reduce_motion(take, setting["reduce"], joint_tolerances=others)
-        seconds = time.perf_counter() - started
+        start_time = time.perf_counter()
+        reduction = reduce_motion(
+            take, setting["reduce"], joint_tolerances=joint_tolerances
+        )
+        seconds = time.perf_counter() - start_time
         seconds_at = reduction.frame / float(take.clock.rate)
         error = PointDistances(reduction.error, reduction.error, reduction.error)
         location = f"{reduction.joint} at {seconds_at:.2f} s"

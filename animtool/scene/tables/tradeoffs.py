@@ -1,4 +1,4 @@
-"""Tables of time against error, for everything that an input offers."""
+"""Tables of time against error for all results of a scene or motion file."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def measure_tradeoffs(
     report = _measure_trials(source_file(source), trials, budget, progress)
     if folder is None:
         return report
-    return replace(report, pairs=_pairs(trials, report.tables, folder))
+    return replace(report, pairs=_write_pairs(trials, report.tables, folder))
 
 
 def suite_tradeoffs(
@@ -172,24 +172,24 @@ def _measure_trials(
     return Tradeoffs(path, tables, notices + _over_budget(path, tables), budget)
 
 
-def _pairs(
+def _write_pairs(
     trials: Sequence[tuple[EntryLocation | None, Trial]],
     tables: Sequence[TrialTable],
     folder: Path,
 ) -> list[Pair]:
     """Write two settings of each table as stages."""
-    pairs = []
+    stage_pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
-        other_setting = _row_to_compare(table)
-        if trial.write is None or other_setting is None:
+        other_row = _row_to_compare(table)
+        if trial.write is None or other_row is None:
             continue
-        settings = (table.chosen.setting, other_setting.setting)
+        settings = (table.chosen.setting, other_row.setting)
         names = (f"table{i + 1}_present.usdc", f"table{i + 1}_other.usdc")
         files = (folder / names[0], folder / names[1])
         for setting, file in zip(settings, files, strict=True):
             trial.write(setting, file)
-        pairs.append(Pair(i, settings, files, trial.size))
-    return pairs
+        stage_pairs.append(Pair(i, settings, files, trial.size))
+    return stage_pairs
 
 
 def _row_to_compare(table: TrialTable) -> TrialRow | None:
@@ -197,8 +197,10 @@ def _row_to_compare(table: TrialTable) -> TrialRow | None:
     recommended_row = table.recommended
     if recommended_row is not None and not recommended_row.chosen:
         return recommended_row
-    works = [row for row in table.rows if row.error is not None and not row.chosen]
-    return next(iter([row for row in works if row.best] or works), None)
+    usable_rows = [
+        row for row in table.rows if row.error is not None and not row.chosen
+    ]
+    return next(iter([row for row in usable_rows if row.best] or usable_rows), None)
 
 
 def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:

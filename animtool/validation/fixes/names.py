@@ -199,10 +199,10 @@ def rename_edits(
 ) -> Iterator[Edit]:
     """Yield the edits that rename entries of a list, wherever a rig file names them."""
     for use in NAME_PATHS[key]:
-        for at, name in _names_at(value, tuple(use.split("/")), ()):
+        for value_path, name in _names_at(value, tuple(use.split("/")), ()):
             if use.endswith("{}"):
                 if name in new:
-                    yield Rename(at, new[name])
+                    yield Rename(value_path, new[name])
                 continue
             joint, part = name, ""
             if use.endswith("drives/*/joint"):
@@ -210,10 +210,12 @@ def rename_edits(
             elif use.endswith("driven/by"):
                 joint, part = split_coordinate(name)
             if joint in new:
-                yield Replace(at, f"{new[joint]}.{part}" if part else new[joint])
+                yield Replace(
+                    value_path, f"{new[joint]}.{part}" if part else new[joint]
+                )
     if key == "joints":
         yield from _expression_edits(value, new)
-    for at, where in _names_at(value, ("ignore", "*", "where"), ()):
+    for value_path, where in _names_at(value, ("ignore", "*", "where"), ()):
         location = where
         for old, name in new.items():
             lists = "|".join(_LIST_NAMES[key])
@@ -221,7 +223,7 @@ def rename_edits(
                 rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", location
             )
         if location != where:
-            yield Replace(at, location)
+            yield Replace(value_path, location)
 
 
 def _expression_edits(
@@ -229,29 +231,29 @@ def _expression_edits(
 ) -> Iterator[Edit]:
     """Yield the edits that rename joints in expressions of drivers."""
     for use in EXPRESSION_PATHS:
-        for at, text in _names_at(value, tuple(use.split("/")), ()):
+        for location, text in _names_at(value, tuple(use.split("/")), ()):
             expression = parse_expression(text, coordinates=True)
             new_expression = expression.renamed(
                 renamed_coordinates(expression.names, new)
             )
             if new_expression != expression:
-                yield Replace(at, new_expression.text)
+                yield Replace(location, new_expression.text)
 
 
 def _names_at(
-    node: Any, steps: tuple[str, ...], at: Location
+    node: Any, steps: tuple[str, ...], location: Location
 ) -> Iterator[tuple[Location, str]]:
     """Yield the names at a path of `NAME_PATHS`, and their locations."""
     if not steps:
         if isinstance(node, str):
-            yield at, node
+            yield location, node
         return
     step, *later_steps = steps
     if step == "{}":
         for key in node if isinstance(node, dict) else ():
-            yield (*at, key), key
+            yield (*location, key), key
     elif step == "*":
         for i, entry in enumerate(node if isinstance(node, list) else ()):
-            yield from _names_at(entry, tuple(later_steps), (*at, i))
+            yield from _names_at(entry, tuple(later_steps), (*location, i))
     elif isinstance(node, dict) and step in node:
-        yield from _names_at(node[step], tuple(later_steps), (*at, step))
+        yield from _names_at(node[step], tuple(later_steps), (*location, step))

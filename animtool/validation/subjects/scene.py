@@ -109,12 +109,12 @@ def open_scene(
 
 def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
     """Return the errors of a bake, and warnings about initial states of systems."""
-    from animtool.scene.bake.outline import outlined  # loads USD
-    from animtool.scene.bake.plan import refusals
+    from animtool.scene.bake.outline import create_outline  # loads USD
+    from animtool.scene.bake.plan import planning_faults
 
     refused_faults = [
         replace(fault, code=REFUSED_CODE) if fault.code in OPTION_CODES else fault
-        for fault in refusals(outlined(scene, None), take)
+        for fault in planning_faults(create_outline(scene, None), take)
     ]
     return [*refused_faults, *_system_errors(scene, take)]
 

@@ -15,7 +15,7 @@ from animtool.core.errors import OptionError
 from animtool.core.rates import FractionLike
 from animtool.core.shot import FrameRange, Shot
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.scene.bake.options import BakeOptions, merged
+from animtool.scene.bake.options import BakeOptions, with_fallbacks
 from animtool.scene.bake.reading import check_options
 
 RIG = Path("rig.usda")
@@ -87,7 +87,7 @@ def test_what_stdout_cannot_hold(given: dict[str, Any]) -> None:
 def test_options_come_before_those_of_an_output() -> None:
     own = BakeOptions(fps=Fraction(30), sparse=True, reduce=0.1)
     others = BakeOptions(fps=Fraction(24), bones=True, reduce=0.2, prim_path="/a")
-    found = merged(own, others)
+    found = with_fallbacks(own, others)
     assert (found.fps, found.reduce, found.sparse) == (30, 0.1, True)
     assert (found.bones, found.prim_path) == (True, "/a")
 

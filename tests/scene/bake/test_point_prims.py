@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from animtool.motion.motion import Channel, Motion
 from animtool.scene.bake import deformed_character
-from animtool.scene.bake.deformed_character import pieces
+from animtool.scene.bake.deformed_character import motion_pieces
 
 
 def motion_of(codes: np.ndarray) -> Motion:
@@ -41,7 +41,7 @@ def test_pieces_are_the_motion_with_their_neighbours(
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(deformed_character, "PIECE_FRAMES", most)
-        found = list(pieces(blocks(lengths), neighbours=neighbours))
+        found = list(motion_pieces(blocks(lengths), neighbours=neighbours))
     own = []
     for codes, motion, kept in found:
         assert_array_equal(motion.translations.dense()[:, 0, 0], codes)

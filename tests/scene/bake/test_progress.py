@@ -161,7 +161,7 @@ SIZE = 64_000_000
 
 
 def test_nothing_is_known_before_it_begins() -> None:
-    assert PeakMemory().taken() is None
+    assert PeakMemory().peak_since_last_call() is None
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
@@ -171,20 +171,20 @@ def test_each_peak_is_one_since_the_last() -> None:
     peak.begin()
     for _ in range(2):
         np.ones(SIZE // 8)
-        assert (peak.taken() or 0) > 0.9 * SIZE
-        assert (peak.taken() or 0) < 0.5 * SIZE
+        assert (peak.peak_since_last_call() or 0) > 0.9 * SIZE
+        assert (peak.peak_since_last_call() or 0) < 0.5 * SIZE
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no resource")
 def test_systems_without_a_peak_of_their_own(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(progress, "_STATUS", str(tmp_path / "none"))
+    monkeypatch.setattr(progress, "_STATUS_PATH", str(tmp_path / "none"))
     peak = PeakMemory()
     peak.begin()
-    assert (peak.base or 0) > 1_000_000
-    assert (peak.taken() or 0) >= 0
+    assert (peak.base_bytes or 0) > 1_000_000
+    assert (peak.peak_since_last_call() or 0) >= 0
     (tmp_path / "none").write_text("Name: python\n")
-    assert peak.taken() is not None
+    assert peak.peak_since_last_call() is not None
     monkeypatch.setattr(sys, "platform", "win32")
-    assert peak.taken() is None
+    assert peak.peak_since_last_call() is None

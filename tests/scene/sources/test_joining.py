@@ -26,7 +26,7 @@ from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file.read import load_scene
 from animtool.scene.file.tracks import TrackNames
-from animtool.scene.sources.joining import SourcePart, joined
+from animtool.scene.sources.joining import JoinedSource, join_sources
 from animtool.scene.sources.onto_rig import on_rig
 
 GRIN = Control("grin", drives=(Drive("shape/smile"), Drive("joint/jaw.rotation.x")))
@@ -50,9 +50,9 @@ def note(
     return Fault(code, message, hint=hint, severity=severity)
 
 
-def part(take: Take, **given: object) -> SourcePart:
+def part(take: Take, **given: object) -> JoinedSource:
     stream = TakeStream.of(take)
-    made = SourcePart(stream, None, None, None, note)
+    made = JoinedSource(stream, None, None, None, note)
     return replace(made, **given)
 
 
@@ -94,7 +94,7 @@ def test_named_tracks_are_taken_and_others_stay() -> None:
     body = numbered(HERO, 5, bare=True)
     face = numbered(HERO, 5)
     wanted = TrackNames(joints=("jaw",), shapes=("*",))
-    made = joined(part(still(HERO, 5)), [part(face, tracks=wanted)]).collect()
+    made = join_sources(part(still(HERO, 5)), [part(face, tracks=wanted)]).collect()
     np.testing.assert_array_equal(
         made.motion.translations.dense()[:, 2], face.motion.translations.dense()[:, 2]
     )
@@ -111,7 +111,7 @@ def test_named_tracks_are_taken_and_others_stay() -> None:
 def test_a_control_brings_what_it_drives() -> None:
     face = numbered(HERO, 4)
     wanted = TrackNames(controls=("grin",))
-    made = joined(part(still(HERO, 4)), [part(face, tracks=wanted)]).collect()
+    made = join_sources(part(still(HERO, 4)), [part(face, tracks=wanted)]).collect()
     motion = made.motion
     assert motion.translations.animated.tolist() == [2]
     assert motion.weights is not None
@@ -127,7 +127,7 @@ def test_without_names_a_source_brings_what_it_moves() -> None:
     weights = np.zeros((4, 2, 1))
     weights[:, 1, 0] = 0.25
     held = replace(face.motion, weights=Channel.from_dense(weights))
-    made = joined(part(numbered(HERO, 4)), [part(replace(face, motion=held))])
+    made = join_sources(part(numbered(HERO, 4)), [part(replace(face, motion=held))])
     motion = made.collect().motion
     assert motion.weights is not None
     np.testing.assert_array_equal(motion.weights.dense()[:, 0, 0], np.arange(4.0))
@@ -151,7 +151,7 @@ def test_time_codes_say_where_a_source_starts(
     stated: tuple[str | None, str | None], first: float
 ) -> None:
     others = [part(numbered(HERO, 6), timecode=stated[1], tracks=SMILE)]
-    stream = joined(part(numbered(HERO, 6), timecode=stated[0]), others)
+    stream = join_sources(part(numbered(HERO, 6), timecode=stated[0]), others)
     weights = stream.collect().motion.weights
     assert weights is not None
     wanted = np.clip(np.arange(6) + first, 0, 5)
@@ -170,7 +170,7 @@ def test_rates_that_differ() -> None:
         timecode_fps=Fraction(30),
     )
     base = part(numbered(HERO, 8, 24), timecode="01:00:00:03")
-    stream = joined(base, [face])
+    stream = join_sources(base, [face])
     weights = stream.collect().motion.weights
     assert weights is not None
     # 0.2 s and 0.125 s behind the hour: 0.075 s, or 9 frames at 120 fps.
@@ -181,22 +181,22 @@ def test_rates_that_differ() -> None:
 def test_frames_that_are_lacking_are_named() -> None:
     tracks = TrackNames(shapes=("*",))
     others = [part(numbered(HERO, 3), timecode="01:00:00:02", tracks=tracks)]
-    stream = joined(part(numbered(HERO, 9), timecode="01:00:00:00"), others)
+    stream = join_sources(part(numbered(HERO, 9), timecode="01:00:00:00"), others)
     assert codes(stream) == ["SCN103"]
     assert "1001 to 1002 and 1006 to 1009" in stream.notices[0].message
 
 
 def test_a_last_frame_lasts_until_the_next_would_come() -> None:
     tracks = TrackNames(shapes=("*",))
-    stream = joined(
+    stream = join_sources(
         part(numbered(HERO, 10, 120)), [part(numbered(HERO, 5, 60), tracks=tracks)]
     )
     assert codes(stream) == []
 
 
-def refused(*parts: SourcePart) -> list[str]:
+def refused(*parts: JoinedSource) -> list[str]:
     with pytest.raises(OptionError) as caught:
-        joined(parts[0], parts[1:]).collect()
+        join_sources(parts[0], parts[1:]).collect()
     return [fault.code for fault in caught.value.faults]
 
 
@@ -219,11 +219,11 @@ def test_what_is_refused() -> None:
 
 def test_two_that_bring_the_same_are_named() -> None:
     faces = [part(numbered(HERO, 4)) for _ in range(2)]
-    stream = joined(part(numbered(HERO, 4)), faces)
+    stream = join_sources(part(numbered(HERO, 4)), faces)
     assert codes(stream) == ["SCN105"]
     named = [replace(face, tracks=TrackNames(joints=("jaw",))) for face in faces]
     named = [replace(p, stream=TakeStream.of(numbered(HERO, 4))) for p in named]
-    assert codes(joined(part(numbered(HERO, 4)), named)) == []
+    assert codes(join_sources(part(numbered(HERO, 4)), named)) == []
 
 
 def in_blocks(take: Take, size: int) -> Iterator[Motion]:
@@ -239,9 +239,11 @@ def test_blocks_are_the_whole(take: Take, size: int, late: int) -> None:
     other = numbered(rig, 3)
     stated = {"timecode": f"00:00:00:0{late}"}
     first = part(take, timecode="00:00:00:00")
-    whole = joined(first, [part(other, **stated)]).collect()
+    whole = join_sources(first, [part(other, **stated)]).collect()
     blocks = replace(TakeStream.of(take), blocks=in_blocks(take, size))
-    made = joined(replace(first, stream=blocks), [part(other, **stated)]).collect()
+    made = join_sources(
+        replace(first, stream=blocks), [part(other, **stated)]
+    ).collect()
     for ours, theirs in zip(made.motion.dense(), whole.motion.dense(), strict=True):
         if ours is not None or theirs is not None:
             np.testing.assert_array_equal(ours, theirs)
@@ -249,7 +251,7 @@ def test_blocks_are_the_whole(take: Take, size: int, late: int) -> None:
 
 @given(takes(least=2))
 def test_a_source_of_the_same_rig_replaces_all_that_it_moves(take: Take) -> None:
-    made = joined(
+    made = join_sources(
         part(still(take.rig, take.clock.count)), [part(numbered(take.rig, 3))]
     )
     motion = made.collect().motion
@@ -400,9 +402,9 @@ def keyed_grin(fps: int, delay: str) -> TakeStream:
     ends = np.array([[0.0], [1.0]])
     curves = cubic_curves(np.array([1003.0, 1033.5]), ends, 0 * ends, 0 * ends)
     stream = replace(TakeStream.of(face), control_curves={"grin": curves})
-    source = SourcePart(stream, TrackNames(controls=("grin",)), delay, None, note)
+    source = JoinedSource(stream, TrackNames(controls=("grin",)), delay, None, note)
     base = replace(TakeStream.of(still(HERO, 20)), start=Fraction(7010, 7))
-    return joined(SourcePart(base, None, "23:59:59:22", None, note), [source])
+    return join_sources(JoinedSource(base, None, "23:59:59:22", None, note), [source])
 
 
 @pytest.mark.parametrize(

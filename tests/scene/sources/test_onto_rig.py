@@ -30,7 +30,7 @@ def test_of_joints_with_one_name_the_one_below_the_same_parent(
     names = map_names(rig, other)
     parents = [other.names[other.joints[j].parent] for j in names.joints[[2, 4]]]
     assert parents == ["l", "r"]
-    assert names.spare == ()
+    assert names.unmatched_joints == ()
 
 
 def test_a_name_below_another_parent_is_still_found() -> None:

@@ -13,7 +13,7 @@ from support.cli import animtool
 
 from animtool.core.errors import FormatError
 from animtool.report.describe_scene import describe_scene
-from animtool.scene.bake.outline import outlined
+from animtool.scene.bake.outline import create_outline
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems import simulation
@@ -85,13 +85,13 @@ def test_only_what_is_needed_is_simulated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[list[str]] = []
-    one_after_another = simulation.in_order
+    one_after_another = simulation.simulation_order
 
     def in_order(systems):  # type: ignore[no-untyped-def]
         opened.append([system.name for system in systems])
         return one_after_another(systems)
 
-    monkeypatch.setattr(simulation, "in_order", in_order)
+    monkeypatch.setattr(simulation, "simulation_order", in_order)
     path = written(tmp_path, " {file: snow.usdc, systems: [snow]}")
     assert animtool("bake", path).code == 0
     assert opened == [["flag", "snow"]]
@@ -138,7 +138,7 @@ def test_plans_and_info_say_what_goes_where(tmp_path: Path) -> None:
         "\n- {file: snow.usdc, systems: [snow]}\n- {file: flag.usdc, systems: [flag]}"
     )
     scene = load_scene(written(tmp_path, text))
-    steps = bake_steps(outlined(scene, None))
+    steps = bake_steps(create_outline(scene, None))
     systems = [step.name for step in steps if step.kind is StepKind.SYSTEM]
     made = [step.makes[0] for step in steps if step.kind is StepKind.OUTPUT]
     assert systems == ["flag", "snow"]
@@ -148,7 +148,7 @@ def test_plans_and_info_say_what_goes_where(tmp_path: Path) -> None:
     ]
     found = describe_scene(scene)
     assert [output.systems for output in found.outputs] == [["snow"], ["flag"]]
-    files = outlined(scene, None).files
+    files = create_outline(scene, None).files
     assert [path.name for path in files] == ["snow.usdc", "flag.usdc"]
 
 

@@ -186,7 +186,7 @@ def test_a_file_with_a_method_is_simulated_by_it(tmp_path: Path) -> None:
     euler = run(tmp_path, method="euler", step=0.02)
     for t, shot in zip(TIMES, trial.run(setting).snapshots, strict=True):
         assert_array_equal(euler.at(t).points, shot.points)
-    assert system(tmp_path, method="euler").setup.makes == (
+    assert system(tmp_path, method="euler").setup.result_text == (
         "it, by euler in steps of 0.01 s"
     )
 

@@ -15,7 +15,7 @@ from support.simulated import Simulator
 
 from animtool import BakeOptions
 from animtool.core.errors import FormatError
-from animtool.scene.systems.simulation import clocked, open_systems
+from animtool.scene.systems.simulation import open_systems, state_clock
 from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.saved import write_states
 
@@ -193,7 +193,7 @@ def opened(folder: Path, **keys: Any) -> SimulationRun:
     assert isinstance(run, SimulationRun)
     if "resume" not in keys:
         run.at(0.253)
-        write_states(folder / "half.npz", {"": (clocked(system, run), run.state)})
+        write_states(folder / "half.npz", {"": (state_clock(system, run), run.state)})
     return run
 
 
@@ -277,7 +277,7 @@ def test_a_state_that_springs_cannot_go_on_from_is_refused(
     (system,) = Simulator(tmp_path).scene([{"rope": ROPE}]).systems
     (rope,) = open_systems([system], 0.5)
     rope.at(0.25)
-    reached = clocked(system, rope.run), rope.run.state
+    reached = state_clock(system, rope.run), rope.run.state
     write_states(tmp_path / "half.npz", {"": reached})
     changes, word = SPRINGS[case]
     other(tmp_path / "half.npz", **changes)
@@ -299,7 +299,7 @@ def test_a_state_whose_attitudes_are_no_rotations_is_refused(
     (system,) = Simulator(tmp_path).scene([{"rigid": keys}]).systems
     (body,) = open_systems([system], 0.5)
     body.at(0.25)
-    reached = clocked(system, body.run), body.run.state
+    reached = state_clock(system, body.run), body.run.state
     path = tmp_path / "half.npz"
     write_states(path, {"": reached})
     resumed = [{"rigid": {**keys, "resume": "half.npz"}}]
