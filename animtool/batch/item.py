@@ -64,7 +64,7 @@ def input_names(file: MatchedFile) -> dict[str, str]:
         "input": path.absolute().as_posix(),
         "folder": path.parent.absolute().as_posix(),
         "name": path.name,
-        "parent": path.parent.relative_to(file.base).as_posix(),
+        "parent": path.parent.relative_to(file.search_folder).as_posix(),
         "stem": source_stem(path),
     }
 

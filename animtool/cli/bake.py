@@ -13,8 +13,8 @@ from animtool.cli.bake_options import (
     bake_options_record,
     bake_shot,
     default_bake_output,
+    load_sources,
     only_scene,
-    opened_sources,
     until_pass,
 )
 from animtool.cli.console import Console
@@ -30,9 +30,9 @@ from animtool.cli.outputs import (
     goes_to_stdout,
     plot_option,
     print_tradeoffs,
-    refuse_alone,
+    refuse_plot_without_table,
     refuse_swapped,
-    skipped,
+    skip_existing_outputs,
     writing_options,
 )
 from animtool.core.record import dataclass
@@ -144,45 +144,45 @@ def bake(
     sources, output = bake_shot(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
-    opened = opened_sources(sources, dict(params["variables"]))
-    opened = until_pass(opened, params["until"])
+    loaded_sources = load_sources(sources, dict(params["variables"]))
+    loaded_sources = until_pass(loaded_sources, params["until"])
     if params["table"]:
-        _measure(console, opened, output, params)
+        _measure(console, loaded_sources, output, params)
         return
-    scene = only_scene(opened)
+    scene = only_scene(loaded_sources)
     if scene is not None and output is not None and len(scene.outputs) > 1:
         raise click.UsageError("The scene names its outputs: remove -o.")
     if output is None and (scene is None or scene.output is None):
-        output = default_bake_output(opened[0])
+        output = default_bake_output(loaded_sources[0])
     from animtool.scene.bake.outline import create_outline
 
-    outline = create_outline(opened, output, bake_options_record(params))
+    outline = create_outline(loaded_sources, output, bake_options_record(params))
     if params["plan"]:
-        _plan(console, outline, params)
+        _print_plan(console, outline, params)
         return
     if scene is not None:
         _check_library(scene, params)
         if params["stats"]:
             scene.meter.start()
-    _bake(console, outline, params, to_stdout=to_stdout)
+    _bake_outputs(console, outline, params, to_stdout=to_stdout)
 
 
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
-    """Refuse a missing source where -o exists, or that was meant as the output."""
-    last = sources[-1]
-    is_usd = last.suffix in USD_SUFFIXES
+    """Refuse a missing source if -o exists or if it was meant as the output."""
+    last_source = sources[-1]
+    is_usd = last_source.suffix in USD_SUFFIXES
     if len(sources) == 1 and output is not None:
-        refuse_swapped(last, output, "SOURCE and -o")
-    forgotten = is_usd and sources[0].exists() and not last.exists()
-    if len(sources) == 2 and output is None and forgotten:
-        text = f"{last} does not exist; to write it, use -o {last}"
+        refuse_swapped(last_source, output, "SOURCE and -o")
+    is_missing_output = is_usd and sources[0].exists() and not last_source.exists()
+    if len(sources) == 2 and output is None and is_missing_output:
+        text = f"{last_source} does not exist; to write it, use -o {last_source}"
         raise click.UsageError(text)
 
 
 def _refuse_capture(source: Path, output: Path) -> None:
     """Refuse to overwrite a capture with its bake; the hint names both options."""
-    is_stage = source.suffix in USD_SUFFIXES and source.exists()
-    if is_stage and output.suffix == ".bvh" and output.is_file():
+    is_existing_stage = source.suffix in USD_SUFFIXES and source.exists()
+    if is_existing_stage and output.suffix == ".bvh" and output.is_file():
         text = f"{output} already exists: to bake it, write animtool bake {output} -o "
         text += f"{source} --overwrite; to replace it, add --overwrite"
         raise click.UsageError(text)
@@ -194,13 +194,13 @@ def _check_usage(params: dict[str, Any]) -> None:
         raise click.UsageError("--split writes a stage in three files, not --as layer.")
     if params["plan"] and params["table"]:
         raise click.UsageError("--plan and --table write nothing: use one of them.")
-    refuse_alone(params)
+    refuse_plot_without_table(params)
     if params["stats"] and (params["plan"] or params["table"]):
         raise click.UsageError("--stats measures a bake: remove --plan or --table.")
 
 
 def _check_library(scene: Scene, params: dict[str, Any]) -> None:
-    """Refuse `--skip-existing` for a clip library that a take is added to."""
+    """Refuse `--skip-existing` if a take is added to a clip library."""
     if params["skip_existing"] and any(
         output.bake.form == "library" for output in scene.outputs
     ):
@@ -210,7 +210,7 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
         raise click.UsageError(message)
 
 
-def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
+def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print what a bake would do."""
     from animtool.cli.summary import PLAN
     from animtool.scene.bake.steps import PlanSteps, bake_steps
@@ -218,7 +218,7 @@ def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     console.report(params["report_format"], PlanSteps(bake_steps(outline)), PLAN)
 
 
-def _bake(
+def _bake_outputs(
     console: Console, outline: Outline, params: dict[str, Any], *, to_stdout: bool
 ) -> None:
     """Bake to the requested outputs."""
@@ -229,7 +229,9 @@ def _bake(
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
     shown_output = files[0] if has_several else outline.outputs[0].path
-    if skipped(console, "bake", params, shown_output, lambda: outline.files):
+    if skip_existing_outputs(
+        console, "bake", params, shown_output, lambda: outline.files
+    ):
         return
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
     progress_bar = console.progress(f"bake {label}", stdout=to_stdout)
@@ -249,7 +251,7 @@ class BakeResult:
 
     @property
     def head(self) -> dict[str, str]:
-        """Name of the report; empty where it is in the only one."""
+        """Command and version; empty for a single report, which contains them."""
         return {"bake": VERSION} if self.several else {}
 
     @property
@@ -271,7 +273,7 @@ def _print_reports(
     *,
     several: bool,
 ) -> None:
-    """Print the reports of all outputs, as JSON or as text.
+    """Print the reports of all outputs, as JSON or as text; stages need a scene.
 
     No scene has no stages.
     """

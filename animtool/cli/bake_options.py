@@ -20,7 +20,7 @@ from animtool.cli.options import (
     source_option,
     source_options,
     source_options_record,
-    stacked,
+    stack_options,
 )
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import exists
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
-def opened_sources(
+def load_sources(
     sources: Sequence[Path], variables: dict[str, str]
 ) -> list[Path | Scene]:
     """Return the sources; scene files are loaded."""
-    sources_opened: list[Path | Scene] = []
+    loaded_sources: list[Path | Scene] = []
     used_variables: set[str] = set()
     for source in sources:
         if exists(source) and source.is_dir():
@@ -45,34 +45,36 @@ def opened_sources(
             message = "cannot be read: it is a folder"
             raise FormatError(Fault("IO001", message, str(source), (), hint))
         if not has_kind_suffix(source, "scene"):
-            sources_opened.append(source)
+            loaded_sources.append(source)
             continue
         from animtool.scene.file.read import load_scene
 
         scene = load_scene(source, variables)
         used_variables |= scene.variables
-        sources_opened.append(scene)
+        loaded_sources.append(scene)
     if variables:
-        only = sources[0] if len(sources) == 1 else None
-        check_unused(variables, used_variables, only)
-    return sources_opened
+        single_source = sources[0] if len(sources) == 1 else None
+        check_unused(variables, used_variables, single_source)
+    return loaded_sources
 
 
-def until_pass(opened: list[Path | Scene], stop: str | None) -> list[Path | Scene]:
-    """Return the sources; the scene's passes after the named one are dropped."""
-    if stop is None:
-        return opened
-    scene = only_scene(opened)
+def until_pass(
+    sources: list[Path | Scene], last_pass: str | None
+) -> list[Path | Scene]:
+    """Return the sources, the scene without the passes after the named one."""
+    if last_pass is None:
+        return sources
+    scene = only_scene(sources)
     if scene is None:
         raise click.UsageError("--until needs a SOURCE that is one scene.")
-    return [scene.until(stop)]
+    return [scene.until(last_pass)]
 
 
-def only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
+def only_scene(sources: Sequence[Path | Scene]) -> Scene | None:
     """Return the scene if it is the only source."""
-    if len(opened) > 1 or isinstance(opened[0], Path):
+    if len(sources) > 1 or isinstance(sources[0], Path):
         return None
-    return opened[0]
+    return sources[0]
 
 
 def default_bake_output(source: Path | Scene) -> Path:
@@ -101,7 +103,7 @@ SHOT_OPTIONS = (
 )
 # Order of the options in ``--help``; options of records that are missing here come
 # last.
-_ORDER: tuple[str | Callable[[Command], Command], ...] = (
+_OPTION_ORDER: tuple[str | Callable[[Command], Command], ...] = (
     "form",
     click.option(
         "--split",
@@ -126,11 +128,16 @@ _DECLARED_ELSEWHERE = {"strict", "overwrite", "take"}
 
 
 _OTHER_OPTIONS = [
-    n for n in options_of(BakeOptions) if n not in {*_ORDER, *_DECLARED_ELSEWHERE}
+    n
+    for n in options_of(BakeOptions)
+    if n not in {*_OPTION_ORDER, *_DECLARED_ELSEWHERE}
 ]
 # All options of `BakeOptions`, and those that describe the source.
-bake_options = stacked(
-    *(bake_option(n) if isinstance(n, str) else n for n in (*_ORDER, *_OTHER_OPTIONS))
+bake_options = stack_options(
+    *(
+        bake_option(n) if isinstance(n, str) else n
+        for n in (*_OPTION_ORDER, *_OTHER_OPTIONS)
+    )
 )
 
 

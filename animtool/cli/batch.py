@@ -24,7 +24,7 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
     Count,
-    Parsed,
+    ParsedType,
     bake_option,
     common_options,
     count_or_auto,
@@ -42,31 +42,31 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class _Numbers:
+class _ItemRange:
     """A range of item numbers."""
 
     first: int
     last: int
     open: bool = False
 
-    def among(self, count: int) -> tuple[int, int]:
-        """Return the first and last number, limited to the number of items."""
+    def clamp(self, count: int) -> tuple[int, int]:
+        """Return the first and last number, clamped to the number of items."""
         open_end = self.open and self.first <= count
         return self.first, min(self.last, count) if open_end else self.last
 
 
-def _numbers(text: str) -> _Numbers:
+def _parse_item_range(text: str) -> _ItemRange:
     match = re.fullmatch(r"(\d{1,9})(?:([-+])(\d{1,9}))?", text)
     if match is None:
         message = f"{text!r} is neither a number nor a range such as 1-20 or 1+20"
         raise ValueError(message)
     first, last = int(match[1]), int(match[3] or match[1])
     if match[2] == "+":
-        return _Numbers(first, first + last - 1, open=True)
-    return _Numbers(first, last)
+        return _ItemRange(first, first + last - 1, open=True)
+    return _ItemRange(first, last)
 
 
-def _name(text: str) -> str:
+def _parse_record_name(text: str) -> str:
     if re.fullmatch(r"[\w-][\w.-]*", text) is None:
         raise ValueError(
             f"{text!r} is not a valid name: use letters, digits, '_', '-' and '.'"
@@ -74,13 +74,13 @@ def _name(text: str) -> str:
     return text
 
 
-def _size(text: str) -> int:
+def _parse_size(text: str) -> int:
     from animtool.batch.spec import parse_bytes
 
     return parse_bytes(text)
 
 
-def _seconds(text: str) -> float:
+def _parse_duration(text: str) -> float:
     from animtool.batch.spec import parse_seconds
 
     return parse_seconds(text)
@@ -127,7 +127,7 @@ Examples:
 @click.option(
     "-j",
     "--jobs",
-    type=Parsed("processes", count_or_auto),
+    type=ParsedType("processes", count_or_auto),
     metavar="N|auto",
     help="Number of processes.  [default: auto, one per processor]",
 )
@@ -141,14 +141,14 @@ Examples:
 @click.option(
     "--items",
     "numbers",
-    type=Parsed("range", _numbers),
+    type=ParsedType("range", _parse_item_range),
     metavar="A-B|A+N",
     help="Run only some items, numbered from 1 in the order of their names: A to B, "
     "or N of them from A. Other runs may build the others at the same time.",
 )
 @click.option(
     "--name",
-    type=Parsed("name", _name),
+    type=ParsedType("name", _parse_record_name),
     metavar="NAME",
     help="Name of the records; runs with other names may run at the same time.  "
     "[default: the batch file's name, else batch]",
@@ -177,18 +177,18 @@ Examples:
 )
 @click.option(
     "--time-limit",
-    type=Parsed("seconds", _seconds),
+    type=ParsedType("seconds", _parse_duration),
     metavar="SECONDS",
     help="Time limit of each item.",
 )
 @click.option(
     "--memory-limit",
-    type=Parsed("size", _size),
+    type=ParsedType("size", _parse_size),
     metavar="SIZE",
     help="Memory limit of the process that builds an item, such as 2GB.",
 )
-@bake_option("strict", about="Treat warnings as errors.")
-@bake_option("overwrite", about="Replace files that no run of the batch made.")
+@bake_option("strict", help_text="Treat warnings as errors.")
+@bake_option("overwrite", help_text="Replace files that no run of the batch made.")
 @click.option(
     "--format",
     "report_format",
@@ -244,7 +244,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     from animtool.cli.batch_progress import (
         openjd_failure,
         openjd_lines,
-        shown_progress,
+        show_progress,
     )
 
     if params["fail_fast"] and params["max_failures"] not in {None, 1}:
@@ -255,14 +255,14 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     openjd = params["lines"] == "openjd"
     if openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
-    with openjd_failure(console.calling, asked=openjd):
-        resolved_batch = find_batch(_spec(inputs, params))
+    with openjd_failure(console.namer, is_requested=openjd):
+        resolved_batch = find_batch(_read_spec(inputs, params))
     console.faults(resolved_batch.notices)
-    numbers = params["numbers"]
+    item_range = params["numbers"]
     options = RunOptions(
         params["jobs"],
         params["executor"],
-        None if numbers is None else numbers.among(len(resolved_batch.items)),
+        None if item_range is None else item_range.clamp(len(resolved_batch.items)),
         params["dry_run"],
         params["force"],
         params["verify"],
@@ -273,22 +273,24 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     is_jsonl = params["report_format"] == "jsonl"
     try:
         with (
-            openjd_failure(console.calling, asked=openjd),
-            shown_progress(console, lines=is_jsonl) as listener,
+            openjd_failure(console.namer, is_requested=openjd),
+            show_progress(console, lines=is_jsonl) as listener,
         ):
-            listening = openjd_lines(listener, console.calling) if openjd else listener
-            report = run_batch(resolved_batch, options, listening)
+            openjd_listener = (
+                openjd_lines(listener, console.namer) if openjd else listener
+            )
+            report = run_batch(resolved_batch, options, openjd_listener)
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
     remaining = [notice for notice in report.notices if notice not in listener.shown]
-    _print_results(console, report, params, _Repeat(inputs, params), remaining)
+    _print_results(console, report, params, _RepeatCommand(inputs, params), remaining)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
-        reports = [entry.worded(console.calling) for entry in report.items]
+        reports = [entry.worded(console.namer) for entry in report.items]
         write_parts(params["junit"], [junit_report(reports).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
@@ -300,21 +302,28 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     from animtool.batch.inputs import SCENES, SUFFIXES
     from animtool.core.files.reading import is_pattern, matching_files
 
-    text, path = inputs[-1], Path(inputs[-1])
-    known = (*SUFFIXES, *SCENES)
+    last_input, path = inputs[-1], Path(inputs[-1])
+    readable_suffixes = (*SUFFIXES, *SCENES)
     if path.is_dir():
-        meant, state = any(matching_files(text, known)), "has no file to bake"
+        is_output, state = (
+            any(matching_files(last_input, readable_suffixes)),
+            "has no file to bake",
+        )
     else:
-        meant = path.exists() or is_pattern(text) or text.lower().endswith(known)
+        is_output = (
+            path.exists()
+            or is_pattern(last_input)
+            or last_input.lower().endswith(readable_suffixes)
+        )
         state = "does not exist"
-    if not meant or "{" in text:
-        written = text if path.suffix else f"{text.rstrip('/')}/"
-        hint = f"to write there, use -o {shlex.quote(written)}"
-        raise click.UsageError(f"{text} {state}; {hint}")
+    if not is_output or "{" in last_input:
+        output_text = last_input if path.suffix else f"{last_input.rstrip('/')}/"
+        hint = f"to write there, use -o {shlex.quote(output_text)}"
+        raise click.UsageError(f"{last_input} {state}; {hint}")
 
 
-def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
-    """Return the batch: the batch file's values, overridden by options."""
+def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
+    """Return the batch spec: values of the batch file, overridden by options."""
     from animtool.batch.spec import BatchSpec
 
     jobs = [text for text in inputs if has_kind_suffix(Path(text), "batch")]
@@ -365,14 +374,14 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     )
 
 
-class _Repeat:
-    """Builds the command that repeats one item."""
+class _RepeatCommand:
+    """Builds the command line that builds one item again."""
 
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
         self._inputs, self._params = inputs, params
 
     def with_command(self, report: ItemReport) -> ItemReport:
-        """Return the report of a failed item with its command; others as they are."""
+        """Return an item's report, with the command to repeat it if it failed."""
         return replace(report, again=self.command(report)) if report.failed else report
 
     def command(self, report: ItemReport) -> str:
@@ -405,16 +414,16 @@ def _print_results(
     console: Console,
     report: BatchReport,
     params: dict[str, Any],
-    repeat: _Repeat,
+    repeat: _RepeatCommand,
     notices: Sequence[Fault],
 ) -> None:
     from animtool.cli.batch_progress import DRY_RUN, PLANNED, SUMMARY
 
-    form = params["report_format"]
-    if form == "json":
+    report_format = params["report_format"]
+    if report_format == "json":
         items = tuple(map(repeat.with_command, report.items))
         console.result_json(replace(report, items=items))
-    elif form == "jsonl":
+    elif report_format == "jsonl":
         if params["dry_run"]:
             for entry in report.items:
                 console.result_json(entry, line=True)
@@ -440,7 +449,7 @@ def _print_notices(console: Console, report: BatchReport) -> None:
             [] if is_located else [f"  of {listed([e.item.label for e in entries])}"]
         )
         if notice.severity is Severity.NOTE:
-            for line in (str(notice.worded(console.calling)), *item_lines):
+            for line in (str(notice.worded(console.namer)), *item_lines):
                 console.detail(line)
             continue
         console.faults([notice])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, Count, stacked
+from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, Count, stack_options
 
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # Shot options by their names in `BatchSpec`.
 CUT_OPTIONS = ("handles", "fps", "cut_start", "first_timecode")
 
-cut_options = stacked(
+cut_options = stack_options(
     click.option(
         "--cut",
         "cuts",
@@ -41,7 +41,7 @@ cut_options = stacked(
     ),
     *TIMECODE_OPTIONS,
 )
-variant_options = stacked(
+variant_options = stack_options(
     click.option(
         "--variants",
         "table",

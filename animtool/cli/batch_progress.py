@@ -24,16 +24,18 @@ if TYPE_CHECKING:
 
     from animtool.batch.item import Item
 
-MAX_TABLE_ROWS = 20  # of items in a table
+MAX_TABLE_ROWS = 20  # maximum number of items in a table
 
 
-def _counts(report: BatchReport, unmade: str = str(ItemStatus.NOT_RUN)) -> str:
+def _count_text(
+    report: BatchReport, not_run_text: str = str(ItemStatus.NOT_RUN)
+) -> str:
     counts = ((report.count(status), status) for status in ItemStatus)
-    words = {ItemStatus.NOT_RUN: unmade}
+    words = {ItemStatus.NOT_RUN: not_run_text}
     return ", ".join(f"{count} {words.get(s, s)}" for count, s in counts if count)
 
 
-def _item(entry: ItemReport) -> str:
+def _item_text(entry: ItemReport) -> str:
     return f"{entry.item.output}{values_text(entry.item.values)}"
 
 
@@ -44,15 +46,15 @@ def _error_text(entry: ItemReport) -> str:
     return f"{entry.item.output} {error} (joint {measured_value.joint!r})"
 
 
-def ended_text(entry: ItemReport, number: int, total: int) -> str:
+def finished_text(entry: ItemReport, number: int, total: int) -> str:
     """Return the line of a finished item."""
-    prefix = f"[{number}/{total}] {entry.status} {_item(entry)}"
+    prefix = f"[{number}/{total}] {entry.status} {_item_text(entry)}"
     if entry.failed:
         return f"{prefix}: {entry.why}"
     return f"{prefix} ({entry.reason}) {entry.seconds:.2f} s"
 
 
-def openjd_lines(other: Listener, calling: ArgumentNamer) -> Listener:
+def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
     """Return a listener that writes OpenJD lines to stdout and forwards to another."""
 
     class OpenJdLines(Listener):
@@ -64,13 +66,13 @@ def openjd_lines(other: Listener, calling: ArgumentNamer) -> Listener:
         def planned(self, due: int, total: int) -> None:
             """Receive the number of items to build."""
             self.total = due
-            _say("progress", f"{0 if due else 100:.1f}")
-            _say("status", f"{due} of {total} to build")
-            other.planned(due, total)
+            _write_openjd_line("progress", f"{0 if due else 100:.1f}")
+            _write_openjd_line("status", f"{due} of {total} to build")
+            inner_listener.planned(due, total)
 
         def began(self, item: Item) -> None:
             """Forward to the other listener."""
-            other.began(item)
+            inner_listener.began(item)
 
         def ended(self, report: ItemReport) -> None:
             """Print the progress and failures."""
@@ -78,31 +80,33 @@ def openjd_lines(other: Listener, calling: ArgumentNamer) -> Listener:
             output, count = report.item.output, f"{self.ended_count} of {self.total}"
             if report.failed:
                 self.failed += 1
-                reason = report.worded(calling).why
-                _say("fail", f"{self.failed} failed, the last is {output}: {reason}")
-            _say("progress", f"{100 * self.ended_count / self.total:.1f}")
-            _say("status", f"{count}: {report.status} {output}")
-            other.ended(report)
+                reason = report.worded(namer).why
+                _write_openjd_line(
+                    "fail", f"{self.failed} failed, the last is {output}: {reason}"
+                )
+            _write_openjd_line("progress", f"{100 * self.ended_count / self.total:.1f}")
+            _write_openjd_line("status", f"{count}: {report.status} {output}")
+            inner_listener.ended(report)
 
         def warned(self, notice: Fault) -> None:
             """Forward to the other listener."""
-            other.warned(notice)
+            inner_listener.warned(notice)
 
     return OpenJdLines()
 
 
 @contextmanager
-def openjd_failure(calling: ArgumentNamer, *, asked: bool) -> Iterator[None]:
+def openjd_failure(namer: ArgumentNamer, *, is_requested: bool) -> Iterator[None]:
     """Report a fatal error as an OpenJD line too, if requested."""
     try:
         yield
     except AnimtoolError as error:
-        if asked:
-            _say("fail", str(error.faults[0].worded(calling)))
+        if is_requested:
+            _write_openjd_line("fail", str(error.faults[0].worded(namer)))
         raise
 
 
-def _say(kind: str, text: str) -> None:
+def _write_openjd_line(kind: str, text: str) -> None:
     sys.stdout.write(f"openjd_{kind}: {escaped(' '.join(text.split()))}\n")
     sys.stdout.flush()
 
@@ -111,15 +115,15 @@ BAR_WIDTH = 40
 
 
 @contextmanager
-def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
+def show_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
     """Provide a listener that shows the progress of a run."""
     if not console.is_live():
-        yield _lines(console, lines=lines)
+        yield _line_listener(console, lines=lines)
         return
     from rich.console import Console as RichConsole
     from rich.live import Live
 
-    live_table, renderable = _table(console, lines=lines)
+    live_table, renderable = _table_listener(console, lines=lines)
     # Redrawn a few times per second at most.
     with Live(
         get_renderable=renderable, console=RichConsole(stderr=True), transient=True
@@ -127,7 +131,7 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
         yield live_table
 
 
-def _lines(console: Console, *, lines: bool) -> Listener:
+def _line_listener(console: Console, *, lines: bool) -> Listener:
     class TextLines(Listener):
         """Prints one line per item."""
 
@@ -145,8 +149,8 @@ def _lines(console: Console, *, lines: bool) -> Listener:
             if lines:
                 console.result_json(report, line=True)
             else:
-                worded_report = report.worded(console.calling)
-                console.say(ended_text(worded_report, self.ended_count, self.due))
+                worded_report = report.worded(console.namer)
+                console.say(finished_text(worded_report, self.ended_count, self.due))
 
         def warned(self, notice: Fault) -> None:
             """Print a warning."""
@@ -156,7 +160,7 @@ def _lines(console: Console, *, lines: bool) -> Listener:
     return TextLines()
 
 
-def _table(
+def _table_listener(
     console: Console, *, lines: bool
 ) -> tuple[Listener, Callable[[], RenderableType]]:
     from rich.console import Group
@@ -193,11 +197,11 @@ def _table(
 
         def warned(self, notice: Fault) -> None:
             """Record a warning; it is shown until an item ends, and at the end."""
-            self.warning = str(notice.worded(console.calling))
+            self.warning = str(notice.worded(console.namer))
 
     tracker = ProgressListener()
 
-    def drawn() -> RenderableType:
+    def draw() -> RenderableType:
         if not tracker.due:
             return Text()
         caption = f"{tracker.ended_count} of {tracker.due}"
@@ -208,11 +212,12 @@ def _table(
         running_rows = Table.grid(padding=(0, 1))
         for name, began in list(tracker.running.values()):
             running_rows.add_row(
-                Text(f"{time.perf_counter() - began:6.1f} s"), Text(escaped(name))
+                Text(f"{time.perf_counter() - began:6.1f} s"),
+                Text(escaped(name)),
             )
         return Group(header, running_rows, Text(tracker.warning))
 
-    return tracker, drawn
+    return tracker, draw
 
 
 def scores_table(items: Sequence[ItemReport]) -> list[str]:
@@ -241,9 +246,13 @@ def _pass_table(
     score_rows = [("  item", *names, "above usual")]
     for entry, pass_score in table_rows[:MAX_TABLE_ROWS]:
         texts = {score.name: score.text for score in pass_score.scores}
-        sort_key = ", ".join(score.name for score in pass_score.worse_scores)
+        worse_names = ", ".join(score.name for score in pass_score.worse_scores)
         score_rows.append(
-            (f"  {_item(entry)}", *(texts.get(name, "") for name in names), sort_key)
+            (
+                f"  {_item_text(entry)}",
+                *(texts.get(name, "") for name in names),
+                worse_names,
+            )
         )
     yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
     yield from columns(score_rows, {0, len(names) + 1})
@@ -263,12 +272,12 @@ SUMMARY = Template(
         Each("scored:tables", ("{self}",)),
     ),
     {
-        "counts": _counts,
+        "counts": _count_text,
         "common": lambda reasons: ", ".join(
             f"{count} {reason}" for reason, count in reasons.most_common()
         ),
         "slow": lambda entries: ", ".join(
-            f"{one.item.output} {one.seconds:.2f} s" for one in entries
+            f"{entry.item.output} {entry.seconds:.2f} s" for entry in entries
         ),
         "errors": lambda entries: ", ".join(map(_error_text, entries)),
         "tables": scores_table,
@@ -277,7 +286,10 @@ SUMMARY = Template(
 # Summary of a dry run: the number of items to build, and each with its reason.
 DRY_RUN = replace(
     SUMMARY,
-    printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to build")},
+    printers={
+        **SUMMARY.printers,
+        "counts": lambda report: _count_text(report, "to build"),
+    },
 )
 PLANNED = Template(
     "animtool.batch.report:BatchReport",
@@ -287,6 +299,6 @@ PLANNED = Template(
             ("[{?skipped}skip|make] {self:item} ({reason}[: {detail}])",),
         ),
     ),
-    {"item": _item},
+    {"item": _item_text},
     is_result=True,
 )

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
-from animtool.core.arguments import Argument, ArgumentNamer, flag, in_file, worded
+from animtool.core.arguments import Argument, ArgumentNamer, file_key, flag, worded
 from animtool.core.errors import Fault, Severity
 from animtool.core.plugins import load_object
 from animtool.core.process.supervisor import note_output
-from animtool.core.quantities import escaped, json_printed
+from animtool.core.quantities import escaped, printable_json
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
 
@@ -39,44 +39,47 @@ def as_flag(argument: Argument) -> str:
     ('--rig-layer', '--no-normals')
     """
     word = argument.field.replace("_", "-")
-    if argument.switch is not None:
-        return flag(word if argument.switch else f"no-{word}")
+    if argument.boolean_value is not None:
+        return flag(word if argument.boolean_value else f"no-{word}")
     return flag(word, argument.value or "")
 
 
 @dataclass(frozen=True, slots=True)
-class FlagCalling:
-    """Map arguments to the flags of a command; None if it has no such flag."""
+class FlagNamer:
+    """Names arguments by the flags of a command."""
 
     command: click.Command
 
     def __call__(self, argument: Argument) -> str | None:
-        """Return the command's flag for an argument; None if it has none."""
+        """Return the flag of an argument; None if the command has none."""
         value = argument.value or ""
-        if argument.field == "form" and _option(self.command, (value,)) is not None:
+        if (
+            argument.field == "form"
+            and _find_option(self.command, (value,)) is not None
+        ):
             return flag(value)  # --split
-        option = _option(self.command, _names(argument))
+        option = _find_option(self.command, _option_names(argument))
         if option is None:
             return None
-        if argument.switch is False and option.secondary_opts:
+        if argument.boolean_value is False and option.secondary_opts:
             return option.secondary_opts[0]
-        if argument.switch is not None:
+        if argument.boolean_value is not None:
             kind = option.type
             value = str(kind.choices[-1]) if isinstance(kind, click.Choice) else ""
         return f"{option.opts[0]} {value}".rstrip()
 
-    def elsewhere(self, argument: Argument) -> str:
-        """Return the name in other commands of an argument that this command lacks.
+    def name_elsewhere(self, argument: Argument) -> str:
+        """Return the name of an argument that this command lacks.
 
-        In `animtool bake`, such as ``bake --up Z``, or else in files.
+        It is the flag of `animtool bake`, such as ``bake --up Z``, else a key of files.
         """
         # Loaded by name: its module imports this one.
         bake = cast(click.Command, load_object("animtool.cli.bake:bake"))
-        called = FlagCalling(bake)(argument)
-        return in_file(argument) if called is None else f"bake {called}"
+        flag_name = FlagNamer(bake)(argument)
+        return file_key(argument) if flag_name is None else f"bake {flag_name}"
 
 
-def _names(argument: Argument) -> tuple[str, ...]:
+def _option_names(argument: Argument) -> tuple[str, ...]:
     """Return the option names of an argument, most common first."""
     field = argument.field
     source_name = (
@@ -88,7 +91,7 @@ def _names(argument: Argument) -> tuple[str, ...]:
     return (source_name,) if field == "fps" else (source_name, field)
 
 
-def _option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
+def _find_option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
     """Return the option of the first matching name; None if the command has none."""
     options = [
         command_option
@@ -112,12 +115,12 @@ class Console:
     verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # whether Python tracebacks are shown
-    calling: ArgumentNamer = as_flag  # the command's spelling of arguments
+    namer: ArgumentNamer = as_flag  # names arguments by flags of the command
     context: click.Context | None = None  # of the command
 
     def result(self, *lines: str) -> None:
         """Write result lines to stdout, control characters escaped."""
-        escaped_lines = (escaped(worded(line, self.calling)) for line in lines)
+        escaped_lines = (escaped(worded(line, self.namer)) for line in lines)
         sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
         note_output()
 
@@ -125,7 +128,7 @@ class Console:
         """Write a record or plain values as JSON to stdout, or as one ASCII line."""
         indent = None if line else 2
         value = self._with_flags(plain_value(value))
-        self.document(json_printed(value, indent=indent, ascii_only=line))
+        self.document(printable_json(value, indent=indent, ascii_only=line))
         sys.stdout.flush()
 
     def document(self, text: str) -> None:
@@ -136,12 +139,12 @@ class Console:
     def say(self, text: str) -> None:
         """Write a line of the summary to stderr, unless quiet."""
         if self.verbosity >= 0:
-            self._line("info", text)
+            self._write_line("info", text)
 
     def detail(self, text: str) -> None:
         """Write a line to stderr, if verbose."""
         if self.verbosity > 0:
-            self._line("debug", text)
+            self._write_line("debug", text)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
         """Write faults to stderr; errors even if quiet.
@@ -149,10 +152,10 @@ class Console:
         An error or warning at a column is followed by its source line and a caret.
         """
         sources = None
-        for unworded in faults:
-            fault = unworded.worded(self.calling)
+        for raw_fault in faults:
+            fault = raw_fault.worded(self.namer)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
-                code = self._color(escaped(fault.code), _COLORS[fault.severity])
+                code = self._colored(escaped(fault.code), _COLORS[fault.severity])
                 log_entry = {"level": str(fault.severity), **plain_value(fault)}
                 shown_fault = fault
                 if fault.brief and self.verbosity <= 0:
@@ -173,15 +176,15 @@ class Console:
                     text = "\n".join([text, *lines])
                 self._write(log_entry, text)
 
-    def report(self, form: str, record: object, template: Template) -> None:
+    def report(self, report_format: str, record: object, template: Template) -> None:
         """Write a report, as JSON to stdout or as lines.
 
         Args:
-            form: ``json`` or ``text``.
+            report_format: ``json`` or ``text``.
             record: The report.
             template: Its lines; result lines go to stdout, others to stderr.
         """
-        if form == "json":
+        if report_format == "json":
             self.result_json(record)
             return
         lines = template.text(record, all_names=self.verbosity > 0)
@@ -202,11 +205,11 @@ class Console:
         for line in lines:
             self.say(line)
 
-    def error(self, message: str, *others: str) -> None:
+    def error(self, message: str, *details: str) -> None:
         """Write an error without a code to stderr, with detail lines."""
-        label = self._color("error", _COLORS[Severity.ERROR])
+        label = self._colored("error", _COLORS[Severity.ERROR])
         message, *other_texts = (
-            worded(text, self.calling) for text in (message, *others)
+            worded(text, self.namer) for text in (message, *details)
         )
         lines = (f"{label}: {escaped(message)}", *map(escaped, other_texts))
         full_message = "\n".join((message, *other_texts))
@@ -249,30 +252,30 @@ class Console:
             bar.stop()
 
     def _with_flags(self, value: object) -> object:
-        """Return plain values whose texts name arguments by their flags."""
+        """Return plain values, with arguments in texts named by their flags."""
         if isinstance(value, str):
-            return worded(value, self.calling)
+            return worded(value, self.namer)
         if isinstance(value, Mapping):
             return {key: self._with_flags(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
             return [self._with_flags(item) for item in value]
         return value
 
-    def _line(self, level: str, text: str) -> None:
-        text = worded(text, self.calling)
+    def _write_line(self, level: str, text: str) -> None:
+        text = worded(text, self.namer)
         self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:
         """Write escaped text with animtool's colors, or an entry as JSON."""
-        sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
+        sys.stderr.write((printable_json(entry) if self.json_log else text) + "\n")
         note_output()
 
-    def _color(self, text: str, code: str) -> str:
+    def _colored(self, text: str, code: str) -> str:
         return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text
 
 
 def _wants_color(stream: TextIO) -> bool:
-    """Return whether to use color: NO_COLOR, FORCE_COLOR, else on a terminal."""
+    """Return whether to use colors: by NO_COLOR or FORCE_COLOR, else on a terminal."""
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()

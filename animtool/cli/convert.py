@@ -21,7 +21,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import (
     atomic_command,
     refuse_swapped,
-    skipped,
+    skip_existing_outputs,
     writing_options,
 )
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
@@ -59,8 +59,8 @@ Examples:
 @source_option("rig", "take", "dropped", "positions")
 @bake_option(
     "reduce",
-    about="For a clip: largest error of joints from leaving out keys, such as 0.5mm. "
-    f" [default: {KEY_TOLERANCE}]",
+    help_text="For a clip: largest error of joints from leaving out keys, such as "
+    f"0.5mm.  [default: {KEY_TOLERANCE}]",
 )
 @bake_option("reduce_at", "placement")
 @click.option(
@@ -91,37 +91,37 @@ def convert(
 
     Markers are converted between C3D, TRC and npz.
     """
-    output = _only_output(source, output, params.pop("named_output"))
+    output = _resolve_output(source, output, params.pop("named_output"))
     from animtool.formats.marker_files import is_marker_file
 
     if is_marker_file(source) and is_marker_file(output):
-        _markers(console, source, output, params)
+        _convert_markers(console, source, output, params)
         return
     if (
         not output.suffix
         and params["take"] is None
-        and _every_take(source, output, params)
+        and _convert_all_takes(source, output, params)
     ):
         return
     from animtool.core.readers import is_rig_only
     from animtool.core.writers import holds_rig, take_writer
     from animtool.scene.convert.takes import convert as run_convert
 
-    of_rig = (
+    is_rig_conversion = (
         has_kind_suffix(source, "rig")
         or has_kind_suffix(output, "rig")
         or params["physics"]
     )
-    of_rig = of_rig or (is_rig_only(source) and holds_rig(output))
-    outputs = [output] if of_rig else take_writer(output).files(output)
-    if of_rig:
+    is_rig_conversion = is_rig_conversion or (is_rig_only(source) and holds_rig(output))
+    outputs = [output] if is_rig_conversion else take_writer(output).files(output)
+    if is_rig_conversion:
         from animtool.scene.convert.rigs import rig_outputs
 
         outputs = rig_outputs(output, physics=params["physics"])
-    if skipped(console, "convert", params, output, lambda: outputs):
+    if skip_existing_outputs(console, "convert", params, output, lambda: outputs):
         return
-    if of_rig:
-        _rig(console, source, output, params)
+    if is_rig_conversion:
+        _convert_rig(console, source, output, params)
         return
     options = source_options_record(
         params,
@@ -142,12 +142,14 @@ def convert(
             progress=progress,
         )
     console.faults(report.notices)
-    from animtool.cli.summary import CONVERTED
+    from animtool.cli.summary import CONVERT_TEMPLATE
 
-    console.report(params["report_format"], report, CONVERTED)
+    console.report(params["report_format"], report, CONVERT_TEMPLATE)
 
 
-def _only_output(source: Path, output: Path | None, output_option: Path | None) -> Path:
+def _resolve_output(
+    source: Path, output: Path | None, output_option: Path | None
+) -> Path:
     """Return OUTPUT from the argument or -o; refuse swapped arguments."""
     if output is not None and output_option is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
@@ -158,8 +160,8 @@ def _only_output(source: Path, output: Path | None, output_option: Path | None) 
     return argument_or_option
 
 
-def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
-    """Convert each take of a multi-take file to a USD file in a folder.
+def _convert_all_takes(source: Path, folder: Path, params: dict[str, Any]) -> bool:
+    """Convert each take of a file to a USD file in a folder.
 
     Returns whether the file has any takes.
     """
@@ -171,8 +173,8 @@ def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     if not names:
         return False
     folder.mkdir(parents=True, exist_ok=True)
-    legal = distinct_names(names, names, names).names
-    for name, stem in zip(names, legal, strict=True):
+    legal_names = distinct_names(names, names, names).names
+    for name, stem in zip(names, legal_names, strict=True):
         take_params = {
             **params,
             "named_output": None,
@@ -192,7 +194,7 @@ class _ConvertedFile:
     notices: tuple[()] = ()
 
 
-def _markers(
+def _convert_markers(
     console: Console, source: Path, output: Path, params: dict[str, Any]
 ) -> None:
     from animtool.cli.marker_files import run_on_markers
@@ -210,13 +212,15 @@ def _markers(
         option = f"--{name.replace('_', '-')}"
         raise click.UsageError(f"{option} does not apply to markers.")
 
-    def work(read: Any) -> tuple[Any, Any]:
-        return read, _ConvertedFile(len(read), len(read.names))
+    def count_markers(markers: Any) -> tuple[Any, Any]:
+        return markers, _ConvertedFile(len(markers), len(markers.names))
 
-    run_on_markers(console, "convert", (source,), output, params, work)
+    run_on_markers(console, "convert", (source,), output, params, count_markers)
 
 
-def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -> None:
+def _convert_rig(
+    console: Console, source: Path, output: Path, params: dict[str, Any]
+) -> None:
     from animtool.scene.convert.rigs import convert_rig
 
     for name in (

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from animtool.report.compare_points import PointsDifference
 
 
-def _largest(kind: str, size: str, where: str) -> str:
-    """Return the template of the largest difference of a kind and its location."""
+def _largest_difference(kind: str, size: str, where: str) -> str:
+    """Return the text template of the largest difference of a kind."""
     label_width = 14 if "prim" in where else 12
     location = where.replace("@", kind)
     return (
@@ -50,13 +50,15 @@ _TAKES = Template(
         "[{!joints}{!shapes}no joint is in both files|"
         "[{skeletons:several}, ]{joints:n joint}, [{?shapes}{shapes:n shape}, ]"
         "{frames:n frame} compared]",
-        f"[{{?joints}}{_largest('world', 'length', _JOINT)}]",
-        f"[{{?joints}}{_largest('translation', 'length', _JOINT)}]",
+        f"[{{?joints}}{_largest_difference('world', 'length', _JOINT)}]",
+        f"[{{?joints}}{_largest_difference('translation', 'length', _JOINT)}]",
         "[{?joints}"
-        + _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg")
+        + _largest_difference("rotation", "plain", _JOINT).replace(
+            "plain}", "plain} deg"
+        )
         + "]",
-        f"[{{?joints}}{_largest('scale', 'plain', _JOINT)}]",
-        f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
+        f"[{{?joints}}{_largest_difference('scale', 'plain', _JOINT)}]",
+        f"[{{?shapes}}{_largest_difference('weight', 'plain', 'shape {@.shape:repr}')}]",
         *_DIFFERENCES,
     ),
     {"several": lambda n: counted(n, "skeleton") if n > 1 else ""},
@@ -65,9 +67,11 @@ _POINTS = Template(
     "animtool.report.compare_points:PointsDifference",
     (
         "{prims:n prim}, {samples:n sample} compared",
-        _largest("points", "length", _POINT),
-        _largest("orientations", "plain", _POINT).replace("plain}", "plain} deg"),
-        _largest("scales", "plain", _POINT),
+        _largest_difference("points", "length", _POINT),
+        _largest_difference("orientations", "plain", _POINT).replace(
+            "plain}", "plain} deg"
+        ),
+        _largest_difference("scales", "plain", _POINT),
         *_DIFFERENCES,
     ),
 )
@@ -82,17 +86,17 @@ class Comparison:
     json_keys: ClassVar[str] = "'diff' same *difference"
 
 
-def _choices(command: Command) -> Command:
+def _source_choices(command: Command) -> Command:
     """Add source options for both files, and for either one."""
     for name, field, metavar, description in (
         ("take", "take", "NAME", "The take to read from clip libraries in USD"),
         ("source-prim", "prim_path", "PATH", "The character, where a file has several"),
     ):
-        for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
-            help_text = f"The same, for {file} only."
-            param = f"{field}_{side[-1]}"
+        for suffix, file_label in (("-b", "SECOND"), ("-a", "FIRST")):
+            help_text = f"The same, for {file_label} only."
+            param = f"{field}_{suffix[-1]}"
             option = click.option(
-                f"--{name}{side}", param, metavar=metavar, help=help_text
+                f"--{name}{suffix}", param, metavar=metavar, help=help_text
             )
             command = option(command)
         option = click.option(
@@ -102,7 +106,7 @@ def _choices(command: Command) -> Command:
     return command
 
 
-def _tolerance(
+def _tolerance_option(
     name: str, field: str, default: float, metavar: str, text: str
 ) -> Callable[[Command], Command]:
     return click.option(
@@ -134,11 +138,13 @@ Examples:
     metavar="LENGTH",
     help="Distance to ignore, such as 1mm; a number alone is in metres.",
 )
-@_tolerance("--angle-tolerance", "tol_degrees", 1e-3, "DEGREES", "Rotation to ignore.")
-@_tolerance(
+@_tolerance_option(
+    "--angle-tolerance", "tol_degrees", 1e-3, "DEGREES", "Rotation to ignore."
+)
+@_tolerance_option(
     "--weight-tolerance", "tol_weight", 1e-5, "WEIGHT", "Shape weight to ignore."
 )
-@_choices
+@_source_choices
 @source_options
 @source_option("positions")
 @format_option
@@ -165,7 +171,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
         tolerances = params["tol"], params["tol_degrees"]
         template, notices = _POINTS, []
     else:
-        difference = compare(first, second, *_options(first, second, params))
+        difference = compare(first, second, *_source_options(first, second, params))
         tolerances = params["tol"], params["tol_degrees"], params["tol_weight"]
         template, notices = _TAKES, difference.notices
     is_within = difference.within(*tolerances)
@@ -180,17 +186,21 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     )
 
 
-def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
-    """Return each file's source options: shared ones that apply, then its own."""
+def _source_options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
+    """Return the source options of both files, shared and specific ones merged."""
     from animtool.scene.sources.open import fitting_options
 
     shared_options = source_options_record(
         params, "take", "positions", prim_path=params["prim_path"]
     )
     options = []
-    for path, side in ((first, "a"), (second, "b")):
+    for path, letter in ((first, "a"), (second, "b")):
         names = ("take", "prim_path")
-        side_options = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
+        side_options = {
+            name: value
+            for name in names
+            if (value := params[f"{name}_{letter}"]) is not None
+        }
         options.append(
             replace(
                 fitting_options(shared_options, path, [first, second]), **side_options

@@ -24,12 +24,12 @@ from animtool.core.record import dataclass
 COMMANDS_PAGE = PageEntry("reference/commands", "Commands")
 CODES_PAGE = PageEntry("reference/codes", "Codes")
 _CODE = re.compile(r"[A-Za-z]{2,8}[0-9]{3}")
-SITE = Path(__file__).parents[2] / "build/site"
+SITE_FOLDER = Path(__file__).parents[2] / "build/site"
 
 
 @dataclass(frozen=True, slots=True)
 class DocsPage:
-    """A page, with its text if it was asked for by name."""
+    """A page, with its text if it was requested by name."""
 
     entry: PageEntry
     page: str | None = None
@@ -38,7 +38,7 @@ class DocsPage:
 
 @dataclass(frozen=True, slots=True)
 class DocsReport:
-    """The pages, or one of them."""
+    """All pages, or the requested one."""
 
     pages: list[DocsPage]
     json_keys: ClassVar[str] = "'docs' pages"
@@ -46,9 +46,9 @@ class DocsReport:
 
 def _report(topic: str | None) -> DocsReport:
     if topic is None:
-        return DocsReport([DocsPage(page) for page in _entries()])
+        return DocsReport([DocsPage(page) for page in _sorted_pages()])
     page = _page_of(topic)
-    return DocsReport([DocsPage(page, _text(page))])
+    return DocsReport([DocsPage(page, _page_text(page))])
 
 
 @command(
@@ -59,8 +59,8 @@ Examples:
   animtool docs --list"""
 )
 @click.argument("topic", required=False)
-@click.option("--list", "listed", is_flag=True, help="List the pages.")
-@click.option("--print", "printed", is_flag=True, help="Print, and open no browser.")
+@click.option("--list", "list_pages", is_flag=True, help="List the pages.")
+@click.option("--print", "print_only", is_flag=True, help="Print, and open no browser.")
 @format_option
 @common_options
 @click.pass_obj
@@ -68,8 +68,8 @@ def docs(
     console: Console,
     /,
     topic: str | None,
-    listed: bool,
-    printed: bool,
+    list_pages: bool,
+    print_only: bool,
     report_format: str,
 ) -> None:
     """Open the page of a TOPIC in the browser, or print it.
@@ -81,19 +81,21 @@ def docs(
     import sys
 
     if report_format == "json":
-        console.result_json(_report(None if listed or not topic else topic))
+        console.result_json(_report(None if list_pages or not topic else topic))
         return
-    if listed:
-        _list(console)
+    if list_pages:
+        _print_page_list(console)
         return
     page = COMMANDS_PAGE if topic is None else _page_of(topic)
-    opens_browser = not printed and sys.stdout.isatty()
-    if opens_browser and _open(console, "index" if topic is None else page.name):
+    opens_browser = not print_only and sys.stdout.isatty()
+    if opens_browser and _open_in_browser(
+        console, "index" if topic is None else page.name
+    ):
         return
     if topic is None:
-        _list(console)
+        _print_page_list(console)
         return
-    console.document(_text(page))
+    console.document(_page_text(page))
 
 
 def _page_of(topic: str) -> PageEntry:
@@ -113,10 +115,10 @@ def _page_of(topic: str) -> PageEntry:
     return find_page(topic)
 
 
-def _text(page: PageEntry) -> str:
+def _page_text(page: PageEntry) -> str:
     """Return the Markdown of a page, generated or stored."""
     from animtool.cli.docs_reference import codes_markdown, commands_markdown
-    from animtool.cli.explain import ignoring
+    from animtool.cli.explain import ignore_section
     from animtool.core.rules import find_rule, page_text
 
     if page == CODES_PAGE:
@@ -127,16 +129,16 @@ def _text(page: PageEntry) -> str:
     if name.startswith("rules/"):
         code = name.removeprefix("rules/")
         text = page_text(code)
-        return text + ignoring(find_rule(code)) if text else f"# {page.title}\n"
+        return text + ignore_section(find_rule(code)) if text else f"# {page.title}\n"
     return page_markdown(page)
 
 
-def _open(console: Console, name: str) -> bool:
+def _open_in_browser(console: Console, name: str) -> bool:
     """Open a page of the local site in the browser; return whether that worked."""
     from animtool.preview.show import has_browser, open_browser
 
     file, _, anchor = name.partition("#")
-    path = SITE / f"{file}.html"
+    path = SITE_FOLDER / f"{file}.html"
     if not path.is_file() or not has_browser():
         return False
     address = path.as_uri() + (f"#{anchor}" if anchor else "")
@@ -146,15 +148,15 @@ def _open(console: Console, name: str) -> bool:
     return True
 
 
-def _entries() -> list[PageEntry]:
+def _sorted_pages() -> list[PageEntry]:
     """Return all pages sorted by kind."""
     order = list(PAGE_KINDS.values())
     pages = [*all_pages(), COMMANDS_PAGE, CODES_PAGE]
     return sorted(pages, key=lambda page: (order.index(page.kind), page.name))
 
 
-def _list(console: Console) -> None:
-    pages = _entries()
+def _print_page_list(console: Console) -> None:
+    pages = _sorted_pages()
     name_width = max(len(page.name) for page in pages)
     kind = ""
     for page in pages:

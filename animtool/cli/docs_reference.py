@@ -35,18 +35,18 @@ def commands_markdown(name: str | None = None) -> str:
     for command_name in sorted(COMMANDS) if name is None else [name]:
         command = cli.get_command(context, command_name)
         assert command is not None
-        paragraphs += _command(
+        paragraphs += _command_paragraphs(
             command, click.Context(command, context, command_name), 2
         )
     return "\n\n".join(paragraphs) + "\n"
 
 
-def _command(
+def _command_paragraphs(
     command: click.Command, context: click.Context, level: int
 ) -> Iterator[str]:
     """Yield the paragraphs of a command and its subcommands."""
     yield f"{'#' * level} {context.command_path}"
-    yield _prose(command.help or "")
+    yield _escape_prose(command.help or "")
     yield f"```text\n{' '.join(command.collect_usage_pieces(context))}\n```".replace(
         "```text\n", f"```text\n{context.command_path} "
     )
@@ -59,14 +59,17 @@ def _command(
     if option_rows:
         yield from _table(
             ("option", "what it does"),
-            [(f"`{_cell(spelled)}`", _prose(text)) for spelled, text in option_rows],
+            [
+                (f"`{_escape_cell(option_text)}`", _escape_prose(text))
+                for option_text, text in option_rows
+            ],
         )
     if isinstance(command, click.Group):
         for name in command.list_commands(context):
             subcommand = command.get_command(context, name)
             if subcommand is not None:
-                inner = click.Context(subcommand, context, name)
-                yield from _command(subcommand, inner, level + 1)
+                subcontext = click.Context(subcommand, context, name)
+                yield from _command_paragraphs(subcommand, subcontext, level + 1)
 
 
 def codes_markdown() -> str:
@@ -96,18 +99,18 @@ def codes_markdown() -> str:
     return "\n\n".join(paragraphs) + "\n"
 
 
-def _cell(text: str) -> str:
+def _escape_cell(text: str) -> str:
     """Return text as code for a table cell."""
     return text.replace("|", "\\|")
 
 
-def _prose(text: str) -> str:
+def _escape_prose(text: str) -> str:
     """Escape Markdown in a help text."""
     single_line = " ".join(text.replace("\b", "").split())
     return re.sub(r"([<>*_|\[\]])", r"\\\1", single_line)
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     """Return a table, as one paragraph."""
-    table_rows = [head, ("---",) * len(head), *rows]
+    table_rows = [header, ("---",) * len(header), *rows]
     return ["\n".join(f"| {' | '.join(line)} |" for line in table_rows)]

@@ -35,7 +35,7 @@ class RulePage:
         from animtool.core.rules import page_text
 
         text = page_text(self.rule.code)
-        return None if text is None else text + ignoring(self.rule)
+        return None if text is None else text + ignore_section(self.rule)
 
     @property
     def kind(self) -> Kind | None:
@@ -49,7 +49,7 @@ class RulePage:
 
 
 @dataclass(frozen=True, slots=True)
-class Pages:
+class CodesReport:
     """The requested codes, or all."""
 
     rules: list[RulePage]
@@ -88,18 +88,17 @@ _CHECK_PREFIXES = (
 )
 
 
-def ignoring(rule: Rule) -> str:
-    """Return the part of a page on how to accept a warning; empty for others."""
-    family, head = rule.code.rstrip("0123456789"), "\n## How to ignore it\n\n"
+def ignore_section(rule: Rule) -> str:
+    """Return the section of a page about accepting a warning; empty for others."""
+    family, heading = rule.code.rstrip("0123456789"), "\n## How to ignore it\n\n"
     if rule.severity != "warning" or family not in _NOTICE_PREFIXES + _CHECK_PREFIXES:
         return ""
     option = f"`animtool validate --ignore {rule.code}` leaves it out of one run."
     if family in _CHECK_PREFIXES:
-        return f"{head}{option}\n"
+        return f"{heading}{option}\n"
     entry = f"ignore: [{{code: {rule.code}, why: it is meant}}]"
-    return (
-        f"{head}If it is meant, say so in the file. {option}\n\n```yaml\n{entry}\n```\n"
-    )
+    text = f"{heading}If it is meant, say so in the file. {option}"
+    return f"{text}\n\n```yaml\n{entry}\n```\n"
 
 
 _PREFIX = re.compile(r"[A-Z]{2,8}[0-9]{0,2}")
@@ -107,8 +106,8 @@ _PASTED_CODE = re.compile(r"\b[A-Z][A-Z0-9]{1,7}[0-9]{3}\b")
 _FAMILY = re.compile(r"[A-Za-z][A-Za-z0-9]{0,6}[A-Za-z]")
 
 
-def stated_codes(arguments: Sequence[str]) -> list[str]:
-    """Return codes, also of pasted messages and with a space before their digits.
+def parse_codes(arguments: Sequence[str]) -> list[str]:
+    """Return the codes in arguments, also in pasted messages or with a space.
 
     >>> stated_codes(["RIG2", "CLIP", "107"]), stated_codes(["warning: CLIP110 hips"])
     (['RIG2', 'CLIP107'], ['CLIP110'])
@@ -126,7 +125,7 @@ def stated_codes(arguments: Sequence[str]) -> list[str]:
 
 
 PAGES = Template(
-    "animtool.cli.explain:Pages",
+    "animtool.cli.explain:CodesReport",
     (Each("rules", ("{rule.code:<8} {rule.severity:<8} {rule.title}",)),),
     is_result=True,
 )
@@ -163,38 +162,41 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
     from animtool.core.rules import all_rules, find_rule
 
     rules = []
-    listing = not codes
-    for code in stated_codes(codes):
+    is_listing = not codes
+    for code in parse_codes(codes):
         # RIG2 means all codes with that prefix.
         prefix = code.upper()
         rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
-        matching = [
+        matching_rules = [
             rules_by_code[name]
             for name in sorted(rules_by_code)
             if name.startswith(prefix)
         ]
-        if not matching:
+        if not matching_rules:
             _check_not_command(code)
-        listing = listing or len(matching) > 1
-        rules += matching or [find_rule(code)]
+        is_listing = is_listing or len(matching_rules) > 1
+        rules += matching_rules or [find_rule(code)]
     if not codes:
         rules_by_code, failed_rules = all_rules()
         console.faults(failed_rules)
         rules = [rules_by_code[code] for code in sorted(rules_by_code)]
-    if not listing and report_format != "json":
+    if not is_listing and report_format != "json":
         for rule in rules:
-            console.document(RulePage(rule).page or escaped_lines(_bare_page(rule)))
+            console.document(RulePage(rule).page or escaped_lines(_default_page(rule)))
         return
-    pages = Pages([RulePage(rule) for rule in rules])
+    pages = CodesReport([RulePage(rule) for rule in rules])
     console.report(report_format, pages, PAGES)
 
 
-def _bare_page(rule: Rule) -> str:
+def _default_page(rule: Rule) -> str:
     """Return a generated page for a code without one."""
     origin = "Readers and commands report it."
     if rule.kinds:
-        upper = {"bvh", "usd"}
-        kinds = [k.upper() if k in upper else str(k) for k in sorted(rule.kinds)]
+        uppercase_kinds = {"bvh", "usd"}
+        kinds = [
+            kind.upper() if kind in uppercase_kinds else str(kind)
+            for kind in sorted(rule.kinds)
+        ]
         origin = f"animtool validate looks for it in {' and '.join(kinds)} files."
     article = "An" if rule.severity == "error" else "A"
     return (

@@ -49,7 +49,9 @@ _GROUPS: dict[str, str] = {
     ),
 }
 _OTHER_GROUP = "Options"  # of options that are not listed
-_GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
+_GROUP_BY_OPTION = {
+    word: name for name, words in _GROUPS.items() for word in words.split()
+}
 # Options with another heading in one command.
 _GROUPS_BY_COMMAND = {
     "diff": {"tolerance": "Checks", "angle-tolerance": "Checks"},
@@ -75,7 +77,7 @@ OLD_OPTIONS = {
     "preview": {**_RENAMED_PRIM, "--frames": "--range"},
 }
 # The most common options of each command.
-_COMMON = {
+_COMMON_OPTIONS = {
     "bake": "output rig rig-layer fps range plan",
     "batch": "output scene set jobs dry-run items",
     "convert": "reduce units up take source-prim overwrite",
@@ -95,7 +97,7 @@ _COMMON = {
     "retarget": "rig output map rest rig-layer feet",
     "validate": "select ignore profile strict fix format",
 }
-_MAX_SHORT = 40  # lines of the short help
+_MAX_SHORT_HELP_LINES = 40
 # Where a context keeps the arguments of its command, before they are parsed.
 ARGUMENTS_KEY = "animtool.arguments"
 
@@ -132,11 +134,11 @@ class Command(click.Command):
     ) -> None:
         """Write all options, by group."""
         groups: dict[str, list[tuple[str, str]]] = {name: [] for name in _GROUPS}
-        for option, record in self._records(ctx):
+        for option, record in self._help_records(ctx):
             groups[group_of(self.name or "", option)].append(record)
         for name, records in groups.items():
             if records:
-                _section(formatter, name, records)
+                _write_section(formatter, name, records)
 
     def short_help_of(self, ctx: click.Context) -> str:
         """Return the help of ``-h``: usage, common options, examples."""
@@ -146,10 +148,12 @@ class Command(click.Command):
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(" ".join(first_paragraph.split()))
-        common = common_options(self.name or "")
-        records = {_word(option): record for option, record in self._records(ctx)}
-        shown_options = common or [
-            word for word in records if _GROUP_OF.get(word) != "Report"
+        common_words = common_options(self.name or "")
+        records = {
+            _option_word(option): record for option, record in self._help_records(ctx)
+        }
+        shown_options = common_words or [
+            word for word in records if _GROUP_BY_OPTION.get(word) != "Report"
         ]
         first_sentences = [
             (records[w][0], _first_sentence(records[w][1]))
@@ -157,11 +161,11 @@ class Command(click.Command):
             if w in records
         ]
         if first_sentences:
-            _section(formatter, "Options", first_sentences)
+            _write_section(formatter, "Options", first_sentences)
         help_lines = formatter.getvalue().rstrip().splitlines()
         last_line = f"{ctx.command_path} --help shows all {len(records)} options."
         examples = (self.epilog or "").replace("\b", "").strip().splitlines()
-        free_lines = _MAX_SHORT - len(help_lines) - 3
+        free_lines = _MAX_SHORT_HELP_LINES - len(help_lines) - 3
         shown_examples = examples[: max(free_lines, 2)] if examples else []
         while shown_examples and shown_examples[-1].rstrip().endswith("\\"):
             shown_examples.pop()
@@ -175,7 +179,7 @@ class Command(click.Command):
             ]
         )
 
-    def _records(
+    def _help_records(
         self, ctx: click.Context
     ) -> Iterable[tuple[click.Option, tuple[str, str]]]:
         """Yield the options with name and help text."""
@@ -194,13 +198,13 @@ def _with_new_names(
     (['--missed=1', '--', '--tol'], {'--tol': '--missed'})
     """
     end_of_options = args.index("--") if "--" in args else len(args)
-    new_and_renamed, words = {}, []
+    replaced_options, new_words = {}, []
     for word in args[:end_of_options]:
         option, equals, value = word.partition("=")
         if option in names:
-            new_and_renamed[option] = names[option]
-        words.append(f"{names.get(option, option)}{equals}{value}")
-    return [*words, *args[end_of_options:]], new_and_renamed
+            replaced_options[option] = names[option]
+        new_words.append(f"{names.get(option, option)}{equals}{value}")
+    return [*new_words, *args[end_of_options:]], replaced_options
 
 
 def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Command]:
@@ -216,7 +220,7 @@ def write_sections(
         len(name) for section_rows in sections.values() for name, _ in section_rows
     )
     for title, section_rows in sections.items():
-        _section(
+        _write_section(
             formatter,
             title,
             [(name.ljust(name_width), text) for name, text in section_rows],
@@ -225,17 +229,17 @@ def write_sections(
 
 def group_of(command: str, option: click.Option) -> str:
     """Return the heading of an option."""
-    word = _word(option)
+    word = _option_word(option)
     group = _GROUPS_BY_COMMAND.get(command, {}).get(word)
-    return group or _GROUP_OF.get(word, _OTHER_GROUP)
+    return group or _GROUP_BY_OPTION.get(word, _OTHER_GROUP)
 
 
 def common_options(command: str) -> list[str]:
-    """Return the options in a command's short help; empty for all but reports."""
-    return _COMMON.get(command, "").split()
+    """Return the options of a command's short help; empty for all but `Report`."""
+    return _COMMON_OPTIONS.get(command, "").split()
 
 
-def _word(option: click.Option) -> str:
+def _option_word(option: click.Option) -> str:
     return max(option.opts, key=len).removeprefix("--").removeprefix("-")
 
 
@@ -245,7 +249,7 @@ def _first_sentence(text: str) -> str:
     return f"{text.rstrip('.')}."
 
 
-def _section(
+def _write_section(
     formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
 ) -> None:
     # Click strips colors without a terminal.
@@ -257,12 +261,16 @@ def _section(
 def _help_options() -> list[click.Parameter]:
     """Return ``-h`` and ``--help``."""
 
-    def full_help(ctx: click.Context, _: click.Parameter, is_requested: bool) -> None:
+    def print_full_help(
+        ctx: click.Context, _: click.Parameter, is_requested: bool
+    ) -> None:
         if is_requested and not ctx.resilient_parsing:
             click.echo(ctx.get_help(), color=ctx.color)
             ctx.exit()
 
-    def short(ctx: click.Context, _: click.Parameter, is_requested: bool) -> None:
+    def print_short_help(
+        ctx: click.Context, _: click.Parameter, is_requested: bool
+    ) -> None:
         if is_requested and not ctx.resilient_parsing:
             command = ctx.command
             text = command.short_help_of(ctx) if isinstance(command, Command) else ""
@@ -275,10 +283,10 @@ def _help_options() -> list[click.Parameter]:
         "is_eager": True,
     }
     return [
-        click.Option(["-h"], callback=short, hidden=True, **flags),
+        click.Option(["-h"], callback=print_short_help, hidden=True, **flags),
         click.Option(
             ["--help"],
-            callback=full_help,
+            callback=print_full_help,
             help="Show this message; -h shows the usual options.",
             **flags,
         ),
@@ -356,9 +364,9 @@ class LazyGroup(click.Group):
             if self.takes_files and "." in args[0]:
                 hint = f"{ctx.command_path} {self.takes_files} {args[0]}"
                 ctx.fail(f"{args[0]!r} is not a command; did you mean {hint!r}?")
-            near = get_close_matches(args[0], self.table, 1)
-            meant = self.other_names.get(args[0]) or next(iter(near), "")
-            hint = f"; did you mean {meant!r}?" if meant else ""
+            close_names = get_close_matches(args[0], self.table, 1)
+            suggestion = self.other_names.get(args[0]) or next(iter(close_names), "")
+            hint = f"; did you mean {suggestion!r}?" if suggestion else ""
             hint = hint or f"; {ctx.command_path} --help lists the commands"
             ctx.fail(f"unknown command {args[0]!r}{hint}")
         return super().resolve_command(ctx, args)

@@ -16,7 +16,7 @@ from animtool.cli.options import (
     OUTPUT,
     RATE,
     TOLERANCE,
-    Parsed,
+    ParsedType,
     bake_option,
     names_of,
     read_values,
@@ -25,7 +25,7 @@ from animtool.cli.options import (
     source_option,
     source_options,
     source_options_record,
-    stacked,
+    stack_options,
 )
 from animtool.cli.outputs import (
     atomic_command,
@@ -33,8 +33,8 @@ from animtool.cli.outputs import (
     goes_to_stdout,
     plot_option,
     print_tradeoffs,
-    refuse_alone,
-    skipped,
+    refuse_plot_without_table,
+    skip_existing_outputs,
     split_option,
     writing_options,
     written_options_record,
@@ -42,7 +42,7 @@ from animtool.cli.outputs import (
 from animtool.core.names import has_kind_suffix
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
 
-FIRST = "first"
+FIRST_FRAME = "first"
 # Options of `--match`, in addition to those of its source.
 _MATCH_OPTIONS = frozenset(
     {
@@ -53,11 +53,11 @@ _MATCH_OPTIONS = frozenset(
 )
 
 
-def _frame(text: str) -> Any:
-    return text if text == FIRST else _time_code(text)
+def _parse_pose_frame(text: str) -> Any:
+    return text if text == FIRST_FRAME else _parse_time_code(text)
 
 
-def _time_code(text: str) -> Any:
+def _parse_time_code(text: str) -> Any:
     from animtool.scene.file.option_text import parse_frame
 
     return parse_frame(text)
@@ -94,7 +94,7 @@ Examples:
     help="Motion to start from, a clip, BVH or USD file, or a shot of a timeline: "
     "each frame stays near its pose.  [default: the rest pose]",
 )
-@stacked(*SHOT_OPTIONS)
+@stack_options(*SHOT_OPTIONS)
 @click.option(
     "--fps",
     type=RATE,
@@ -115,9 +115,9 @@ Examples:
 )
 @click.option(
     "--pose",
-    type=Parsed("frame", _frame),
+    type=ParsedType("frame", _parse_pose_frame),
     is_flag=False,
-    flag_value=FIRST,
+    flag_value=FIRST_FRAME,
     metavar="[FRAME]",
     help="Solve only one pose: that of the frame, or of the first.  [default: all "
     "frames]",
@@ -155,23 +155,24 @@ Examples:
 )
 @bake_option(
     "strict",
-    about="Write nothing if a goal is missed (exit code 4) or there are warnings.",
+    help_text="Write nothing if a goal is missed (exit code 4) or there are warnings.",
 )
 @split_option
 @rig_layer_options
 @click.option(
     "--start",
     "first_code",
-    type=Parsed("frame", _time_code),
+    type=ParsedType("frame", _parse_time_code),
     metavar="FRAME",
     help="Time code of the first frame in USD.  [default: as in the targets or START]",
 )
 @bake_option(
-    "sparse", about="Write only the joints of a USD output that leave their rest pose."
+    "sparse",
+    help_text="Write only the joints of a USD output that leave their rest pose.",
 )
 @bake_option(
     "reduce",
-    about="Largest error of joints from leaving out keys of a clip or samples of "
+    help_text="Largest error of joints from leaving out keys of a clip or samples of "
     "USD; with --match, from sparse keys.",
 )
 @source_options
@@ -192,7 +193,7 @@ def ik(console: Console, /, **params: Any) -> None:
     if params["match"]:
         if params["plot"] is not None:
             raise click.UsageError("--match measures nothing: remove --plot.")
-        _match(console, params, _source(params))
+        _run_match_command(console, params, _start_options(params))
         return
     _check(params)
     cut = timeline_shot(
@@ -208,11 +209,13 @@ def ik(console: Console, /, **params: Any) -> None:
         if params["strict"]:
             message = "--table measures rows that miss by design: remove --strict."
             raise click.UsageError(message)
-        _table(console, params)
+        _print_table(console, params)
         return
-    if skipped(console, "ik", params, output, lambda: _job(params).target.files):
+    if skip_existing_outputs(
+        console, "ik", params, output, lambda: _job(params).target.files
+    ):
         return
-    from animtool.cli.ik_summary import SOLVED
+    from animtool.cli.ik_summary import SOLVE_TEMPLATE
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
@@ -220,19 +223,19 @@ def ik(console: Console, /, **params: Any) -> None:
         try:
             report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
-            console.report(params["report_format"], error.report, SOLVED)
+            console.report(params["report_format"], error.report, SOLVE_TEMPLATE)
             raise
     console.faults(report.notices)
-    console.report(params["report_format"], report, SOLVED)
+    console.report(params["report_format"], report, SOLVE_TEMPLATE)
 
 
-def _match(console: Console, params: dict[str, Any], source: Any) -> None:
+def _run_match_command(console: Console, params: dict[str, Any], source: Any) -> None:
     """Write the targets file of a take and print a summary."""
     _check_match(params)
     output = params["output"]
-    if skipped(console, "ik", params, output, lambda: [output]):
+    if skip_existing_outputs(console, "ik", params, output, lambda: [output]):
         return
-    from animtool.cli.ik_summary import MATCHED
+    from animtool.cli.ik_summary import MATCH_TEMPLATE
     from animtool.scene.bake.options import BakeOptions
     from animtool.scene.solves.ik_match import MatchJob, run_match
 
@@ -252,7 +255,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
     console.faults(report.notices)
-    console.report(params["report_format"], report, MATCHED)
+    console.report(params["report_format"], report, MATCH_TEMPLATE)
 
 
 def _check_match(params: dict[str, Any]) -> None:
@@ -266,27 +269,27 @@ def _check_match(params: dict[str, Any]) -> None:
     default_source = click.core.ParameterSource.DEFAULT
     for option in context.command.params:
         name = option.name or ""
-        ignored = name in params and name not in _MATCH_OPTIONS
-        if ignored and context.get_parameter_source(name) is not default_source:
+        is_ignored = name in params and name not in _MATCH_OPTIONS
+        if is_ignored and context.get_parameter_source(name) is not default_source:
             raise click.UsageError(f"{option.opts[-1]} has no effect with --match.")
 
 
 def _check(params: dict[str, Any]) -> None:
     if params["targets"] is None:
         raise click.UsageError("Pass --targets, or --match to write some.")
-    refuse_alone(params)
+    refuse_plot_without_table(params)
     if params["chains"] is not None:
         raise click.UsageError("--chains needs --match.")
 
 
-def _source(params: dict[str, Any]) -> Any:
+def _start_options(params: dict[str, Any]) -> Any:
     """Return the options of the start take."""
     source_keys = ("prim_path", "take", "positions")
     extra = {"shot": params["shot"], "placement": params["placement"]}
     return source_options_record(params, *source_keys, **extra)
 
 
-def _table(console: Console, params: dict[str, Any]) -> None:
+def _print_table(console: Console, params: dict[str, Any]) -> None:
     from animtool.scene.tables.tradeoffs import ik_tradeoffs
 
     table_inputs = (params["rig"], params["targets"], params["start"])
@@ -305,9 +308,9 @@ def _job(params: dict[str, Any]) -> Any:
         rig=params["rig"],
         targets=params["targets"],
         start=params["start"],
-        source=_source(params),
+        source=_start_options(params),
         pose=pose is not None,
-        frame=None if pose == FIRST else pose,
+        frame=None if pose == FIRST_FRAME else pose,
         options=TakeOptions(**read_values(TakeOptions, params)),
         tolerance=params["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),

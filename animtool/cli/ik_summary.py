@@ -15,20 +15,20 @@ if TYPE_CHECKING:
     from animtool.ik.report import Misses
 
 
-def _size(miss: Misses, name: str) -> str:
+def _miss_text(miss: Misses, figure: str) -> str:
     """Format the size of a miss."""
-    value = getattr(miss, name)
+    value = getattr(miss, figure)
     if miss.metric and not math.isfinite(value):
         return f"over {OVERFLOW_DISTANCE:g} m"
     return length_text(value) if miss.metric else angle_text(math.degrees(value))
 
 
-def _limits(counts: dict[str, int]) -> list[str]:
+def _limit_texts(counts: dict[str, int]) -> list[str]:
     most_frequent = sorted(counts.items(), key=lambda item: -item[1])
     return [f"{name} ({counted(count, 'frame')})" for name, count in most_frequent]
 
 
-SOLVED = Template(
+SOLVE_TEMPLATE = Template(
     "animtool.scene.solves.ik:IkReport",
     (
         "{solved.tracks.path}: [{goals:n goal}|0 goals], {span}",
@@ -57,10 +57,15 @@ SOLVED = Template(
         "[{?moved}  goals and joints have solved frames {solved.take.clock.span}; "
         "frame {solved.take.clock.start:frame} is written as {span.first:frame}]",
     ),
-    {"size": _size, "ends": status_text, "limits": _limits, "channels": channel_lines},
+    {
+        "size": _miss_text,
+        "ends": status_text,
+        "limits": _limit_texts,
+        "channels": channel_lines,
+    },
     ("joints that move: {solved.problem.joints:join}", SECONDS),
 )
-MATCHED = Template(
+MATCH_TEMPLATE = Template(
     "animtool.scene.solves.ik_match:MatchReport",
     (
         "[{tracks.goals:n chain}|0 chains] matched, {clock.span}",

@@ -172,24 +172,24 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
 }
 
 
-def _range(ends: tuple[int, int], noun: str, plural: str = "") -> str:
-    text = counted(ends[1], noun, plural)
-    return text if ends[0] == ends[1] else f"{ends[0]} to {text}"
+def _range_text(bounds: tuple[int, int], noun: str, plural: str = "") -> str:
+    text = counted(bounds[1], noun, plural)
+    return text if bounds[0] == bounds[1] else f"{bounds[0]} to {text}"
 
 
 def _pieces_text(prim: PointPrim) -> str:
     if not prim.pieces:
         return ""
     noun = "mesh" if prim.pieces == "meshes" else prim.pieces.removesuffix("s")
-    return _range(prim.piece_count, noun, prim.pieces)
+    return _range_text(prim.piece_count, noun, prim.pieces)
 
 
-def _has(prim: PointPrim) -> str:
+def _content_text(prim: PointPrim) -> str:
     props = ("velocities", "orientations", "widths", "ids", "normals")
     return ", ".join([name for name in props if getattr(prim, name)] + prim.primvars)
 
 
-def _extreme(extreme: Extreme, unit: str) -> str:
+def _extreme_text(extreme: Extreme, unit: str) -> str:
     """Return a value with its character and frame."""
     path_parts = extreme.character.strip("/").split("/")
     name = next(
@@ -214,12 +214,12 @@ def _colliders_text(system: SystemDescription) -> str:
 
 # Formatters in addition to `animtool.report.text.PRINTED`.
 PRINTERS: dict[str, Callable[..., str]] = {
-    "range": _range,
+    "range": _range_text,
     "pieces": _pieces_text,
-    "has": _has,
+    "has": _content_text,
     "kind": lambda kind: f"{_TYPE_LABELS.get(kind, kind.lower()):<9}",
-    "types": lambda types, most: listed(
-        [f"{count} {name or 'over'}" for name, count in types.items()], int(most)
+    "types": lambda types, max_count: listed(
+        [f"{count} {name or 'over'}" for name, count in types.items()], int(max_count)
     ),
     "sides": lambda sides: " to ".join(
         " ".join(f"{x:.3g}" for x in side) for side in sides
@@ -228,8 +228,10 @@ PRINTERS: dict[str, Callable[..., str]] = {
         f"{side} {percent_text(foot.standing)} of frames, {counted(foot.steps, 'step')}"
         for side, foot in feet.items()
     ),
-    "extreme": _extreme,
-    "named": lambda named, most: listed([entry.name for entry in named], int(most)),
+    "extreme": _extreme_text,
+    "named": lambda entries, max_count: listed(
+        [entry.name for entry in entries], int(max_count)
+    ),
     "made": _system_counts,
     "met": _colliders_text,
 }
@@ -321,19 +323,19 @@ def _describe(path: Path, params: dict[str, Any], used_variables: set[str]) -> A
 
         return describe_markers(path, read_marker_file(path, params))
     if has_kind_suffix(path, "scene"):
-        return _scene(path, params, used_variables)
+        return _describe_scene(path, params, used_variables)
     if has_kind_suffix(path, "rig") or is_rig_only(path):
-        return _rig(path)
+        return _describe_rig(path)
     if has_kind_suffix(path, "targets"):
         from animtool.report.describe_rig import describe_targets
 
         return describe_targets(path)
     if is_usd(path):
-        return _stage(path, params)
-    return _take(path, params)
+        return _describe_stage(path, params)
+    return _describe_take(path, params)
 
 
-def _take(path: Path, params: dict[str, Any]) -> Any:
+def _describe_take(path: Path, params: dict[str, Any]) -> Any:
     """Describe the take of a file; for a glTF without nodes, its other content."""
     from animtool.core.readers import GLTF, reader_of
     from animtool.report.describe import describe
@@ -341,16 +343,16 @@ def _take(path: Path, params: dict[str, Any]) -> Any:
     if reader_of(path) is GLTF:
         from animtool.report.describe_gltf import describe_nodeless
 
-        nodeless = describe_nodeless(path)
-        if nodeless is not None:
-            return nodeless
+        description = describe_nodeless(path)
+        if description is not None:
+            return description
     options = source_options_record(
         params, "positions", "take", prim_path=params["prim_path"]
     )
     return describe(path, options)
 
 
-def _stage(path: Path, params: dict[str, Any]) -> Any:
+def _describe_stage(path: Path, params: dict[str, Any]) -> Any:
     """Describe a USD file."""
     from animtool.report.describe import describe
     from animtool.scene.sources.open import SourceOptions
@@ -365,7 +367,9 @@ def _stage(path: Path, params: dict[str, Any]) -> Any:
     return describe(path, options)
 
 
-def _scene(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
+def _describe_scene(
+    path: Path, params: dict[str, Any], used_variables: set[str]
+) -> Any:
     from animtool.report.describe_scene import describe_scene
     from animtool.scene.file.read import load_scene
 
@@ -374,7 +378,7 @@ def _scene(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
     return describe_scene(scene)
 
 
-def _rig(path: Path) -> Any:
+def _describe_rig(path: Path) -> Any:
     from animtool.report.describe_rig import describe_rig
     from animtool.scene.sources.onto_rig import open_rig
 

@@ -13,7 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
-    Parsed,
+    ParsedType,
     PositiveNumber,
     bake_option,
     common_options,
@@ -23,7 +23,7 @@ from animtool.cli.options import (
 from animtool.core.names import has_kind_suffix
 from animtool.report.text import Template
 
-WRITTEN = Template(
+BUNDLE_TEMPLATE = Template(
     "animtool.batch.bundle:WrittenBundle",
     (
         "{folder}: {bundle.items} items, {bundle.chunk} a task, {bundle.tasks} tasks",
@@ -52,7 +52,7 @@ Examples:
 )
 @click.option(
     "--chunk",
-    type=Parsed("items", count_or_auto),
+    type=ParsedType("items", count_or_auto),
     default="auto",
     show_default=True,
     metavar="N|auto",
@@ -73,7 +73,7 @@ Examples:
     help="Target duration of a task on one processor.",
 )
 @cut_options
-@bake_option("overwrite", about="Replace a bundle that is there.")
+@bake_option("overwrite", help_text="Replace a bundle that is there.")
 @format_option
 @common_options
 @click.pass_obj
@@ -114,4 +114,4 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
         resolved_batch, batch_file, min(chunk_items, item_count), cuts
     )
     written = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
-    console.report(params["report_format"], written, WRITTEN)
+    console.report(params["report_format"], written, BUNDLE_TEMPLATE)

@@ -19,7 +19,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import atomic_command, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
 from animtool.edit.loop_options import LoopOptions
 from animtool.report.text import Template
 
@@ -54,7 +54,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     from animtool.core.writers import take_writer
     from animtool.scene.solves.cycle import loop_source
 
-    if output is not None and skipped(
+    if output is not None and skip_existing_outputs(
         console, "loop", params, output, lambda: take_writer(output).files(output)
     ):
         return
@@ -63,12 +63,12 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
         values[option_name] = (
             None if values[option_name] is None else float(values[option_name])
         )
-    find = values["first"] is None or values["last"] is None
+    searches = values["first"] is None or values["last"] is None
     with atomic_command(), console.progress(f"loop {source.name}") as progress:
         result = loop_source(
             source,
             output,
-            LoopOptions(find=find, **values),
+            LoopOptions(find=searches, **values),
             source_options_record(
                 params,
                 *("prim_path", "take", "positions"),
@@ -81,9 +81,9 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     console.faults(result.notices)
     console.report(params["report_format"], result, _TEMPLATE)
     if result.written is not None and params["report_format"] != "json":
-        from animtool.cli.summary import CONVERTED
+        from animtool.cli.summary import CONVERT_TEMPLATE
 
-        console.lines(CONVERTED.text(result.written))
+        console.lines(CONVERT_TEMPLATE.text(result.written))
 
 
 _TEMPLATE = Template(

@@ -24,17 +24,17 @@ from animtool.core.errors import (
 from animtool.core.process.signals import (
     TerminatedError,
     ending_signal,
+    ignore_signals,
     obey_signals,
-    obeyed_signals,
-    outlast_signals,
-    raise_again,
+    obey_signals_in_block,
     receive_signals,
+    reraise_swallowed,
 )
 from animtool.core.process.supervisor import (
     Crash,
     can_supervise,
     crash_fault,
-    leave,
+    exit_now,
     supervise,
 )
 from animtool.core.quantities import escaped
@@ -77,13 +77,13 @@ def memory_fault(error: BaseException) -> Fault:
     """Return the fault of an out-of-memory error: its size and the failed step."""
     description = str(error).strip().rstrip(".")
     message = f"out of memory: {description}" if description else "out of memory"
-    step = _step(error)
-    if step:
-        message += f", needed in {step}"
+    function_name = _innermost_function(error)
+    if function_name:
+        message += f", needed in {function_name}"
     return Fault("IO013", message, hint=MEMORY_HINT)
 
 
-def _step(error: BaseException) -> str:
+def _innermost_function(error: BaseException) -> str:
     """Return module and name of the innermost animtool function."""
     innermost, trace = "", error.__traceback__
     while trace is not None:
@@ -99,7 +99,7 @@ def _step(error: BaseException) -> str:
     return innermost
 
 
-def limited_bytes() -> int | None:
+def memory_limit_bytes() -> int | None:
     """Return the memory limit of this process [byte]; None for no limit."""
     try:
         import resource
@@ -122,7 +122,7 @@ def crash_reason(name: str, path: str = "") -> Fault | None:
     if name == "SIGKILL":
         message = "killed from outside (SIGKILL): out of memory or a time limit"
         return Fault("IO014", message, location, (), KILLED_HINT)
-    limit = limited_bytes()
+    limit = memory_limit_bytes()
     if limit is None:
         return None
     message = f"the process ended ({name}) within its memory limit, "
@@ -255,32 +255,36 @@ def cli() -> None:
 
 
 # Commands run in a child process in case USD crashes; these read no USD.
-WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
-SUPERVISED = COMMANDS.keys() - WITHOUT_USD
+COMMANDS_WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
+SUPERVISED_COMMANDS = COMMANDS.keys() - COMMANDS_WITHOUT_USD
 HELP_FLAGS = {"-h", "--help"}
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code."""
     argv = list(sys.argv[1:] if arguments is None else arguments)
-    if SUPERVISED.isdisjoint(argv[:1]) or HELP_FLAGS & {*argv} or not can_supervise():
+    if (
+        SUPERVISED_COMMANDS.isdisjoint(argv[:1])
+        or HELP_FLAGS & {*argv}
+        or not can_supervise()
+    ):
         obey_signals()
-        leave(run(argv))
+        exit_now(run(argv))
 
-    def refuse(crash: Crash) -> int:
+    def report_crash(crash: Crash) -> int:
         error: AnimtoolError | _CrashError = _CrashError(crash.name)
-        reason = crash_reason(crash.name, crash.path)
-        if reason is not None:
-            error = OutputError(reason)
+        fault = crash_reason(crash.name, crash.path)
+        if fault is not None:
+            error = OutputError(fault)
         elif crash.path:
             error = FormatError(crash_fault(crash.path, crash.number))
-        return _report(Console(json_log=_logs_json(argv)), error)
+        return _report_error(Console(json_log=_logs_json(argv)), error)
 
-    os._exit(supervise(lambda: run(argv), refuse, _remove_leftovers))
+    os._exit(supervise(lambda: run(argv), report_crash, _remove_leftovers))
 
 
 class _CrashError(Exception):
-    """The worker process crashed while reading an unknown file."""
+    """The child process crashed while reading an unknown file."""
 
 
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
@@ -299,11 +303,11 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
     if hasattr(sys.stderr, "reconfigure"):
         sys.stderr.reconfigure(errors="backslashreplace")
-    with obeyed_signals():
+    with obey_signals_in_block():
         try:
             return _run(arguments, console)
         except (KeyboardInterrupt, TerminatedError) as error:
-            return _report(console, error)
+            return _report_error(console, error)
 
 
 def _run(arguments: Sequence[str], console: Console) -> int:
@@ -314,26 +318,26 @@ def _run(arguments: Sequence[str], console: Console) -> int:
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
         sys.stdout.flush()
         if ending_signal():
-            raise_again()
-        outlast_signals()
+            reraise_swallowed()
+        ignore_signals()
     except SystemExit:
         if (sys.stdout, sys.stderr) == streams:
             raise
         # Click converts both, and exits with 1 if stdout is closed.
         sys.stdout, sys.stderr = streams
-        code = _report(console, BrokenPipeError())
+        code = _report_error(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
         if ending_signal():
             # The exception of the signal was swallowed, or replaced by another error.
-            raise_again()
+            reraise_swallowed()
         if console.debug:
             raise
-        code = _report(console, error)
-        outlast_signals()
+        code = _report_error(console, error)
+        ignore_signals()
     return int(code or 0)
 
 
-def _report(console: Console, error: BaseException) -> int:
+def _report_error(console: Console, error: BaseException) -> int:
     """Report the error that ended the command and return its exit code."""
     match error:
         case AnimtoolError():
@@ -345,7 +349,7 @@ def _report(console: Console, error: BaseException) -> int:
             error.show(sys.stderr)
             code = int(ExitCode.USAGE)
         case click.ClickException():
-            _usage(console, error)
+            _report_usage_error(console, error)
             code = int(ExitCode.USAGE)
         case KeyboardInterrupt() | click.Abort():
             console.error("interrupted")
@@ -380,7 +384,7 @@ def _report(console: Console, error: BaseException) -> int:
 
 
 def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
-    """Return faults with the options that name their files."""
+    """Return faults located at the options that name their files."""
     from animtool.cli.usage import with_option
 
     context = console.context
@@ -394,18 +398,18 @@ def _logs_json(arguments: Sequence[str]) -> bool:
 
     Determined here and not by the commands, so that usage errors are JSON too.
     """
-    joined = " ".join(arguments).replace("=", " ")
+    command_line = " ".join(arguments).replace("=", " ")
     is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
-    return "--log-format json" in joined or (
-        is_default and "--log-format" not in joined
+    return "--log-format json" in command_line or (
+        is_default and "--log-format" not in command_line
     )
 
 
-def _usage(console: Console, error: click.ClickException) -> None:
-    from animtool.cli.usage import explained
+def _report_usage_error(console: Console, error: click.ClickException) -> None:
+    from animtool.cli.usage import with_suggestion
 
-    error = explained(error)
-    text = worded(error.format_message(), console.calling)
+    error = with_suggestion(error)
+    text = worded(error.format_message(), console.namer)
     if console.json_log:
         console.error(text)
         return

@@ -13,7 +13,7 @@ from animtool.cli.options import (
     INPUT,
     source_options,
     source_options_record,
-    stacked,
+    stack_options,
     strict_option,
 )
 from animtool.cli.outputs import atomic_command, writing_options
@@ -25,7 +25,7 @@ from animtool.report.text import Template
 if TYPE_CHECKING:
     from animtool.motion.markers import Markers
 
-marker_options = stacked(
+marker_options = stack_options(
     source_options,
     click.option(
         "--subject",
@@ -58,11 +58,11 @@ class WrittenMarkers:
 
     @property
     def head(self) -> dict[str, str]:
-        """The report's key: the name of the command."""
+        """Command and version of the report."""
         return {self.command: VERSION}
 
 
-WRITTEN = Template(
+MARKERS_TEMPLATE = Template(
     "animtool.cli.marker_files:WrittenMarkers",
     ("{output}: {markers:counts_of}",),
     {"counts_of": lambda markers: f"{markers!r}"[1:-1].removeprefix("Markers: ")},
@@ -89,32 +89,34 @@ def run_on_markers(
     sources: tuple[Path, ...],
     output: Path,
     params: Mapping[str, Any],
-    work: Callable[..., tuple[Any, Any]],
+    process: Callable[..., tuple[Any, Any]],
     template: Template | None = None,
 ) -> None:
     """Read marker files, process them, write the result and report.
 
-    work: Maps the markers of the sources to markers and a report with notices.
+    process: Maps the markers of the sources to markers and a report with notices.
     """
-    from animtool.cli.outputs import skipped
+    from animtool.cli.outputs import skip_existing_outputs
     from animtool.core.errors import refuse_warnings
     from animtool.core.files.output import check_outputs
     from animtool.core.writers import marker_writer
     from animtool.formats.marker_files import file_of, write_markers
 
-    if skipped(console, command, params, output, lambda: [output]):
+    if skip_existing_outputs(console, command, params, output, lambda: [output]):
         return
     marker_writer(output)
     files = [file_of(path) for path in sources]
     check_outputs([output], files, overwrite=params["overwrite"])
     with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         marker_sets = [read_marker_file(path, params) for path in sources]
-        markers, report = work(*marker_sets)
-        notices = [n for reported in (*marker_sets, report) for n in reported.notices]
+        markers, report = process(*marker_sets)
+        notices = [
+            notice for result in (*marker_sets, report) for notice in result.notices
+        ]
         refuse_warnings(notices, strict=params["strict"])
         notices += write_markers(markers, output, overwrite=params["overwrite"])
     console.faults(notices)
     written = WrittenMarkers(command, output, markers, report, notices)
-    console.report(params["report_format"], written, WRITTEN)
+    console.report(params["report_format"], written, MARKERS_TEMPLATE)
     if template is not None and params["report_format"] != "json":
         console.lines(template.text(report))

@@ -18,7 +18,7 @@ from animtool.cli.options import (
 )
 from animtool.report.text import Each, Template
 
-MIGRATED = Template(
+MIGRATE_TEMPLATE = Template(
     "animtool.documents.migrate:Migrations",
     (
         Each(
@@ -46,7 +46,7 @@ Examples:
     is_flag=True,
     help="Write nothing; show what would change, and exit with 1 if anything would.",
 )
-@bake_option("overwrite", about="Replace files of older versions.")
+@bake_option("overwrite", help_text="Replace files of older versions.")
 @strict_option
 @format_option
 @common_options
@@ -68,7 +68,7 @@ def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     )
     for plan in plans:
         console.faults(plan.notices)
-    console.report(params["report_format"], Migrations(plans), MIGRATED)
+    console.report(params["report_format"], Migrations(plans), MIGRATE_TEMPLATE)
     if not check:
         return
     if params["report_format"] != "json":

@@ -20,7 +20,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import atomic_command, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
 
 
 @command(
@@ -66,7 +66,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
     from animtool.motion.passes import find_pass
     from animtool.scene.convert.takes import convert_with_passes
 
-    if skipped(
+    if skip_existing_outputs(
         console,
         "mocap clean",
         params,
@@ -76,11 +76,11 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
         return
     options = CleanOptions(**read_values(CleanOptions, params))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
-    settings = {
+    pass_switches = {
         "root_drift": params["drift"] == "remove",
         "feet": params["feet"] == "hold",
     }
-    for name in (name for name, on in settings.items() if on):
+    for name in (name for name, is_enabled in pass_switches.items() if is_enabled):
         passes.append((find_pass(name), find_pass(name).options()))
     with atomic_command(), console.progress(f"clean {source.name}") as progress:
         report = convert_with_passes(
@@ -93,7 +93,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
             progress=progress,
         )
     console.faults(report.notices)
-    from animtool.cli.summary import CONVERTED
+    from animtool.cli.summary import CONVERT_TEMPLATE
 
     report = replace(report, command="mocap clean")
-    console.report(params["report_format"], report, CONVERTED)
+    console.report(params["report_format"], report, CONVERT_TEMPLATE)

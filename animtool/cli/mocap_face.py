@@ -22,7 +22,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import atomic_command, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
 from animtool.core.quantities import length_text
 from animtool.report.text import SECONDS, Template
 
@@ -98,7 +98,9 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
         source_options_record(params),
         BakeOptions(overwrite=params["overwrite"], strict=params["strict"]),
     )
-    if skipped(console, "mocap face", params, job.output, lambda: job.target.files):
+    if skip_existing_outputs(
+        console, "mocap face", params, job.output, lambda: job.target.files
+    ):
         return
     with atomic_command(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
@@ -106,7 +108,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     console.report(params["report_format"], result, _template(result))
 
 
-def _ends(status: Sequence[object]) -> list[str]:
+def _unsolved_counts(status: Sequence[object]) -> list[str]:
     """Return frame counts by status; empty if all are solved."""
     counts = Counter(map(str, status))
     status_texts = [f"{count} {name}" for name, count in sorted(counts.items())]
@@ -114,12 +116,14 @@ def _ends(status: Sequence[object]) -> list[str]:
 
 
 def _template(result: FaceResult) -> Template:
-    def residual(value: float) -> str:
+    def residual_text(value: float) -> str:
         if result.pixels_per_meter is None:
             return length_text(value)
         return f"{value:.3g} px ({length_text(value / result.pixels_per_meter)})"
 
-    return replace(_TEMPLATE, printers={"residual": residual, "ends": _ends})
+    return replace(
+        _TEMPLATE, printers={"residual": residual_text, "ends": _unsolved_counts}
+    )
 
 
 _TEMPLATE = Template(

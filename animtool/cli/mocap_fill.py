@@ -71,27 +71,27 @@ def fill(
         if path is not None and template is None:
             raise click.UsageError(f"{option} needs a skeleton: pass --template too.")
 
-    def work(read: Any, static: Any = None) -> tuple[Any, Any]:
+    def fill_gaps(marker_data: Any, static_markers: Any = None) -> tuple[Any, Any]:
         from animtool.capture.markers.fill import fill_markers as run_fill
 
         options = FillOptions(**read_values(FillOptions, params))
         if template is None:
-            return run_fill(read, options)
+            return run_fill(marker_data, options)
         from animtool.capture.markers.skeleton import MarkerSubject
         from animtool.capture.solve.source import rig_of_template
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
         loaded_template = load_template(template)
-        wearer, notices = open_rig(rig_of_template(loaded_template, rig, template))
-        subject = MarkerSubject(wearer, loaded_template, static)
+        subject_rig, notices = open_rig(rig_of_template(loaded_template, rig, template))
+        subject = MarkerSubject(subject_rig, loaded_template, static_markers)
         with faults_in(markers):
-            filled_markers, report = run_fill(read, options, subject)
+            filled_markers, report = run_fill(marker_data, options, subject)
         report.notices[:0] = notices
         return filled_markers, report
 
     sources = (markers,) if static is None else (markers, static)
-    run_on_markers(console, "mocap fill", sources, output, params, work, _TEMPLATE)
+    run_on_markers(console, "mocap fill", sources, output, params, fill_gaps, _TEMPLATE)
 
 
 _METHODS = {
@@ -102,10 +102,14 @@ _METHODS = {
 }
 
 
-def _methods(gaps: Any) -> str:
+def _method_counts(gaps: Any) -> str:
     """Format the counts of filled gaps by method."""
     counts = Counter(gap.method for gap in gaps)
-    return ", ".join(f"{counts[m]} {word}" for m, word in _METHODS.items() if counts[m])
+    return ", ".join(
+        f"{counts[method]} {word}"
+        for method, word in _METHODS.items()
+        if counts[method]
+    )
 
 
 _TEMPLATE = Template(
@@ -122,6 +126,6 @@ _TEMPLATE = Template(
     {
         "pair": " and ".join,
         "mm_whole": lambda size: f"{1000 * size:.0f} mm",
-        "methods": _methods,
+        "methods": _method_counts,
     },
 )

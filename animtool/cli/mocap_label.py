@@ -40,23 +40,23 @@ def label(
     such as reflections, are removed.
     """
 
-    def work(points: Any, trial: Any) -> tuple[Any, Any]:
+    def label_points(points: Any, trial: Any) -> tuple[Any, Any]:
         from animtool.capture.markers.label import label as run_label
 
         return run_label(points, trial)
 
     run_on_markers(
-        console, "mocap label", (cloud, static), output, params, work, _TEMPLATE
+        console, "mocap label", (cloud, static), output, params, label_points, _TEMPLATE
     )
 
 
-def _partial(coverage: dict[str, float]) -> list[str]:
+def _rarely_visible_markers(coverage: dict[str, float]) -> list[str]:
     """Return the markers visible in less than half of the frames."""
-    partial = [
+    rare_markers = [
         (name, fraction) for name, fraction in coverage.items() if fraction < 0.5
     ]
-    partial.sort(key=lambda entry: entry[1])
-    return [f"{name}: seen in {100 * c:.0f}% of the frames" for name, c in partial]
+    rare_markers.sort(key=lambda entry: entry[1])
+    return [f"{name}: seen in {100 * c:.0f}% of the frames" for name, c in rare_markers]
 
 
 _TEMPLATE = Template(
@@ -66,5 +66,5 @@ _TEMPLATE = Template(
         "markers; {runs} runs",
         Each("coverage:partial", ("  {self}",)),
     ),
-    {"partial": _partial},
+    {"partial": _rarely_visible_markers},
 )

@@ -21,7 +21,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import (
     goes_to_stdout,
-    skipped,
+    skip_existing_outputs,
     take_output_option,
     writing_options,
     written_options,
@@ -117,7 +117,9 @@ def solve(
         params["write_template"],
         written_options_record(params, strict=params["strict"]),
     )
-    if skipped(console, "mocap solve", params, output, lambda: job.target.files):
+    if skip_existing_outputs(
+        console, "mocap solve", params, output, lambda: job.target.files
+    ):
         return
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
         report = run_solve(job, progress=progress)
@@ -125,10 +127,10 @@ def solve(
     console.report(params["report_format"], report, _TEMPLATE)
 
 
-def _bones(calibration: Calibration) -> str:
+def _bone_scale_range(calibration: Calibration) -> str:
     """Format the range of bone scales."""
-    bones = calibration.scales[calibration.scales != 1.0]
-    return f"{bones.min(initial=1.0):.3g} to {bones.max(initial=1.0):.3g}"
+    scales = calibration.scales[calibration.scales != 1.0]
+    return f"{scales.min(initial=1.0):.3g} to {scales.max(initial=1.0):.3g}"
 
 
 def _worst_markers(markers: Sequence[MarkerScore]) -> list[str]:
@@ -139,11 +141,13 @@ def _worst_markers(markers: Sequence[MarkerScore]) -> list[str]:
     return [f"{marker.name} {length_text(marker.rms)}" for marker in worst_markers[:3]]
 
 
-def _strays(markers: Sequence[MarkerScore]) -> list[str]:
+def _outlier_markers(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers rejected in some frames."""
-    strays = [marker for marker in markers if marker.outliers > 0.01]
-    strays.sort(key=lambda marker: -marker.outliers)
-    return [f"{marker.name} ({percent_text(marker.outliers)})" for marker in strays]
+    outlier_markers = [marker for marker in markers if marker.outliers > 0.01]
+    outlier_markers.sort(key=lambda marker: -marker.outliers)
+    return [
+        f"{marker.name} ({percent_text(marker.outliers)})" for marker in outlier_markers
+    ]
 
 
 def _swapped_markers(solve: MarkerSolve) -> list[str]:
@@ -172,9 +176,9 @@ _TEMPLATE = Template(
         "[  written: {outputs:join}]",
     ),
     {
-        "bones": _bones,
+        "bones": _bone_scale_range,
         "worst": _worst_markers,
-        "strays": _strays,
+        "strays": _outlier_markers,
         "exchanged": _swapped_markers,
     },
     (SECONDS,),

@@ -19,7 +19,7 @@ from animtool.cli.options import (
     source_options,
     strict_option,
 )
-from animtool.cli.outputs import atomic_command, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.text import Table, Template
 
@@ -75,7 +75,9 @@ def triangulate(
     folder for each camera. Wrong observations are excluded, and cameras that moved
     after calibration are reported.
     """
-    if skipped(console, "mocap triangulate", params, output, lambda: [output]):
+    if skip_existing_outputs(
+        console, "mocap triangulate", params, output, lambda: [output]
+    ):
         return
     from animtool.capture.cameras.file import load_all_cameras
     from animtool.capture.cameras.observations import read_observations
@@ -96,14 +98,14 @@ def triangulate(
     name = observations.name
     with atomic_command(), console.progress(f"triangulate {name}") as progress:
         if observations.is_dir():
-            observations_read = read_keypoints(
+            loaded_observations = read_keypoints(
                 observations, cameras, fps=params["source_fps"], people=params["people"]
             )
         else:
-            observations_read = read_observations(
+            loaded_observations = read_observations(
                 observations, fps=params["source_fps"]
             )
-        result = solve(observations_read, cameras, options, progress=progress)
+        result = solve(loaded_observations, cameras, options, progress=progress)
         refuse_warnings(result.notices, strict=params["strict"])
         written_notices = write_markers(
             result.markers, output, overwrite=params["overwrite"]
@@ -118,7 +120,7 @@ def triangulate(
     console.report(params["report_format"], result, _TEMPLATE)
 
 
-def _remarks(report: CameraReport) -> str:
+def _camera_remarks(report: CameraReport) -> str:
     """Return, as text, the frames where a camera moved or disagrees with others."""
     from animtool.core.shot import frame_spans
 
@@ -155,7 +157,7 @@ _TEMPLATE = Template(
     ),
     {
         "summary": lambda markers: f"{markers!r}".strip("<>"),
-        "remarks": _remarks,
+        "remarks": _camera_remarks,
         "hundredths2": lambda fraction: f"{100 * fraction:.2f}",
     },
 )

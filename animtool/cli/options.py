@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from animtool.cli.console import SOURCE_NAMES, Console, FlagCalling, as_flag
+from animtool.cli.console import SOURCE_NAMES, Console, FlagNamer, as_flag
 from animtool.core.arguments import worded
 from animtool.core.errors import Severity
 from animtool.core.options import Option, options_of
@@ -22,8 +22,8 @@ from animtool.scene.sources.open import SourceOptions
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class Parsed(click.ParamType[Any]):
-    """A click type from a parsing function; `ValueError` is a usage error."""
+class ParsedType(click.ParamType[Any]):
+    """A click type that uses a parsing function; `ValueError` is a usage error."""
 
     def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
         self.name = name
@@ -41,13 +41,13 @@ class Parsed(click.ParamType[Any]):
             self.fail(f"{error}.", param, ctx)
 
 
-def _rate(text: str) -> Any:
+def _parse_rate(text: str) -> Any:
     from animtool.core.rates import parse_rate
 
     return parse_rate(text)
 
 
-def _timecode(text: str) -> str:
+def _parse_timecode(text: str) -> str:
     from animtool.core.timecode import is_timecode
 
     if not is_timecode(text):
@@ -57,7 +57,7 @@ def _timecode(text: str) -> str:
     return text.strip()
 
 
-def _tolerance(text: str) -> float:
+def _parse_tolerance(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -72,10 +72,10 @@ def _tolerance(text: str) -> float:
     return value
 
 
-def _distance(text: str) -> float:
+def _parse_distance(text: str) -> float:
     """Parse a distance [m]."""
     try:
-        return _tolerance(text)
+        return _parse_tolerance(text)
     except ValueError:
         return parse_length(text)
 
@@ -125,7 +125,7 @@ class Count(click.IntRange):
             self.fail(rule, param, ctx)
 
 
-def _integer(text: str) -> int:
+def _parse_integer(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
@@ -135,7 +135,7 @@ def _integer(text: str) -> int:
     return value
 
 
-def _joint_length(text: str) -> tuple[str, float]:
+def _parse_joint_length(text: str) -> tuple[str, float]:
     name, equals, length = text.rpartition("=")
     if not equals or not name:
         raise ValueError(f"{text!r} is not a joint and a length, such as hand_l=0.1mm")
@@ -151,11 +151,11 @@ def _parse_variable(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _codes(text: str) -> tuple[str, ...]:
+def _parse_codes(text: str) -> tuple[str, ...]:
     return tuple(code.strip().upper() for code in text.split(",") if code.strip())
 
 
-def _severity(text: str) -> tuple[str, Severity]:
+def _parse_severity(text: str) -> tuple[str, Severity]:
     code, equals, name = text.partition("=")
     if not equals or not code or name not in list(Severity):
         levels = ", ".join(Severity)
@@ -163,7 +163,7 @@ def _severity(text: str) -> tuple[str, Severity]:
     return code.upper(), Severity(name)
 
 
-def _processes(text: str) -> int:
+def _parse_processes(text: str) -> int:
     if not text.isdigit() or not int(text):
         raise ValueError(f"{text!r} is not a number of processes from 1 up")
     return int(text)
@@ -173,25 +173,25 @@ def _processes(text: str) -> int:
 FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
-RATE = Parsed("rate", _rate)
-LENGTH = Parsed("length", parse_length)
-DISTANCE = Parsed("length", _distance)
-TOLERANCE = Parsed("tolerance", _tolerance)
+RATE = ParsedType("rate", _parse_rate)
+LENGTH = ParsedType("length", parse_length)
+DISTANCE = ParsedType("length", _parse_distance)
+TOLERANCE = ParsedType("tolerance", _parse_tolerance)
 
 
-def _set(name: str, value: Any) -> Callable[..., None]:
-    def apply(ctx: click.Context, _: click.Parameter, chosen: Any) -> None:
+def _console_callback(name: str, value: Any) -> Callable[..., None]:
+    def apply(ctx: click.Context, _: click.Parameter, option_value: Any) -> None:
         console = ctx.find_object(Console)
         if console is not None:
-            console.calling = FlagCalling(ctx.command)
+            console.namer = FlagNamer(ctx.command)
             console.context = ctx
-        if console is not None and chosen:
+        if console is not None and option_value:
             setattr(console, name, value)
 
     return apply
 
 
-def stacked(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
+def stack_options(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
     """Return a decorator that adds several options in order."""
 
     def add(command: Command) -> Command:
@@ -203,13 +203,13 @@ def stacked(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
 
 
 # Options of every command: verbosity and format of messages.
-common_options = stacked(
+common_options = stack_options(
     click.option(
         "-q",
         "--quiet",
         is_flag=True,
         expose_value=False,
-        callback=_set("verbosity", -1),
+        callback=_console_callback("verbosity", -1),
         help="Print only errors.",
     ),
     click.option(
@@ -217,7 +217,7 @@ common_options = stacked(
         "--verbose",
         is_flag=True,
         expose_value=False,
-        callback=_set("verbosity", 1),
+        callback=_console_callback("verbosity", 1),
         help="Say more.",
     ),
     click.option(
@@ -236,13 +236,13 @@ common_options = stacked(
         expose_value=False,
         is_eager=True,
         envvar="ANIMTOOL_DEBUG",
-        callback=_set("debug", True),
+        callback=_console_callback("debug", True),
         help="Show Python tracebacks.",
     ),
 )
 
 
-def _of_scene(name: str) -> Callable[[str], Any]:
+def _option_text_parser(name: str) -> Callable[[str], Any]:
     def parse(text: str) -> Any:
         from animtool.scene.file import option_text
 
@@ -259,28 +259,28 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "unit": (click.Choice(["m", "cm", "mm", "in"]), None),
     "axis": (click.Choice(["Y", "Z"], case_sensitive=False), None),
     "rate": (RATE, "RATE"),
-    "range": (Parsed("frame_range", _of_scene("frame_range")), "A-B[xN]"),
-    "frames": (Parsed("frames", _of_scene("frames")), "A-B[xN]|A,B,..."),
+    "range": (ParsedType("frame_range", _option_text_parser("frame_range")), "A-B[xN]"),
+    "frames": (ParsedType("frames", _option_text_parser("frames")), "A-B[xN]|A,B,..."),
     "texts": (str, "TEXT"),
-    "frame": (Parsed("frame", _of_scene("frame")), "FRAME"),
-    "rest": (Parsed("rest", _of_scene("rest")), None),
-    "source_rest": (Parsed("rest", _of_scene("source_rest")), None),
-    "offsets": (Parsed("offsets", _of_scene("offsets")), "OFFSETS"),
+    "frame": (ParsedType("frame", _option_text_parser("frame")), "FRAME"),
+    "rest": (ParsedType("rest", _option_text_parser("rest")), None),
+    "source_rest": (ParsedType("rest", _option_text_parser("source_rest")), None),
+    "offsets": (ParsedType("offsets", _option_text_parser("offsets")), "OFFSETS"),
     "length": (LENGTH, "LENGTH"),
-    "lengths": (Parsed("joint_length", _joint_length), "JOINT=LENGTH"),
-    "names": (Parsed("text", names_of), "NAME,..."),
+    "lengths": (ParsedType("joint_length", _parse_joint_length), "JOINT=LENGTH"),
+    "names": (ParsedType("text", names_of), "NAME,..."),
     "angle": (TOLERANCE, "DEGREES"),
     "amount": (TOLERANCE, None),
-    "seed": (Parsed("whole number", _integer), None),
-    "codes": (Parsed("codes", _codes), "CODE,…"),
-    "severities": (Parsed("severity", _severity), "CODE=SEVERITY"),
-    "processes": (Parsed("processes", _processes), "N"),
+    "seed": (ParsedType("whole number", _parse_integer), None),
+    "codes": (ParsedType("codes", _parse_codes), "CODE,…"),
+    "severities": (ParsedType("severity", _parse_severity), "CODE=SEVERITY"),
+    "processes": (ParsedType("processes", _parse_processes), "N"),
 }
 # Kinds whose options can be repeated.
 _REPEATABLE_TYPES = {"lengths", "codes", "severities", "texts"}
 
 
-class _OneOf(click.ParamType[Any]):
+class _ChoiceType(click.ParamType[Any]):
     """A click type: one of several names."""
 
     name = "name"
@@ -302,12 +302,12 @@ class _OneOf(click.ParamType[Any]):
         return self._names[self._names.index(value)]
 
 
-def declared(
+def declare_option(
     option: Option,
     name: str,
     default: Any = None,
-    called: str | None = None,
-    about: str | None = None,
+    param_name: str | None = None,
+    help_text: str | None = None,
 ) -> Callable[[Command], Command]:
     """Return a decorator that adds the option of a record's field.
 
@@ -315,14 +315,14 @@ def declared(
         option: The option.
         name: Field name of the option.
         default: Default of the field.
-        called: Name in the command, if it differs from the field's.
-        about: Help text, if it differs from the record's.
+        param_name: Name in the command, if it differs from the field's.
+        help_text: Help text, if it differs from the record's.
     """
-    word, flag_and_metavar = option.flag or name.replace("_", "-"), option.metavar
-    flag, text = f"--{word}", worded(about or option.help, as_flag)
-    param = called or name
+    flag_word, flag_and_metavar = option.flag or name.replace("_", "-"), option.metavar
+    flag, text = f"--{flag_word}", worded(help_text or option.help, as_flag)
+    param = param_name or name
     if option.kind == "answer":
-        return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
+        return click.option(f"{flag}/--no-{flag_word}", param, default=None, help=text)
     if option.choices and option.kind != "name":
         click_type = click.Choice(option.choices)
         click_default = option.choices[0] if option.kind == "switch" else default
@@ -340,7 +340,7 @@ def declared(
     if option.kind == "count":
         kind: Any = Count(option.min_count)
     elif option.kind == "name":
-        kind = _OneOf(option.choices)
+        kind = _ChoiceType(option.choices)
     else:
         kind, click_default = _TYPES[option.kind]
         flag_and_metavar = flag_and_metavar or click_default
@@ -362,13 +362,13 @@ def declared(
 def record_option(
     record: type,
     *names: str,
-    called: Mapping[str, str] | None = None,
-    about: str | None = None,
+    param_names: Mapping[str, str] | None = None,
+    help_text: str | None = None,
 ) -> Callable[[Command], Command]:
     """Return a decorator that adds options of a record in order; all if none is named.
 
-    called: Names in the command that differ from the fields'.
-    about: Help texts that differ from the record's.
+    param_names: Names in the command that differ from the fields'.
+    help_text: Help texts that differ from the record's.
     """
     options = options_of(record)
     defaults = {
@@ -376,10 +376,14 @@ def record_option(
         for entry in fields(record)
     }
 
-    return stacked(
+    return stack_options(
         *(
-            declared(
-                options[name], name, defaults[name], (called or {}).get(name), about
+            declare_option(
+                options[name],
+                name,
+                defaults[name],
+                (param_names or {}).get(name),
+                help_text,
             )
             for name in names or options
         )
@@ -409,27 +413,29 @@ _CONVERTERS: dict[str, Callable[[Any], Any]] = {
     "unit": LengthUnit,
     "axis": lambda axis: UpAxis(axis.upper()),
     "angle": math.radians,
-    "codes": lambda lists: tuple(code for codes in lists for code in codes),
+    "codes": lambda code_lists: tuple(code for codes in code_lists for code in codes),
     "severities": dict,
 }
 
 
 def source_option(*names: str) -> Callable[[Command], Command]:
     """Return a decorator that adds options of `SourceOptions` in order."""
-    return record_option(SourceOptions, *names, called=SOURCE_NAMES)
+    return record_option(SourceOptions, *names, param_names=SOURCE_NAMES)
 
 
-def bake_option(*names: str, about: str | None = None) -> Callable[[Command], Command]:
+def bake_option(
+    *names: str, help_text: str | None = None
+) -> Callable[[Command], Command]:
     """Return a decorator that adds options of `BakeOptions` in order.
 
-    about: Help text of a single option, if it differs from the record's.
+    help_text: Help text of a single option, if it differs from the record's.
     """
-    return record_option(BakeOptions, *names, about=about)
+    return record_option(BakeOptions, *names, help_text=help_text)
 
 
 rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
-# For commands that do not write a character elsewhere.
+# For commands without an option for the output's prim path.
 stage_option = click.option(
     "--source-prim",
     "prim_path",
@@ -441,7 +447,7 @@ stage_option = click.option(
 set_option = click.option(
     "--set",
     "variables",
-    type=Parsed("variable", _parse_variable),
+    type=ParsedType("variable", _parse_variable),
     metavar="NAME=VALUE",
     multiple=True,
     help="Value of ${NAME} in a scene, such as shot=sh020; repeatable.",
@@ -480,7 +486,7 @@ def source_options_record(
     return SourceOptions(**record_values, **values)
 
 
-# For a timeline: where its cuts begin, and the time codes of its media.
+# Options of a timeline: first frames of its cuts, and time codes of its media.
 TIMECODE_OPTIONS = (
     click.option(
         "--cut-start",
@@ -491,7 +497,7 @@ TIMECODE_OPTIONS = (
     ),
     click.option(
         "--first-timecode",
-        type=Parsed("timecode", _timecode),
+        type=ParsedType("timecode", _parse_timecode),
         metavar="HH:MM:SS:FF",
         help="Time code of the first frame of each take of a timeline.  [default: as "
         "the timeline states, else 00:00:00:00]",

@@ -16,19 +16,19 @@ from animtool.cli.options import (
     common_options,
     format_option,
     rig_layer_options,
-    stacked,
+    stack_options,
     strict_option,
 )
 from animtool.core.files.output import STDOUT, after_commit, atomic_outputs
-from animtool.core.process.signals import outlast_signals
+from animtool.core.process.signals import ignore_signals
 from animtool.scene.bake.options import BakeOptions
 
 if TYPE_CHECKING:
     from animtool.scene.tables.tradeoffs import Tradeoffs
 
 
-# Options of every command that writes files; the last ones, with the console.
-writing_options = stacked(
+# Options of every command that writes files, applied last, with the console.
+writing_options = stack_options(
     bake_option("overwrite"),
     click.option(
         "--skip-existing", is_flag=True, help="Do nothing if all outputs exist."
@@ -48,13 +48,13 @@ split_option = click.option(
     "--split", is_flag=True, help="Write USD in three files, as bake does."
 )
 # Output options of commands that write a take.
-written_options = stacked(
+written_options = stack_options(
     split_option,
     rig_layer_options,
     bake_option(
         "reduce",
-        about="Largest error of joints from leaving out keys of a clip or samples of "
-        "USD.",
+        help_text="Largest error of joints from leaving out keys of a clip or samples "
+        "of USD.",
     ),
     strict_option,
 )
@@ -65,7 +65,7 @@ def written_options_record(
 ) -> BakeOptions:
     """Return `BakeOptions` of a command that writes a take.
 
-    more: Additional options of this command.
+    more_options: Additional options of this command.
     """
     names = (
         "rig_layer",
@@ -75,8 +75,10 @@ def written_options_record(
         "overwrite",
         *more_options,
     )
-    form = "split" if params["split"] else None
-    return BakeOptions(form=form, **{name: params[name] for name in names}, **values)
+    usd_form = "split" if params["split"] else None
+    return BakeOptions(
+        form=usd_form, **{name: params[name] for name in names}, **values
+    )
 
 
 @contextmanager
@@ -87,11 +89,11 @@ def atomic_command() -> Iterator[None]:
     nothing.
     """
     with atomic_outputs():
-        after_commit(outlast_signals)
+        after_commit(ignore_signals)
         yield
 
 
-def skipped(
+def skip_existing_outputs(
     console: Console,
     command: str,
     params: Mapping[str, Any],
@@ -132,7 +134,7 @@ plot_option = click.option(
 )
 
 
-def refuse_alone(params: dict[str, Any]) -> None:
+def refuse_plot_without_table(params: dict[str, Any]) -> None:
     """Refuse ``--plot`` without a table."""
     if params["plot"] is not None and not params["table"]:
         raise click.UsageError("--plot draws what --table measures: pass both.")
@@ -150,13 +152,13 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
 
 
 def print_tradeoffs(
-    console: Console, report: Tradeoffs, form: str, plot: Path | None = None
+    console: Console, report: Tradeoffs, report_format: str, plot: Path | None = None
 ) -> None:
     """Print tables of time against error, and plot them if requested."""
     from animtool.report.tradeoffs import TABLES
 
     console.faults(report.notices)
-    console.report(form, report, TABLES)
+    console.report(report_format, report, TABLES)
     if plot is None:
         return
     from animtool.preview.work_precision import draw_panels, panels_of

@@ -34,7 +34,7 @@ class Plugins:
     )
 
 
-def _lines(table: str, kind: str) -> Each:
+def _table_lines(table: str, kind: str) -> Each:
     """Return the lines of a plug-in table; kind: label of loaded entries."""
     first_column = f"{{name:<14}} [{kind}|broken     ]"
     return Each(table, (first_column + " {about} ({source})",))
@@ -43,11 +43,11 @@ def _lines(table: str, kind: str) -> Each:
 PLUGINS = Template(
     "animtool.cli.plugins:Plugins",
     (
-        _lines("passes", "{uses:<11}"),
-        _lines("readers", "{uses:join <11}"),
-        _lines("writers", "{uses:join <11}"),
-        _lines("executors", "{?uses}executor   "),
-        _lines("rules", "{uses:<11}"),
+        _table_lines("passes", "{uses:<11}"),
+        _table_lines("readers", "{uses:join <11}"),
+        _table_lines("writers", "{uses:join <11}"),
+        _table_lines("executors", "{?uses}executor   "),
+        _table_lines("rules", "{uses:<11}"),
     ),
     is_result=True,
 )

@@ -21,7 +21,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.core.options import chosen_options
+from animtool.core.options import changed_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
 _SOURCE_OPTIONS = (
@@ -63,7 +63,7 @@ Examples:
 @record_option(PictureOptions)
 @source_option(*_SOURCE_OPTIONS)
 @set_option
-@bake_option("overwrite", about="Replace a page or picture that exists.")
+@bake_option("overwrite", help_text="Replace a page or picture that exists.")
 @format_option
 @common_options
 @click.pass_obj
@@ -78,29 +78,29 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     from animtool.preview.pictures.kinds import picture_kind
 
     output, as_json = params["output"], params["report_format"] == "json"
-    opens_page = ShowOptions(**read_values(ShowOptions, params))
+    show_options = ShowOptions(**read_values(ShowOptions, params))
     file_options = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
     is_picture = output is not None and picture_kind(output) is not None
-    if not is_picture and (picture_flags := chosen_options(pictures)):
-        words = (
+    if not is_picture and (picture_flags := changed_options(pictures)):
+        message = (
             f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
         )
-        raise click.UsageError(words)
-    if opens_page.watch and (output is not None or as_json or opens_page.plan):
-        words = "--watch serves the page: remove -o, --plan and --format json."
-        raise click.UsageError(words)
+        raise click.UsageError(message)
+    if show_options.watch and (output is not None or as_json or show_options.plan):
+        message = "--watch serves the page: remove -o, --plan and --format json."
+        raise click.UsageError(message)
     options = PreviewOptions(
         source=source_options_record(params, *_SOURCE_OPTIONS),
         variables=dict(params["variables"]),
         **{name: value for name, value in file_options.items() if value is not None},
     )
-    if opens_page.plan:
-        preview_page.plan(console, files, output, options, as_json=as_json)
-    elif opens_page.watch:
-        preview_page.watch(console, files, options, opens_page)
+    if show_options.plan:
+        preview_page.print_plan(console, files, output, options, as_json=as_json)
+    elif show_options.watch:
+        preview_page.serve_preview(console, files, options, show_options)
     elif output is not None and is_picture:
-        preview_picture.write(
+        preview_picture.write_picture(
             console,
             files,
             output,
@@ -110,12 +110,12 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             as_json=as_json,
         )
     else:
-        preview_page.write(
+        preview_page.write_preview(
             console,
             files,
             output,
             options,
-            opens_page,
+            show_options,
             overwrite=params["overwrite"],
             as_json=as_json,
         )

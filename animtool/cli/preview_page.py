@@ -20,7 +20,7 @@ from animtool.report.text import Each, Template
 from animtool.scene.bake.steps import PlanSteps
 
 
-def plan(
+def print_plan(
     console: Console,
     files: tuple[Path, ...],
     output: Path | None,
@@ -55,18 +55,18 @@ PAGE = Template(
 )
 
 
-def write(
+def write_preview(
     console: Console,
     files: tuple[Path, ...],
     output: Path | None,
     options: PreviewOptions,
-    shows: ShowOptions,
+    show_options: ShowOptions,
     *,
     overwrite: bool,
     as_json: bool,
 ) -> None:
     """Write a page, and open it if a browser is available."""
-    opens_browser = shows.opened
+    opens_browser = show_options.opened
     if opens_browser is None:
         opens_browser = output is None and has_browser()
     if output is not None:
@@ -83,14 +83,16 @@ def write(
         console.result(str(target))
 
 
-def watch(
+def serve_preview(
     console: Console,
     files: tuple[Path, ...],
     options: PreviewOptions,
-    shows: ShowOptions,
+    show_options: ShowOptions,
 ) -> None:
     """Serve a page until the command is interrupted."""
-    opens_browser = has_browser() if shows.opened is None else shows.opened
+    opens_browser = (
+        has_browser() if show_options.opened is None else show_options.opened
+    )
     page_watcher = WatchedPage(lambda: make_page(files, options))
     page_watcher.build()
     assert page_watcher.page is not None
@@ -102,7 +104,7 @@ def watch(
             sys.stdout.flush()
         console.say("watching; press Ctrl-C to stop")
 
-        def failed(error: AnimtoolError) -> None:
+        def report_failure(error: AnimtoolError) -> None:
             console.faults(error.faults)
 
         def report_built(page: PreviewPage) -> None:
@@ -110,6 +112,6 @@ def watch(
             console.say(f"reloaded: page {page_watcher.version}")
 
         try:
-            follow(page_watcher, failed, report_built, threading.Event().wait)
+            follow(page_watcher, report_failure, report_built, threading.Event().wait)
         finally:
             server.shutdown()

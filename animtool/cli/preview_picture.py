@@ -20,7 +20,7 @@ PICTURE = Template(
 )
 
 
-def write(
+def write_picture(
     console: Console,
     files: tuple[Path, ...],
     output: Path,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.bake_options import opened_sources
+from animtool.cli.bake_options import load_sources
 from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
@@ -70,7 +70,7 @@ Examples:
 @set_option
 @source_options
 @source_option(*_SOURCE_OPTIONS)
-@bake_option("overwrite", about="Replace a page that exists.")
+@bake_option("overwrite", help_text="Replace a page that exists.")
 @format_option
 @common_options
 @click.pass_obj
@@ -95,9 +95,9 @@ def report(
             return
         from animtool.preview.tradeoff_page import write_tradeoff_page
 
-        calling, overwrite = console.calling, params["overwrite"]
+        namer, overwrite = console.namer, params["overwrite"]
         written_size = write_tradeoff_page(
-            tradeoffs, output, overwrite=overwrite, calling=calling
+            tradeoffs, output, overwrite=overwrite, calling=namer
         )
         tables = counted(len(tradeoffs.tables), "table")
         console.say(f"{output}: {tables}, {written_size / 1e3:.0f} kB")
@@ -115,21 +115,25 @@ def _measure_tradeoffs(
     from animtool.scene.tables.tradeoffs import measure_tradeoffs, suite_tradeoffs
 
     budget, inputs = params["budget"], []
-    opened: Path | Scene | None = None
+    loaded_source: Path | Scene | None = None
     if source is not None:
-        (opened,) = opened_sources([source], dict(params["variables"]))
-        inputs = [opened] if isinstance(opened, Path) else list(opened.inputs)
+        (loaded_source,) = load_sources([source], dict(params["variables"]))
+        inputs = (
+            [loaded_source]
+            if isinstance(loaded_source, Path)
+            else list(loaded_source.inputs)
+        )
     if output is not None:
         check_outputs([output], inputs, overwrite=params["overwrite"])
     name = "the suite" if source is None else source.name
     with console.progress(f"measure {name}") as progress:
-        if opened is None:
+        if loaded_source is None:
             return suite_tradeoffs(budget=budget, progress=progress)
         source_options = source_options_record(params, *_SOURCE_OPTIONS)
         values = {name: params[name] for name in _OUTPUT_OPTIONS}
         options = BakeOptions(source=source_options, **read_values(BakeOptions, values))
         return measure_tradeoffs(
-            opened,
+            loaded_source,
             options,
             budget=budget,
             folder=None if output is None else folder,

@@ -23,7 +23,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import (
     goes_to_stdout,
-    skipped,
+    skip_existing_outputs,
     take_output_option,
     writing_options,
     written_options,
@@ -41,16 +41,19 @@ if TYPE_CHECKING:
 
 MAX_LISTED_RUNS = 6
 # Rounding noise of lengths and angles [m, rad].
-NEGLIGIBLE = 1e-9
+NEGLIGIBLE_ERROR = 1e-9
 
 
-def _verdict(verdict: Verdict) -> str:
+def _verdict_text(verdict: Verdict) -> str:
     """Format a verdict: what to check, in which frames."""
     reasons = []
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
         if reason.frames:
-            frame_ranges = [f"{a}" if a == b else f"{a}-{b}" for a, b in reason.frames]
+            frame_ranges = [
+                f"{first}" if first == last else f"{first}-{last}"
+                for first, last in reason.frames
+            ]
             text = f"{listed(frame_ranges, MAX_LISTED_RUNS)} ({text})"
         reasons.append(text)
     if not reasons:
@@ -58,12 +61,12 @@ def _verdict(verdict: Verdict) -> str:
     return f"{verdict.status}: {'; '.join(reasons)}"
 
 
-def _length(meters: float) -> str:
-    return length_text(meters if meters > NEGLIGIBLE else 0.0)
+def _length_text(meters: float) -> str:
+    return length_text(meters if meters > NEGLIGIBLE_ERROR else 0.0)
 
 
-def _angle(radians: float) -> str:
-    return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
+def _angle_text(radians: float) -> str:
+    return angle_text(math.degrees(radians if radians > NEGLIGIBLE_ERROR else 0.0))
 
 
 def _stopped_joints(clamped_joints: Mapping[str, float]) -> list[str]:
@@ -78,7 +81,7 @@ def _score_text(value: float, printer: str) -> str:
     """Format a score; empty for a missing one."""
     if math.isnan(value):
         return ""
-    printers = {"angle": _angle, "percent": percent_text, "times": "{:.3g}".format}
+    printers = {"angle": _angle_text, "percent": percent_text, "times": "{:.3g}".format}
     return printers[printer](value)
 
 
@@ -107,8 +110,8 @@ _TEMPLATE = Template(
         "[  written: {outputs:join}]",
     ),
     {
-        "verdict": _verdict,
-        "metres": _length,
+        "verdict": _verdict_text,
+        "metres": _length_text,
         "held": _stopped_joints,
         "scored": _score_text,
     },
@@ -187,7 +190,9 @@ def retarget(
             strict=params["strict"],
         ),
     )
-    if skipped(console, "retarget", params, output, lambda: job.target.files):
+    if skip_existing_outputs(
+        console, "retarget", params, output, lambda: job.target.files
+    ):
         return
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
         report = run_retarget(job, progress=progress)

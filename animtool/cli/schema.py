@@ -29,9 +29,11 @@ Examples:
 def completion(console: Console, shell: str) -> None:
     """Print the script that completes animtool's commands and options in SHELL."""
     root = click.get_current_context().find_root().command
-    kind = get_completion_class(shell)
-    assert kind is not None
-    console.document(kind(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source())
+    completion_class = get_completion_class(shell)
+    assert completion_class is not None
+    console.document(
+        completion_class(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source()
+    )
 
 
 # Models by kind of file, or functions that return one.
@@ -47,14 +49,14 @@ MODELS = {
     "scene": "animtool.scene.file.schema:full_model",
     "targets": "animtool.ik.schema:TargetsModel",
 }
-# Models of JSON reports, likewise.
-RESULTS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
+# Models of JSON reports, or functions that return one.
+REPORT_MODELS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 
 def model_of(kind: str) -> type[BaseModel]:
     """Return the model of a kind of file."""
     model_or_function = cast(
-        "Callable[[], type[BaseModel]]", load_object({**MODELS, **RESULTS}[kind])
+        "Callable[[], type[BaseModel]]", load_object({**MODELS, **REPORT_MODELS}[kind])
     )
     return (
         model_or_function
@@ -69,7 +71,9 @@ Examples:
   animtool schema rig > rig.schema.json
   animtool schema clip"""
 )
-@click.argument("kind", metavar="KIND", type=click.Choice(sorted({*MODELS, *RESULTS})))
+@click.argument(
+    "kind", metavar="KIND", type=click.Choice(sorted({*MODELS, *REPORT_MODELS}))
+)
 @common_options
 @click.pass_obj
 def schema(console: Console, /, kind: str) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from animtool.usd.takes.splines import CurveReport
 
 # Channel errors below this are not listed, in their units.
-ROUNDING = 1e-9
+NEGLIGIBLE_ERROR = 1e-9
 # Up to three files of an output are listed; chunks can be thousands.
 MAX_FILES = 3
 SHOT_SUFFIX = "[  {shot.label}]"
@@ -51,7 +51,7 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
         f"{plain_number(error.error)} {error.unit or ''}".rstrip()
         + f" ({error.target})"
         for error in largest_by_unit.values()
-        if error.error > ROUNDING
+        if error.error > NEGLIGIBLE_ERROR
     ]
     summary_lines = [f"keys on {', '.join(counts)}"]
     return (
@@ -62,11 +62,13 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
 
 
 _PRINTERS: Mapping[str, Callable[..., Any]] = {
-    "scores": lambda scores: ", ".join(f"{one.name} {one.text}" for one in scores),
+    "scores": lambda scores: ", ".join(
+        f"{score.name} {score.text}" for score in scores
+    ),
     "channels": channel_lines,
     "next": lambda number: str(number + 1),
 }
-CONVERTED = Template(
+CONVERT_TEMPLATE = Template(
     "animtool.scene.bake.files:ConvertReport",
     (
         "{output}: {frames:n frame}, {joints:n joint}",
@@ -99,7 +101,7 @@ def _reduction_lines(indent: str) -> tuple[Line, ...]:
     )
 
 
-def _from(take: str) -> str:
+def _frames_text(take: str) -> str:
     """Format the frames of samples, unless it is one sample per frame."""
     return (
         f"[{{?{take}resampled}}, from {{{take}source_frames:n frame}} at "
@@ -139,7 +141,7 @@ def _speed_text(report: BakeReport) -> str:
     return size_text(report.source_bytes / report.seconds["total"])
 
 
-def _files(files: Sequence[Path]) -> str:
+def _file_names_text(files: Sequence[Path]) -> str:
     """Format the files of an output: all, or the main one and a count."""
     if len(files) <= MAX_FILES:
         return ", ".join(map(str, files)) or "stdout"
@@ -151,7 +153,7 @@ def _beyond_limits_text(notices: Sequence[Fault]) -> str:
     return " (without values beyond it)" if has_beyond else ""
 
 
-def _difference(curves: Sequence[CurveReport]) -> str:
+def _curve_error_text(curves: Sequence[CurveReport]) -> str:
     """Format the largest curve error and its curve."""
     largest = max(curves, key=lambda curve: curve.difference)
     curve_text = f" (control {largest.name!r})" if largest.difference else ""
@@ -188,7 +190,7 @@ def _simulated_text(meshes: list[MeshReport]) -> str:
 _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 
-def _points(mesh: MeshReport) -> str:
+def _point_count_text(mesh: MeshReport) -> str:
     vertex_count = mesh.written.vertices
     if not mesh.simulated:
         return counted(vertex_count, "vertex", "vertices")
@@ -196,10 +198,12 @@ def _points(mesh: MeshReport) -> str:
     return f"up to {text}" if mesh.kind == "particles" else text
 
 
-def _worst_point(written: Any) -> str:
-    point = written.error_vertex
+def _worst_point(cached_mesh: Any) -> str:
+    point = cached_mesh.error_vertex
     return (
-        f"body {excerpt(written.names[point])}" if written.names else f"vertex {point}"
+        f"body {excerpt(cached_mesh.names[point])}"
+        if cached_mesh.names
+        else f"vertex {point}"
     )
 
 
@@ -209,12 +213,12 @@ def _kept_text(characters: Any) -> str:
 
 
 _LOCATION = "joint {@error_joint:repr}, frame {@written.rounding.code:frame}"
-BAKED = Template(
+BAKE_TEMPLATE = Template(
     "animtool.scene.bake.prims:BakeReport",
     (
         "{files:files}: {form}",
         "  [{?only}{only.written.samples:n sample}, [{?only.written.name}"
-        f"{{only.written.span.ends}} at {{fps:rate}}|{{span}}]{_from('only.')}"
+        f"{{only.written.span.ends}} at {{fps:rate}}|{{span}}]{_frames_text('only.')}"
         "|{takes:n take}, {span}]",
         SHOT_SUFFIX,
         "[{?posed}  {result.joints:n joint}, [{result.sampled:and}|nothing] animated]",
@@ -234,7 +238,7 @@ BAKED = Template(
             "library",
             (
                 "  take {written.name}: {written.samples:n sample}, "
-                f"{{written.span.ends}} at {{fps:rate}}{_from('')}",
+                f"{{written.span.ends}} at {{fps:rate}}{_frames_text('')}",
                 "    error of {self:rounded}: {written.rounding.error:length 2}"
                 f"[{{?written.rounding.error}} ({_LOCATION.replace('@', '')})]",
                 *_reduction_lines("    "),
@@ -243,11 +247,11 @@ BAKED = Template(
     ),
     {
         **_PRINTERS,
-        "files": _files,
+        "files": _file_names_text,
         "and": " and ".join,
         "groups": mesh_groups,
-        "ms": lambda spent: duration_text(spent / 1e3),
-        "points": _points,
+        "ms": lambda milliseconds: duration_text(milliseconds / 1e3),
+        "points": _point_count_text,
         "worst_point": _worst_point,
         "kept": _kept_text,
         "speed": _speed_text,
@@ -255,7 +259,7 @@ BAKED = Template(
         "beyond": _beyond_limits_text,
         "posed": lambda take: [take] if take.posed else [],
         "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
-        "difference": _difference,
+        "difference": _curve_error_text,
         "stated": lambda values: ", ".join(
             f"{k} {value}" for k, value in values.items()
         ),
@@ -274,12 +278,12 @@ BAKED = Template(
         "  skeleton at rest: {size:length 4} across",
     ),
 )
-_OUTPUTS = {"BakeReport": BAKED, "ConvertReport": CONVERTED}
+_TEMPLATE_BY_REPORT = {"BakeReport": BAKE_TEMPLATE, "ConvertReport": CONVERT_TEMPLATE}
 
 
 def template_of(report: BakeReport | ConvertReport) -> Template:
     """Return the text template of an output's report."""
-    return _OUTPUTS[type(report).__name__]
+    return _TEMPLATE_BY_REPORT[type(report).__name__]
 
 
 def _other_prims_text(step: PlanStep, name: str) -> str:

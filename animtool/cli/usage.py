@@ -46,12 +46,12 @@ OTHER_OPTIONS = {
     "--variable": ("--set",),
     "--code": ("--select",),
 }
-# Less similar names are other options.
+# Similarity from which an option is suggested, or if another command has the name.
 CUTOFF, SURE = 0.75, 0.9
 # Names of a command's first argument in other tools.
-_INPUTS = {"input", "in", "source", "src", "file", "i", "path"}
+_FIRST_ARGUMENT_NAMES = {"input", "in", "source", "src", "file", "i", "path"}
 # Kinds of files by their names, and the option that takes one.
-_TAKEN_BY = {
+_OPTION_BY_FILE_KIND = {
     "targets": "--targets",
     "rig": "--rig",
     "scene": "--scene",
@@ -60,7 +60,7 @@ _TAKEN_BY = {
     "markers": "--template",
     "remap": "--remap",
 }
-# What most users of an option want: the first of these commands that has it.
+# Commands to suggest for an option: the first of these that has it.
 _SUGGESTED_COMMANDS = ("bake", "retarget", "ik", "batch", "validate", "preview", "info")
 _NUMBER = re.compile(r"-?[\d.]+")
 # Values of several numbers by their placeholder in help.
@@ -69,12 +69,12 @@ _SEVERAL_NUMBERS = {
     "A-B[xN]|A,B,...": "1-24",
     "OFFSETS": "-.25,0,.25",
 }
-_STATED = {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
-_CHOICE = re.compile(r": '([^']*)' is not one of ('.*')\.")
+_EXPLICIT_SOURCES = {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
+_CHOICE_MESSAGE = re.compile(r": '([^']*)' is not one of ('.*')\.")
 _EXTRA_ARGUMENTS = re.compile(r"unexpected extra arguments? \((.*)\)")
 
 
-def explained(error: click.ClickException) -> click.ClickException:
+def with_suggestion(error: click.ClickException) -> click.ClickException:
     """Return a usage error with a suggestion."""
     context = getattr(error, "ctx", None)
     if context is None:
@@ -95,7 +95,7 @@ def explained(error: click.ClickException) -> click.ClickException:
         given := _given_for(error, context)
     ):
         text = given
-    elif choice := _CHOICE.search(error.format_message()):
+    elif choice := _CHOICE_MESSAGE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
         param = getattr(error, "param", None)
         if choice[1].startswith("-") and param is not None:
@@ -133,7 +133,7 @@ def _given_for(error: click.MissingParameter, context: click.Context) -> str | N
 
 
 def with_option(fault: Fault, context: click.Context) -> Fault:
-    """Return a fault with the option that it is about: of a field, or of a file."""
+    """Return a fault located at the option that sets its field or names its file."""
     if fault.where and not fault.lines:
         for option in _options(context.command):
             if option.name == fault.where or f"--{fault.where}" in option.opts:
@@ -151,18 +151,18 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
 
 
 def _number_hint(context: click.Context) -> str | None:
-    """Return a hint for a number that is taken for a file: part of an option."""
+    """Return a hint for a number that was parsed as a file: it belongs to an option."""
     for option in _options(context.command):
         name = str(option.name)
         example = _SEVERAL_NUMBERS.get(str(option.metavar))
-        if example and context.get_parameter_source(name) in _STATED:
+        if example and context.get_parameter_source(name) in _EXPLICIT_SOURCES:
             flag = option.opts[-1]
             return f"a value of {flag} has no spaces: {flag} {example}"
     return None
 
 
 def _option_hints(name: str, context: click.Context) -> Iterator[str]:
-    """Yield hints for an option that a command does not have, the best one first."""
+    """Yield hints for an unknown option of a command, the best one first."""
     command, path = context.command, context.command_path
     bare_name = name.lstrip("-")
     if isinstance(command, LazyGroup) and bare_name in command.table:
@@ -171,26 +171,28 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     if output is not None:
         yield f"{output} is an argument: {path} SOURCE {output}"
     flags = [flag for param in _options(command) for flag in param.opts]
-    meant = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
-    if meant:
-        yield f"did you mean {meant[0]!r}?"
+    equivalent_flags = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
+    if equivalent_flags:
+        yield f"did you mean {equivalent_flags[0]!r}?"
     argument = _argument_named(bare_name, command)
     if argument is not None:
         yield f"{argument} is an argument: {path} {argument}"
-    owner = next(_owners(name, context), None)
-    close_matches = get_close_matches(name, flags, 1, SURE if owner else CUTOFF)
+    owning_command = next(_commands_with_option(name, context), None)
+    close_matches = get_close_matches(
+        name, flags, 1, SURE if owning_command else CUTOFF
+    )
     if close_matches:
         yield f"did you mean {close_matches[0]!r}?"
     if bare_name in {"o", "output"}:
         yield "the result goes to stdout; add > FILE"
-    if owner is not None:
-        yield f"{owner} has it, {path} does not"
+    if owning_command is not None:
+        yield f"{owning_command} has it, {path} does not"
     if "--set" in flags and name.startswith("--"):
         yield f"to set a variable of a scene, write --set {bare_name}=VALUE"
 
 
-def _owners(name: str, context: click.Context) -> Iterator[str]:
-    """Yield the commands that have an option, those most used first."""
+def _commands_with_option(name: str, context: click.Context) -> Iterator[str]:
+    """Yield the commands that have an option, common ones first."""
     root = context.find_root()
     group = root.command
     if not isinstance(group, LazyGroup):
@@ -208,27 +210,32 @@ def _options(command: click.Command) -> list[click.Option]:
 
 
 def _argument_named(name: str, command: click.Command) -> str | None:
-    """Return the argument of a command that an option was taken for."""
+    """Return the placeholder of a command's argument with the name of an option."""
     arguments = [
         parameter
         for parameter in command.params
         if isinstance(parameter, click.Argument)
     ]
     for i, argument in enumerate(arguments):
-        shown = (argument.metavar or argument.human_readable_name).rstrip(".")
-        names = {str(argument.name).lower(), *re.findall(r"[a-z]+", shown.lower())}
-        if name in names or (i == 0 and name in _INPUTS):
-            return shown
+        placeholder = (argument.metavar or argument.human_readable_name).rstrip(".")
+        names = {
+            str(argument.name).lower(),
+            *re.findall(r"[a-z]+", placeholder.lower()),
+        }
+        if name in names or (i == 0 and name in _FIRST_ARGUMENT_NAMES):
+            return placeholder
     return None
 
 
 def _argument_hint(text: str, context: click.Context) -> str | None:
-    """Return a hint for an argument that a command does not take."""
+    """Return a hint for an unexpected argument of a command."""
     flags = {flag for param in _options(context.command) for flag in param.opts}
     path = Path(text)
     suffixes = [suffix[1:] for suffix in path.suffixes]
-    taken = [flag for kind, flag in _TAKEN_BY.items() if kind in suffixes]
-    for flag in taken:
+    accepting_flags = [
+        flag for kind, flag in _OPTION_BY_FILE_KIND.items() if kind in suffixes
+    ]
+    for flag in accepting_flags:
         if flag in flags:
             return f"write {flag} {text}"
     if "--clip" in flags and path.suffix and path.exists():

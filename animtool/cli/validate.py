@@ -57,24 +57,28 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     from animtool.validation.run import match_files
 
     options = ValidateOptions(**read_values(ValidateOptions, params)).resolved()
-    choices = ReportOptions(**read_values(ReportOptions, params))
-    for message in clash_messages(choices):
+    report_options = ReportOptions(**read_values(ReportOptions, params))
+    for message in clash_messages(report_options):
         raise click.UsageError(f"{message}.")
     files, match_warnings = match_files(listed_paths(paths))
-    missing = [options.of(f) for f in match_warnings if options.counts(f.code)]
-    console.faults(missing)
-    if choices.diff:
-        _show_difference(console, files, options, choices, missing)
+    path_warnings = [
+        options.of(warning)
+        for warning in match_warnings
+        if options.counts(warning.code)
+    ]
+    console.faults(path_warnings)
+    if report_options.diff:
+        _show_difference(console, files, options, report_options, path_warnings)
         return
-    if choices.output_file is not None:
+    if report_options.output_file is not None:
         from animtool.core.files.output import check_outputs
 
-        check_outputs([choices.output_file], files, overwrite=True)
-    if choices.fix:
-        report = _fix_files(console, files, options, choices)
+        check_outputs([report_options.output_file], files, overwrite=True)
+    if report_options.fix:
+        report = _fix_files(console, files, options, report_options)
     else:
         report = _validate(files, options)
-    _say(console, report, choices, missing)
+    _print_report(console, report, report_options, path_warnings)
 
 
 def _validate(files: Sequence[Path], options: ValidateOptions) -> Report:
@@ -92,16 +96,16 @@ def _fix_files(
     console: Console,
     files: Sequence[Path],
     options: ValidateOptions,
-    choices: ReportOptions,
+    report_options: ReportOptions,
 ) -> Report:
     """Fix files and return the remaining findings."""
     from animtool.validation.fixes.run import fix_copy, fix_files
 
-    overwrite = choices.overwrite
-    if choices.output is None:
+    overwrite = report_options.overwrite
+    if report_options.output is None:
         fixes = fix_files(files, options, overwrite=overwrite)
     elif len(files) == 1:
-        fixes = fix_copy(files[0], choices.output, options, overwrite=overwrite)
+        fixes = fix_copy(files[0], report_options.output, options, overwrite=overwrite)
     else:
         raise click.UsageError(f"-o is for one USD file, not {len(files)} files.")
     for note in fixes.notes:
@@ -117,8 +121,8 @@ def _show_difference(
     console: Console,
     files: Sequence[Path],
     options: ValidateOptions,
-    choices: ReportOptions,
-    missing: Sequence[Fault],
+    report_options: ReportOptions,
+    path_warnings: Sequence[Fault],
 ) -> None:
     """Print the diff of `--fix` and the remaining findings.
 
@@ -131,20 +135,20 @@ def _show_difference(
 
     report = validate_files(files, options)
     console.faults(report.broken)
-    code = _exit_code(report, choices, missing)
+    code = _exit_code(report, report_options, path_warnings)
     fixed_identities: set[tuple[str | None, str, str | None]] = set()
-    changes = False
+    has_changes = False
     for plan in plan_files(report, options):
         for fault, reason in plan.left:
             console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
         if not plan.mended:
             continue
         fixed_identities |= {_identity(fault) for fault, _ in plan.mended}
-        changes = True
+        has_changes = True
         console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.after.outputs():
             console.say(f"{path} would be written")
-        if code is ExitCode.OK and not choices.exit_zero:
+        if code is ExitCode.OK and not report_options.exit_zero:
             code = ExitCode.FINDINGS
     console.faults(
         [
@@ -153,7 +157,7 @@ def _show_difference(
             if _identity(finding) not in fixed_identities
         ]
     )
-    if report.findings and not changes:
+    if report.findings and not has_changes:
         console.say("nothing to change: no finding has a safe fix")
     console.say(summary(report))
     click.get_current_context().exit(int(code))
@@ -164,32 +168,37 @@ def _identity(fault: Fault) -> tuple[str | None, str, str | None]:
     return fault.path, fault.code, fault.where
 
 
-def _say(
-    console: Console, report: Report, choices: ReportOptions, missing: Sequence[Fault]
+def _print_report(
+    console: Console,
+    report: Report,
+    report_options: ReportOptions,
+    path_warnings: Sequence[Fault],
 ) -> None:
     """Write the report and exit with its code."""
     from animtool.validation.formats import written
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    verbose, calling = console.verbosity > 0, console.calling
-    text = written(report, choices.report_format, repeats=verbose, calling=calling)
-    if choices.output_file is None:
+    verbose, namer = console.verbosity > 0, console.namer
+    text = written(report, report_options.report_format, repeats=verbose, calling=namer)
+    if report_options.output_file is None:
         console.document(text)
     else:
         from animtool.core.files.output import write_parts
 
         # File names may contain bytes that are not text.
-        write_parts(choices.output_file, [text.encode("utf-8", "replace")])
-    if choices.output_file is not None or choices.report_format != "text":
+        write_parts(report_options.output_file, [text.encode("utf-8", "replace")])
+    if report_options.output_file is not None or report_options.report_format != "text":
         console.say(summary(report))
-    code = _exit_code(report, choices, missing)
+    code = _exit_code(report, report_options, path_warnings)
     click.get_current_context().exit(int(code))
 
 
 def _exit_code(
-    report: Report, choices: ReportOptions, missing: Sequence[Fault]
+    report: Report, report_options: ReportOptions, path_warnings: Sequence[Fault]
 ) -> ExitCode:
-    """Return the exit code; missing: warnings about paths."""
-    complete = replace(report, findings=(*report.findings, *missing))
-    return complete.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)
+    """Return the exit code of a report and of warnings about paths."""
+    complete = replace(report, findings=(*report.findings, *path_warnings))
+    return complete.exit_code(
+        strict=report_options.strict, exit_zero=report_options.exit_zero
+    )

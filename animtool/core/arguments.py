@@ -1,4 +1,4 @@
-"""Argument names in texts, worded for Python, the command line or a file.
+"""Argument names in texts, replaced by those of Python, the command line or files.
 
 Texts of the library name arguments with `argument`; the interface that prints a text
 replaces them by its own names: ``fps`` in Python, ``--fps`` on the command line,
@@ -19,14 +19,23 @@ from typing import TypeAlias
 from animtool.core.record import dataclass
 
 # Unicode noncharacters, which do not occur in exchanged text.
-_BEGIN, _VALUE, _END, _OPEN, _CLOSE = "\ufdd0", "\ufdd1", "\ufdd2", "\ufdd3", "\ufdd4"
-_MARK = re.compile(f"{_BEGIN}([a-z0-9_.]+)(?:{_VALUE}([^{_BEGIN}-{_END}]*))?{_END}")
-_CLAUSE = re.compile(f"{_OPEN}([^{_OPEN}{_CLOSE}]*){_CLOSE}")
+_ARGUMENT_BEGIN, _ARGUMENT_VALUE, _ARGUMENT_END, _CLAUSE_BEGIN, _CLAUSE_END = (
+    "\ufdd0",
+    "\ufdd1",
+    "\ufdd2",
+    "\ufdd3",
+    "\ufdd4",
+)
+_MARK = re.compile(
+    f"{_ARGUMENT_BEGIN}([a-z0-9_.]+)"
+    f"(?:{_ARGUMENT_VALUE}([^{_ARGUMENT_BEGIN}-{_ARGUMENT_END}]*))?{_ARGUMENT_END}"
+)
+_CLAUSE = re.compile(f"{_CLAUSE_BEGIN}([^{_CLAUSE_BEGIN}{_CLAUSE_END}]*){_CLAUSE_END}")
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """An argument that a text names."""
+    """An argument that is named in a text."""
 
     name: str  # dotted name of the field, such as `source.fps`
     value: str | None = None  # value as files write it, if the text states one
@@ -37,7 +46,7 @@ class Argument:
         return self.name.rpartition(".")[2]
 
     @property
-    def switch(self) -> bool | None:
+    def boolean_value(self) -> bool | None:
         """The stated value as a boolean; None if it states none."""
         return {"true": True, "false": False}.get(self.value or "")
 
@@ -46,15 +55,15 @@ class Argument:
 class Clause:
     """Part of a text that is omitted if its arguments have no names."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[TextPart, ...]
 
 
-Part: TypeAlias = str | Argument | Clause
+TextPart: TypeAlias = str | Argument | Clause
 # Maps an argument to its name in an interface; None if it has none there.
 ArgumentNamer: TypeAlias = Callable[[Argument], str | None]
 
 
-def in_python(argument: Argument) -> str | None:
+def python_name(argument: Argument) -> str | None:
     """Return the name of an argument in a Python call.
 
     >>> in_python(Argument("source.fps")), in_python(Argument("form", "layer"))
@@ -64,8 +73,8 @@ def in_python(argument: Argument) -> str | None:
         return None
     if argument.value is None:
         return argument.field
-    if argument.switch is not None:
-        return f"{argument.field}={argument.switch}"
+    if argument.boolean_value is not None:
+        return f"{argument.field}={argument.boolean_value}"
     try:
         float(argument.value)
     except ValueError:
@@ -74,7 +83,7 @@ def in_python(argument: Argument) -> str | None:
 
 
 # Keys of files that differ from the argument's name.
-KEYS = {
+FILE_KEYS = {
     "source.unit": "units",
     "source.prim_path": "prim",
     "form": "as",
@@ -84,43 +93,43 @@ KEYS = {
 }
 
 
-def in_file(argument: Argument) -> str:
+def file_key(argument: Argument) -> str:
     """Return the name of an argument in scene and batch files.
 
     >>> in_file(Argument("source.fps")), in_file(Argument("form", "layer"))
     ('fps:', 'as: layer')
     """
-    key = KEYS.get(argument.name, argument.field)
+    key = FILE_KEYS.get(argument.name, argument.field)
     return f"{key}: {argument.value or ''}".rstrip()
 
 
-class Text(str):
-    """A text with named arguments, worded for Python, or by `worded` for others.
+class TextWithArguments(str):
+    """A text that names arguments as in Python; `worded` names them for others.
 
     Attributes:
         parts: The joined parts.
     """
 
     __slots__ = ("parts",)
-    parts: tuple[Part, ...]
+    parts: tuple[TextPart, ...]
 
-    def __new__(cls, parts: tuple[Part, ...]) -> Text:
+    def __new__(cls, parts: tuple[TextPart, ...]) -> TextWithArguments:
         """Join parts, with arguments named as in Python."""
-        text = super().__new__(cls, _join_parts(parts, in_python))
+        text = super().__new__(cls, _join_parts(parts, python_name))
         text.parts = parts
         return text
 
-    def __reduce__(self) -> tuple[type[Text], tuple[tuple[Part, ...]]]:
+    def __reduce__(self) -> tuple[type[TextWithArguments], tuple[tuple[TextPart, ...]]]:
         """Keep the parts when pickled."""
-        return Text, (self.parts,)
+        return TextWithArguments, (self.parts,)
 
-    def __add__(self, other: str) -> Text:
+    def __add__(self, other: str) -> TextWithArguments:
         """Return both texts joined, with their arguments."""
-        return Text((*self.parts, *_split_clauses(other)))
+        return TextWithArguments((*self.parts, *_split_clauses(other)))
 
-    def __radd__(self, other: str) -> Text:
+    def __radd__(self, other: str) -> TextWithArguments:
         """Return both texts joined, with their arguments."""
-        return Text((*_split_clauses(other), *self.parts))
+        return TextWithArguments((*_split_clauses(other), *self.parts))
 
 
 def argument(name: str, value: object = None) -> str:
@@ -131,9 +140,9 @@ def argument(name: str, value: object = None) -> str:
         value: Value stated by the text; None for no value.
     """
     if value is None:
-        return f"{_BEGIN}{name}{_END}"
+        return f"{_ARGUMENT_BEGIN}{name}{_ARGUMENT_END}"
     value_text = str(value).lower() if isinstance(value, bool) else str(value)
-    return f"{_BEGIN}{name}{_VALUE}{value_text}{_END}"
+    return f"{_ARGUMENT_BEGIN}{name}{_ARGUMENT_VALUE}{value_text}{_ARGUMENT_END}"
 
 
 def clause(text: str) -> str:
@@ -142,7 +151,7 @@ def clause(text: str) -> str:
     >>> as_text("at night" + clause(f", not {argument('command.quiet')}"))
     'at night'
     """
-    return f"{_OPEN}{text}{_CLOSE}"
+    return f"{_CLAUSE_BEGIN}{text}{_CLAUSE_END}"
 
 
 def flag(name: str, value: str = "") -> str:
@@ -160,9 +169,11 @@ def as_text(text: str) -> str:
     >>> as_text(f"{argument('keep_samples', True)} keeps them")
     'keep_samples=True keeps them'
     """
-    if isinstance(text, Text) or not (_BEGIN in text or _OPEN in text):
+    if isinstance(text, TextWithArguments) or not (
+        _ARGUMENT_BEGIN in text or _CLAUSE_BEGIN in text
+    ):
         return text
-    return Text(_split_clauses(text))
+    return TextWithArguments(_split_clauses(text))
 
 
 def worded(text: str, namer: ArgumentNamer) -> str:
@@ -172,16 +183,18 @@ def worded(text: str, namer: ArgumentNamer) -> str:
     'up: Z says it'
     """
     text = as_text(text)
-    return _join_parts(text.parts, namer) if isinstance(text, Text) else text
+    return (
+        _join_parts(text.parts, namer) if isinstance(text, TextWithArguments) else text
+    )
 
 
-def _join_parts(parts: tuple[Part, ...], namer: ArgumentNamer) -> str:
+def _join_parts(parts: tuple[TextPart, ...], namer: ArgumentNamer) -> str:
     return "".join(_part_text(part, namer) for part in parts)
 
 
-def _part_text(part: Part, namer: ArgumentNamer) -> str:
+def _part_text(part: TextPart, namer: ArgumentNamer) -> str:
     if isinstance(part, Argument):
-        return namer(part) or getattr(namer, "elsewhere", in_file)(part)
+        return namer(part) or getattr(namer, "name_elsewhere", file_key)(part)
     if isinstance(part, Clause):
         arguments = [
             argument_part
@@ -192,10 +205,10 @@ def _part_text(part: Part, namer: ArgumentNamer) -> str:
     return part
 
 
-def _split_clauses(text: str) -> tuple[Part, ...]:
-    if isinstance(text, Text):
+def _split_clauses(text: str) -> tuple[TextPart, ...]:
+    if isinstance(text, TextWithArguments):
         return text.parts
-    parts: list[Part] = []
+    parts: list[TextPart] = []
     position = 0
     for match in _CLAUSE.finditer(text):
         parts += [
@@ -206,9 +219,9 @@ def _split_clauses(text: str) -> tuple[Part, ...]:
     return (*parts, *_split_arguments(text[position:]))
 
 
-def _split_arguments(text: str) -> tuple[Part, ...]:
+def _split_arguments(text: str) -> tuple[TextPart, ...]:
     """Return the parts of a text without clauses."""
-    parts: list[Part] = []
+    parts: list[TextPart] = []
     position = 0
     for match in _MARK.finditer(text):
         parts += [text[position : match.start()], Argument(match[1], match[2])]

@@ -35,10 +35,12 @@ def parse_toml(text: str) -> dict[str, Any]:
         tables = tomllib.loads(text)
     except RecursionError as error:
         raise _depth_error() from error
-    level: list[Any] = [tables]
+    values: list[Any] = [tables]
     for _ in range(MAX_DEPTH):
-        level = [inner for value in level for inner in _nested_values(value)]
-        if not level:
+        values = [
+            nested_value for value in values for nested_value in _nested_values(value)
+        ]
+        if not values:
             return tables
     raise _depth_error()
 
@@ -54,7 +56,7 @@ def _nested_values(value: Any) -> Iterable[Any]:
     return value if isinstance(value, list) else ()
 
 
-# Folders of version control systems at the top of a checkout.
+# Folders by which version control systems mark the root of a checkout.
 VERSION_CONTROL_FOLDERS = (".git", ".hg", ".svn", ".jj")
 
 
@@ -153,8 +155,8 @@ def _config(path: Path, table: Any) -> Config:
                 )
             )
     stated_start = table.get("start")
-    frame = isinstance(stated_start, int) and not isinstance(stated_start, bool)
-    if stated_start is not None and not (frame and abs(stated_start) <= MAX_FRAME):
+    is_frame = isinstance(stated_start, int) and not isinstance(stated_start, bool)
+    if stated_start is not None and not (is_frame and abs(stated_start) <= MAX_FRAME):
         message = f"start is {excerpt(str(stated_start))}, not a whole number from "
         message += f"{-MAX_FRAME} to {MAX_FRAME}"
         raise OptionError(Fault("CFG003", message, str(path)))
@@ -194,7 +196,7 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
             message = f"unknown setting timeline.{name}"
             hint = f"allowed: {', '.join(names)}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
-        message_start = f"timeline.{name} is {excerpt(str(value))}, not "
+        message_prefix = f"timeline.{name} is {excerpt(str(value))}, not "
         is_integer = isinstance(value, int) and not isinstance(value, bool)
         if name == "fps":
             try:
@@ -203,10 +205,10 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
                 message = f"timeline.fps: {error}"
                 raise OptionError(Fault("CFG003", message, str(path))) from error
         elif name == "cut_start" and not (is_integer and abs(value) <= MAX_FRAME):
-            message = f"{message_start}a whole number from {-MAX_FRAME} to {MAX_FRAME}"
+            message = f"{message_prefix}a whole number from {-MAX_FRAME} to {MAX_FRAME}"
             raise OptionError(Fault("CFG003", message, str(path)))
         elif name == "first_timecode" and not is_timecode(value):
-            message = f"{message_start}a time code such as '01:00:00:00'"
+            message = f"{message_prefix}a time code such as '01:00:00:00'"
             raise OptionError(Fault("CFG003", message, str(path)))
         values.setdefault(name, value)
     return TimelineConfig(**values)
@@ -219,10 +221,10 @@ def project_roots(path: Path) -> tuple[Path, ...]:
     folder under version control; else the file's folder.
     """
     folder = path.resolve().parent
-    return find_config(path).roots or (_checkout(folder) or folder,)
+    return find_config(path).roots or (_version_control_root(folder) or folder,)
 
 
-def _checkout(folder: Path) -> Path | None:
+def _version_control_root(folder: Path) -> Path | None:
     """Return the nearest folder under version control; None without one.
 
     A home folder or file system root under version control is no project, since its
@@ -237,7 +239,7 @@ def _checkout(folder: Path) -> Path | None:
 
 
 def innermost_project(folder: Path, target: Path) -> Path | None:
-    """Return the innermost project with both paths in it; None without one."""
+    """Return the innermost project that contains both paths; None without one."""
     parent_folders = (
         parent_folder
         for parent_folder in (folder, *folder.parents)

@@ -185,7 +185,7 @@ def faults_in(path: object) -> Iterator[None]:
 
 @contextmanager
 def with_notices(notices: Sequence[Fault]) -> Iterator[None]:
-    """Add known warnings to the faults that stop the block: they may be the cause."""
+    """Add known warnings to errors of the block: they may be the cause."""
     try:
         yield
     except (FormatError, OptionError, ToleranceError) as error:
@@ -262,25 +262,30 @@ class ToleranceError(AnimtoolError):
 
 
 def first_faults(
-    faults: Sequence[Fault], max_faults: int, path: str | None = None, more: str = ""
+    faults: Sequence[Fault],
+    max_faults: int,
+    path: str | None = None,
+    extra_text: str = "",
 ) -> list[Fault]:
-    """Return the first faults and, if there are more, one that counts the others.
+    """Return the first faults, and one with the number of the others, if any.
 
-    more: What else to say of these.
+    extra_text: Text to append to the summary.
     """
     if len(faults) <= max_faults:
         return list(faults)
-    summary = f"{len(faults) - max_faults} more faults are not shown{more}"
+    summary = f"{len(faults) - max_faults} more faults are not shown{extra_text}"
     return [*faults[:max_faults], Fault("DOC011", summary, path)]
 
 
-def listed(items: Sequence[object], most: int = 5) -> str:
+def listed(items: Sequence[object], max_items: int = 5) -> str:
     """Return the first items, separated by commas, with an ellipsis for more.
 
     >>> listed(["a", "b"]), listed(range(9), most=2)
     ('a, b', '0, 1 …')
     """
-    return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
+    return ", ".join(map(str, items[:max_items])) + (
+        " …" if len(items) > max_items else ""
+    )
 
 
 def names_fault(
@@ -296,9 +301,9 @@ def names_fault(
     >>> names_fault("USD102", "missing: ", list("abcdefghijklmn")).brief
     'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
     """
-    full = message + listed(names, len(names))
+    full_message = message + listed(names, len(names))
     brief = message + listed(names, MAX_BRIEF_NAMES)
-    return Fault(code, full, path, (), hint, severity, brief=brief)
+    return Fault(code, full_message, path, (), hint, severity, brief=brief)
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
@@ -310,20 +315,20 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {plural or noun + 's'}"
 
 
-def joined_cycle(names: Sequence[str]) -> str:
+def cycle_text(names: Sequence[str]) -> str:
     """Return the names of a cycle joined by arrows, shortened if there are many.
 
     >>> joined_cycle(["a", "b", "a"])
     'a → b → a'
     """
-    names_shown = list(names)
-    if len(names_shown) > MAX_BRIEF_NAMES:
-        names_shown = [
-            *names_shown[: MAX_BRIEF_NAMES - 2],
+    shown_names = list(names)
+    if len(shown_names) > MAX_BRIEF_NAMES:
+        shown_names = [
+            *shown_names[: MAX_BRIEF_NAMES - 2],
             f"… {len(names) - MAX_BRIEF_NAMES} more",
-            *names_shown[-1:],
+            *shown_names[-1:],
         ]
-    return " → ".join(names_shown)
+    return " → ".join(shown_names)
 
 
 def percent_text(fraction: float) -> str:
@@ -338,7 +343,7 @@ def percent_text(fraction: float) -> str:
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:
     """Raise `StrictError` for warnings under strict."""
-    warnings = [n for n in notices if n.severity is Severity.WARNING]
+    warnings = [notice for notice in notices if notice.severity is Severity.WARNING]
     if strict and warnings:
         raise StrictError(warnings)
 

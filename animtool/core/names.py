@@ -14,9 +14,9 @@ from animtool.core.quantities import CONTROL
 
 # Placeholder of a missing name.
 UNKNOWN = "?"
-# Number of valid names that are searched for a hint.
+# Maximum number of valid names that are searched for a hint.
 MAX_NAMES = 2000
-# Number of these that are compared letter by letter.
+# Maximum number of them that are compared letter by letter.
 MAX_COMPARED_NAMES = 40
 # Less similar names are different words: position and restitution have 0.63.
 MIN_SIMILARITY = 0.65
@@ -101,8 +101,8 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def check_unused(
-    stated: Iterable[str],
-    used: Iterable[str],
+    defined_names: Iterable[str],
+    used_names: Iterable[str],
     path: Path | None = None,
     *,
     in_batch: bool = False,
@@ -111,23 +111,23 @@ def check_unused(
     """Refuse unused variables.
 
     Args:
-        stated: Their names.
-        used: Names that scenes use.
+        defined_names: Names of the variables.
+        used_names: Names that scenes use.
         path: The scene, or the batch that defines them.
         in_batch: Whether a batch defines them, and not the command line.
         has_scene: Whether there is a scene that could use them.
 
     >>> check_unused(["shot"], ["shot", "rate"])
     """
-    names, where = sorted(used), None if path is None else str(path)
+    sorted_names, path_text = sorted(used_names), None if path is None else str(path)
     setter = "variables" if in_batch else argument("variables")
     faults = [
-        Fault("SCN031", f"{setter}: no scene uses {name!r}", where, hint=hint)
-        for name in stated
-        if name not in names
+        Fault("SCN031", f"{setter}: no scene uses {name!r}", path_text, hint=hint)
+        for name in defined_names
+        if name not in sorted_names
         for hint in [
-            nearest(name, names)
-            if names
+            nearest(name, sorted_names)
+            if sorted_names
             else f"write ${{{name}}} in the scene where its value belongs, or remove it"
             if has_scene
             else f"name a scene that uses ${{{name}}} with {argument('scene')}"
@@ -137,7 +137,7 @@ def check_unused(
         raise OptionError(faults)
 
 
-# Digits that a float64 needs at most, and that most need.
+# Maximum number of digits of a float64, and the number that is usually enough.
 MAX_DIGITS, DEFAULT_DIGITS = 17, 15
 # Control characters except line ends and tabs.
 _UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL}]")
@@ -241,9 +241,9 @@ def most_similar(
         candidates.sort(
             key=lambda candidate: len(pairs & _letter_pairs(candidate)), reverse=True
         )
-    folded = name.casefold()
+    folded_name = name.casefold()
     for candidate in candidates:
-        if candidate.casefold() == folded:
+        if candidate.casefold() == folded_name:
             return candidate
     from difflib import get_close_matches  # every command imports this module
 
@@ -259,9 +259,9 @@ def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
     """
     pairs = _letter_pairs(name.lower())
 
-    def dissimilarity(known: str) -> float:
-        known_pairs = _letter_pairs(known.lower())
-        return -2 * len(pairs & known_pairs) / max(len(pairs) + len(known_pairs), 1)
+    def dissimilarity(other_name: str) -> float:
+        other_pairs = _letter_pairs(other_name.lower())
+        return -2 * len(pairs & other_pairs) / max(len(pairs) + len(other_pairs), 1)
 
     return sorted(names, key=dissimilarity)
 
@@ -275,12 +275,12 @@ def numbered_names(names: Iterable[str]) -> list[str]:
     used_names: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for name in names:
-        unique = name
-        while unique in used_names:
+        unique_name = name
+        while unique_name in used_names:
             # All lower numbers are in use, and stay so.
             numbers[name] = numbers.get(name, 1) + 1
-            unique = f"{name}_{numbers[name]}"
-        used_names[unique] = None
+            unique_name = f"{name}_{numbers[name]}"
+        used_names[unique_name] = None
     return list(used_names)
 
 

@@ -81,13 +81,13 @@ Result = TypeVar("Result")
 class _OldAttribute:
     """Descriptor of an old name: returns the attribute of the new name."""
 
-    def __init__(self, old: str, new: str) -> None:
-        self.old, self.new = old, new
+    def __init__(self, old_name: str, new_name: str) -> None:
+        self.old_name, self.new_name = old_name, new_name
 
     def __get__(self, instance: Any, owner: type) -> Any:
         """Return the attribute of the new name, with a warning."""
-        _warn(f"{owner.__name__}.{self.old}", self.new)
-        return getattr(owner if instance is None else instance, self.new)
+        _warn(f"{owner.__name__}.{self.old_name}", self.new_name)
+        return getattr(owner if instance is None else instance, self.new_name)
 
 
 def rename_attributes(owner: type, **new_names: str) -> None:
@@ -100,8 +100,8 @@ def rename_attributes(owner: type, **new_names: str) -> None:
     ...     Box().extent
     3
     """
-    for old, new in new_names.items():
-        setattr(owner, old, _OldAttribute(old, new))
+    for old_name, new_name in new_names.items():
+        setattr(owner, old_name, _OldAttribute(old_name, new_name))
 
 
 def renamed_arguments(
@@ -117,24 +117,28 @@ def renamed_arguments(
     1.5
     """
 
-    def decorated(
+    def decorate(
         function: Callable[Parameters, Result],
     ) -> Callable[Parameters, Result]:
         @wraps(function)
-        def call(*args: Parameters.args, **named: Parameters.kwargs) -> Result:
-            for old, new in new_names.items():
-                if old in named:
-                    _warn(f"{function.__name__}({old}=)", new)
-                    named[new] = named.pop(old)
-            return function(*args, **named)
+        def call_with_new_names(
+            *args: Parameters.args, **keyword_arguments: Parameters.kwargs
+        ) -> Result:
+            for old_name, new_name in new_names.items():
+                if old_name in keyword_arguments:
+                    _warn(f"{function.__name__}({old_name}=)", new_name)
+                    keyword_arguments[new_name] = keyword_arguments.pop(old_name)
+            return function(*args, **keyword_arguments)
 
-        return call
+        return call_with_new_names
 
-    return decorated
+    return decorate
 
 
-def _warn(old: str, new: str) -> None:
-    warnings.warn(f"{old} is now called {new}", DeprecationWarning, stacklevel=3)
+def _warn(old_text: str, new_text: str) -> None:
+    warnings.warn(
+        f"{old_text} is now called {new_text}", DeprecationWarning, stacklevel=3
+    )
 
 
 # Added last: used only when an old name is imported.

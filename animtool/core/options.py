@@ -60,7 +60,7 @@ def key(text: str, example: Any, default: Any = MISSING, **settings: Any) -> Any
     return field(default=default, metadata={"key": Key(text, example, **settings)})
 
 
-class _DocOfKeys:
+class _KeyDocstring:
     """A docstring with the keyed fields, built on access."""
 
     def __init__(self, docstring: str) -> None:
@@ -93,15 +93,15 @@ _ATTRIBUTE_LINE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 def _plain_docstring(owner: type[Any]) -> str:
     text = vars(owner).get("__doc__") or ""
-    return text.docstring if isinstance(text, _DocOfKeys) else text
+    return text.docstring if isinstance(text, _KeyDocstring) else text
 
 
-Described = TypeVar("Described")
+DocumentedT = TypeVar("DocumentedT")
 
 
-def inherits_docs(record: type[Described]) -> type[Described]:
+def inherits_docs(record: type[DocumentedT]) -> type[DocumentedT]:
     """Return a dataclass whose docstring lists its keys and inherited fields."""
-    record.__doc__ = cast(str, _DocOfKeys(record.__doc__ or ""))
+    record.__doc__ = cast(str, _KeyDocstring(record.__doc__ or ""))
     return record
 
 
@@ -155,7 +155,7 @@ def option(
     kind: OptionKind,
     *,
     default_factory: Any = MISSING,
-    both: Key | None = None,
+    common_key: Key | None = None,
     **settings: Any,
 ) -> Any:
     """Return the dataclass field of an option.
@@ -164,10 +164,10 @@ def option(
         default: Default, as in `dataclasses.field`, or ``MISSING``.
         kind: Kind of the value.
         default_factory: As in `dataclasses.field`.
-        both: Key of both scenes and batches.
+        common_key: Key of both scenes and batches.
         settings: Other arguments of `Option`.
     """
-    declaration = Option(kind, **{"scene": both, "batch": both, **settings})
+    declaration = Option(kind, **{"scene": common_key, "batch": common_key, **settings})
     return field(
         default=default,
         default_factory=default_factory,
@@ -198,7 +198,9 @@ def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]
             for record_field in fields(record)
             if "key" in record_field.metadata
         }
-    keys = {name: getattr(o, file_kind) for name, o in options_of(record).items()}
+    keys = {
+        name: getattr(option, file_kind) for name, option in options_of(record).items()
+    }
     return {name: key for name, key in keys.items() if key is not None}
 
 
@@ -208,39 +210,39 @@ _TEXT_VALUE_TYPES: dict[OptionKind, type] = {"length": str, "angle": float}
 
 
 def with_text_values(
-    record: type[Any], *first: str
+    record: type[Any], *first_names: str
 ) -> Callable[[type[Record]], type[Record]]:
     """Give a frozen dataclass the options of a record with text values.
 
-    first: Names of options that precede the others.
+    first_names: Names of options that precede the others.
     """
 
-    def add(record_type: type[Record]) -> type[Record]:
+    def add_options(record_type: type[Record]) -> type[Record]:
         hints, options = get_type_hints(record), options_of(record)
         new_fields = []
-        for name in dict.fromkeys((*first, *options)):
-            written = _TEXT_VALUE_TYPES.get(options[name].kind)
+        for name in dict.fromkeys((*first_names, *options)):
+            text_type = _TEXT_VALUE_TYPES.get(options[name].kind)
             default_value = record.__dataclass_fields__[name].default
-            default = default_value if written is None else options[name].text_default
-            new_fields.append((name, written or hints[name], default))
+            default = default_value if text_type is None else options[name].text_default
+            new_fields.append((name, text_type or hints[name], default))
         class_namespace = {
             "__module__": record_type.__module__,
             "__doc__": record_type.__doc__,
         }
-        written_record: type[Record] = make_dataclass(
+        text_record: type[Record] = make_dataclass(
             record_type.__name__,
             new_fields,
             bases=(record_type,),
             namespace=class_namespace,
             frozen=True,
         )
-        return written_record
+        return text_record
 
-    return add
+    return add_options
 
 
-def chosen_options(record: Any) -> dict[str, Option]:
-    """Return the options that differ from their defaults."""
+def changed_options(record: Any) -> dict[str, Option]:
+    """Return the options of a record that differ from their defaults."""
     defaults = {entry.name: entry.default for entry in fields(record)}
     return {
         name: option
@@ -256,33 +258,33 @@ def option_marker(name: str, declaration: Option) -> str:
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
-    """Return the chosen options that a use refuses.
+    """Return the changed options that a use refuses.
 
     The result maps the marker of each to its reason.
     """
-    chosen = chosen_options(record).items()
+    changes = changed_options(record).items()
     return {
         option_marker(name, option): option
-        for name, option in chosen
+        for name, option in changes
         if use in option.not_for
     }
 
 
 def clash_messages(record: Any) -> list[str]:
-    """Return messages about chosen options that exclude or require others."""
-    options, chosen = options_of(record), chosen_options(record)
+    """Return messages about changed options that exclude or require others."""
+    options, changes = options_of(record), changed_options(record)
     names = {name: option_marker(name, option) for name, option in options.items()}
     messages = []
-    for name, option_a in chosen.items():
-        for excluded_name, message in option_a.excludes.items():
-            if excluded_name in chosen:
+    for name, changed_option in changes.items():
+        for excluded_name, message in changed_option.excludes.items():
+            if excluded_name in changes:
                 default_message = (
                     f"{names[name]} and {names[excluded_name]} exclude each other"
                 )
                 messages.append(message or default_message)
-        if option_a.goes_with and option_a.goes_with not in chosen:
-            default_message = f"{names[name]} needs {names[option_a.goes_with]}"
-            messages.append(option_a.missing_message or default_message)
+        if changed_option.goes_with and changed_option.goes_with not in changes:
+            default_message = f"{names[name]} needs {names[changed_option.goes_with]}"
+            messages.append(changed_option.missing_message or default_message)
     return messages
 
 
@@ -345,7 +347,7 @@ def at_least(minimum: float, code: str, *, finite: bool = False) -> Range:
     return Range(bound, code, minimum, finite=finite)
 
 
-def within(
+def between(
     minimum: float,
     code: str,
     maximum: float = MAX_NUMBER,

@@ -25,7 +25,7 @@ PAGE_KINDS = {
 # Names of earlier pages, and the pages that refer to their new location.
 MOVED_PAGES = {"guide": "reference/index", "formats": "reference/files"}
 # Pages by the subject that users search for.
-SUBJECTS = {
+PAGE_BY_SUBJECT = {
     "bring": "howto/fbx-and-gltf",
     "cape": "howto/cloth-and-hair",
     "cores": "reference/batches",
@@ -91,7 +91,7 @@ def find_page(topic: str) -> PageEntry:
     'tutorials/desk-lamp'
     """
     name = topic.lower().removesuffix(".md").strip("/")
-    name = (MOVED_PAGES | SUBJECTS).get(name, name)
+    name = (MOVED_PAGES | PAGE_BY_SUBJECT).get(name, name)
     pages = all_pages()
     matches = [page for page in pages if page.name == name]
     matches = matches or [page for page in pages if page.name.split("/")[-1] == name]
@@ -107,13 +107,14 @@ def find_page(topic: str) -> PageEntry:
 
 
 def _topic_hint(topic: str) -> str:
-    """Return the pages on a subject, or the page with the nearest name."""
+    """Return a hint at pages about a subject, or at the page with the nearest name."""
     pages = [page for page in all_pages() if page.name != "changelog"]
-    counts = {page.name: _mentions(page, topic) for page in pages}
+    counts = {page.name: _count_mentions(page, topic) for page in pages}
     mentioning_pages = [
         page.name
         for page in pages
-        if counts[page.name] and any(topic in h.lower() for h in _headings(page))
+        if counts[page.name]
+        and any(topic in heading.lower() for heading in _headings(page))
     ]
     best_page = max(counts, key=lambda name: counts[name])
     mentioning_pages = mentioning_pages or ([best_page] if counts[best_page] else [])
@@ -125,7 +126,7 @@ def _topic_hint(topic: str) -> str:
     return hint
 
 
-def _mentions(page: PageEntry, word: str) -> int:
+def _count_mentions(page: PageEntry, word: str) -> int:
     """Return the number of times a page contains a word."""
     if not word:
         return 0

@@ -48,10 +48,10 @@ def lazy_names(
         names[name] = module if is_module else getattr(module, name)
         return names[name]
 
-    def listed() -> list[str]:
+    def list_names() -> list[str]:
         return sorted(modules)
 
-    return import_name, listed
+    return import_name, list_names
 
 
 Kind = TypeVar("Kind")
@@ -138,7 +138,7 @@ def listed_entries(
     builtin: Iterable[str],
     points: Mapping[str, EntryPoint],
     find: Callable[[str], Entry],
-    shown: Callable[[Entry], tuple[Any, str]],
+    describe: Callable[[Entry], tuple[Any, str]],
     unusable: Any,
 ) -> list[ListedEntry]:
     """Return every entry of a table, built-in ones first, plug-ins loaded.
@@ -147,8 +147,8 @@ def listed_entries(
         builtin: Names of the built-in entries.
         points: Entry points of the table, by name.
         find: Returns an entry by its name.
-        shown: Returns the uses and the description of an entry.
-        unusable: Uses of one that cannot be loaded.
+        describe: Returns the uses and the description of an entry.
+        unusable: Uses of an entry that cannot be loaded.
     """
     sources = dict.fromkeys(builtin, "animtool")
     for name, point in sorted(points.items()):
@@ -156,7 +156,7 @@ def listed_entries(
     rows = []
     for name, source in sources.items():
         try:
-            uses, about = shown(find(name))
+            uses, about = describe(find(name))
         except OptionError as error:
             uses, about = unusable, error.faults[0].message
         rows.append(ListedEntry(name, source, uses, about))
@@ -181,7 +181,10 @@ class FormatTable(Generic[Entry]):
 
     def _points_by_suffix(self) -> dict[str, EntryPoint]:
         """Return the entry points by suffix, with its dot."""
-        return {f".{name}": p for name, p in sorted(plugin_points(self.group).items())}
+        return {
+            f".{name}": point
+            for name, point in sorted(plugin_points(self.group).items())
+        }
 
     def plugin_suffixes(self) -> list[str]:
         """Return the suffixes that only plug-ins have."""

@@ -55,7 +55,7 @@ def escaped_lines(text: str) -> str:
     return "\n".join(map(escaped, text.split("\n")))
 
 
-def json_printed(
+def printable_json(
     value: object, *, indent: int | None = None, ascii_only: bool = False
 ) -> str:
     r"""Return a value as UTF-8 JSON with the escapes of `escaped`.
@@ -163,7 +163,7 @@ def duration_text(seconds: float, digits: int = 3) -> str:
 
 
 def frames_hint(seconds: float, rate: float) -> str | None:
-    """Return what a duration is in seconds if it may be one in frames, else None.
+    """Return a hint if a duration in seconds may be meant in frames, else None.
 
     >>> frames_hint(30, 120), frames_hint(0.5, 120)
     ('30 frames at 120 frames per second are 0.25 s', None)

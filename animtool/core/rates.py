@@ -17,8 +17,8 @@ MAX_FRAME = 10**9
 # Exporters print frame times with 6 or more digits: the resulting error of a rate up to
 # 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
 NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)
-# Metadata has 29.97 for 30000/1001, which is off by 1e-6; a factor of 1000/1001 is
-# 1e-3.
+# Metadata has 29.97 for 30000/1001, a relative error of 1e-6; a factor of 1000/1001
+# differs by 1e-3.
 METADATA_TOLERANCE = Fraction(5, 1_000_000)
 # Powers of ten that limit a valid frame time [s].
 FRAME_TIME_EXPONENTS = (-9, 6)
@@ -26,8 +26,9 @@ LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
 # Captures and displays are slower; a larger number is probably not a frame rate.
 MAX_PLAUSIBLE_RATE = 2000
-# Taken first where a time is printed so coarsely that several integers fit.
+# Maximum number of digits of a frame time.
 MAX_DIGITS = 100
+# Preferred if a time is printed so coarsely that several integers match.
 COMMON_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
 # A rate or frame as people write it: 24, 23.976, "24000/1001", Fraction(24000, 1001).
@@ -75,7 +76,7 @@ class RateChoice:
     # ``reprinted``: the reciprocal rounds to the printed time; ``nearest``: the closest
     # common rate; ``printed``: the printed number as it is.
     kind: RateKind
-    rivals: tuple[int, ...] = ()  # other integer rates that print equally
+    ambiguous_rates: tuple[int, ...] = ()  # other integer rates that print equally
 
 
 def rate_from_frame_time(text: str) -> RateChoice:
@@ -105,22 +106,26 @@ def rate_from_frame_time(text: str) -> RateChoice:
 
     matching_rates = _integers_that_print(Fraction(frame_time), digits)
     if matching_rates:
-        common = (
+        common_rates = (
             []
             if exact_rate in matching_rates
-            else [n for n in matching_rates if n in COMMON_RATES]
+            else [integer for integer in matching_rates if integer in COMMON_RATES]
         )
-        best_integer = min(common or matching_rates, key=lambda n: abs(n - exact_rate))
-        rivals = (
+        best_integer = min(
+            common_rates or matching_rates,
+            key=lambda integer: abs(integer - exact_rate),
+        )
+        ambiguous_rates = (
             ()
             if best_integer == exact_rate
-            else tuple(n for n in matching_rates if n != best_integer)
+            else tuple(integer for integer in matching_rates if integer != best_integer)
         )
-        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, rivals)
+        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, ambiguous_rates)
 
-    candidates = [Fraction(n) for n in _adjacent_integers(exact_rate)]
+    candidates = [Fraction(integer) for integer in _adjacent_integers(exact_rate)]
     candidates += [
-        Fraction(n * 1000, 1001) for n in _adjacent_integers(exact_rate * 1001 / 1000)
+        Fraction(integer * 1000, 1001)
+        for integer in _adjacent_integers(exact_rate * 1001 / 1000)
     ]
     if candidates:
         best_rate = min(candidates, key=lambda rate: abs(rate - exact_rate))
@@ -133,10 +138,10 @@ def _adjacent_integers(rate: Fraction) -> list[int]:
     return [n for n in (int(rate), int(rate) + 1) if 1 <= n <= HIGHEST_RATE]
 
 
-def _integers_that_print(printed_rate: Fraction, digits: int) -> list[int]:
-    """Integers n in 1..1000 whose 1/n, rounded half up, is the printed number."""
-    half = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
-    lower, upper = printed_rate - half, printed_rate + half
+def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
+    """Return integers 1 to 1000 whose reciprocal rounds to the printed time."""
+    half_digit = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
+    lower, upper = printed_time - half_digit, printed_time + half_digit
     smallest = int(1 / upper)
     largest = int(1 / lower) + 1 if lower > 0 else HIGHEST_RATE
     return [
@@ -161,9 +166,12 @@ def rate_from_float(fps: float) -> Fraction:
     known_rate = _BROADCAST_RATES.get(f"{fps:g}")
     if known_rate is not None:
         return known_rate
-    integer, broadcast = round(exact_rate), round(exact_rate * 1001 / 1000)
+    nearest_integer, broadcast_count = (
+        round(exact_rate),
+        round(exact_rate * 1001 / 1000),
+    )
     nearest = min(
-        (Fraction(integer), Fraction(broadcast * 1000, 1001)),
+        (Fraction(nearest_integer), Fraction(broadcast_count * 1000, 1001)),
         key=lambda rate: abs(rate - exact_rate),
     )
     if abs(nearest - exact_rate) <= nearest * METADATA_TOLERANCE:
@@ -260,14 +268,14 @@ def rate_label(fps: Fraction) -> str:
 def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
     """Return a warning about an implausible number of frames a second (TAKE009).
 
-    name: Of the argument that sets the rate; None where only the file does.
+    name: Name of the argument that sets the rate; None if only the file sets it.
     """
     if 1 <= fps <= MAX_PLAUSIBLE_RATE:
         return []
-    stated = f"{float(fps):g}"
-    stated = f"fps {stated}" if name is None else argument(name, stated)
+    rate_text = f"{float(fps):g}"
+    rate_text = f"fps {rate_text}" if name is None else argument(name, rate_text)
     message = (
-        f"{stated} is implausible; film has 24 frames a second, captures up to 1000"
+        f"{rate_text} is implausible; film has 24 frames a second, captures up to 1000"
     )
     hint = "use the number of frames in one second, not their total or a frame time"
     return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]

@@ -107,8 +107,10 @@ def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any
     else:
         entry = field(default=default)
     if type(entry.default).__hash__ is None:
-        kind = type(entry.default)
-        raise ValueError(f"mutable default {kind} of {name}: use default_factory")
+        default_type = type(entry.default)
+        raise ValueError(
+            f"mutable default {default_type} of {name}: use default_factory"
+        )
     entry.name, entry.type = name, type_
     entry._field_type = _FIELD  # as required by `fields` and `replace`
     if entry.kw_only is MISSING:
@@ -116,14 +118,14 @@ def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any
     return entry
 
 
-def _mark_of_fields() -> Any:
+def _field_marker() -> Any:
     """Return the marker of `dataclasses` for instance fields."""
     import dataclasses
 
     return vars(dataclasses)["_FIELD"]
 
 
-_FIELD = _mark_of_fields()
+_FIELD = _field_marker()
 
 
 def _methods(
@@ -188,7 +190,7 @@ def _initializer(
     has_post_init: bool,
     in_dict: bool,
 ) -> Callable[..., None]:
-    """Return the ``__init__`` of fields; ``positional_names`` may be positional."""
+    """Return the ``__init__`` of fields; some may be passed by position."""
     field_list = list(field_list)
     defaults = {e.name: e.default for e in field_list if e.default is not MISSING}
     factories = [
@@ -205,44 +207,52 @@ def _initializer(
     unset_names = [
         record_field.name for record_field in field_list if not record_field.init
     ]
-    # If all fields can be positional: how many must be, and the values of the others.
-    tail = tuple(defaults[name] for name in positional_names if name in defaults)
+    # If all fields may be positional: the minimum number, and defaults of the others.
+    trailing_defaults = tuple(
+        defaults[name] for name in positional_names if name in defaults
+    )
     max_positional = (
         len(positional_names) if settable_names == set(positional_names) else -1
     )
-    min_positional = max_positional if factories else max_positional - len(tail)
-    put: Callable[[Any, str, Any], None] = object.__setattr__ if frozen else setattr
+    min_positional = (
+        max_positional if factories else max_positional - len(trailing_defaults)
+    )
+    set_field: Callable[[Any, str, Any], None] = (
+        object.__setattr__ if frozen else setattr
+    )
 
-    def __init__(self: Any, /, *positional: Any, **named: Any) -> None:  # noqa: N807
+    def __init__(self: Any, /, *positional: Any, **keywords: Any) -> None:  # noqa: N807
         count = len(positional)
-        if min_positional <= count <= max_positional and not named:
+        if min_positional <= count <= max_positional and not keywords:
             if count < max_positional:
-                positional += tail[count - min_positional :]
+                positional += trailing_defaults[count - min_positional :]
             if in_dict:
                 self.__dict__.update(zip(positional_names, positional))  # noqa: B905
             else:
                 for name, value in zip(positional_names, positional):  # noqa: B905
-                    put(self, name, value)
+                    set_field(self, name, value)
         else:
             values = (
-                defaults | dict(zip(positional_names, positional, strict=False)) | named
+                defaults
+                | dict(zip(positional_names, positional, strict=False))
+                | keywords
             )
-            for name, make in factories:
+            for name, factory in factories:
                 if name not in values:
-                    values[name] = make()
+                    values[name] = factory()
             if (
                 len(positional) > len(positional_names)
                 or values.keys() != settable_names
                 or (
                     (positional or unset_names)
                     and _is_repeated_or_unknown(
-                        named, positional_names[: len(positional)], unset_names
+                        keywords, positional_names[: len(positional)], unset_names
                     )
                 )
             ):
-                _raise_argument_error(self, positional, named)
+                _raise_argument_error(self, positional, keywords)
             for name, value in values.items():
-                put(self, name, value)
+                set_field(self, name, value)
         if has_post_init:
             self.__post_init__()
 
@@ -305,7 +315,7 @@ class _Signature:
         return _signature(owner)
 
 
-def _getter(names: list[str]) -> Callable[[Any], Any]:
+def _value_getter(names: list[str]) -> Callable[[Any], Any]:
     """Return a function that returns field values as a comparable value."""
     if names:
         return attrgetter(*names)
@@ -313,7 +323,7 @@ def _getter(names: list[str]) -> Callable[[Any], Any]:
 
 
 def _eq_method(names: list[str]) -> Callable[[Any, Any], Any]:
-    values = _getter(names)
+    values = _value_getter(names)
 
     def __eq__(self: Any, other: object) -> Any:  # noqa: N807
         if other.__class__ is not self.__class__:
@@ -325,7 +335,7 @@ def _eq_method(names: list[str]) -> Callable[[Any, Any], Any]:
 
 
 def _hash_method(names: list[str]) -> Callable[[Any], int]:
-    values = _getter(names)
+    values = _value_getter(names)
 
     def __hash__(self: Any) -> int:  # noqa: N807
         return hash(values(self) if len(names) > 1 else (values(self),))

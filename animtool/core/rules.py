@@ -153,25 +153,25 @@ def _parse_page(text: str) -> tuple[Rule, str]:
     """Return the code that a page's front matter declares, and the text of the page."""
     _, front_matter, page_body = text.split("---\n", 2)
     values = dict(line.split(": ", 1) for line in front_matter.splitlines())
-    kinds = frozenset(map(Kind, _list_value(values.get("kind", ""))))
+    kinds = frozenset(map(Kind, _parse_list(values.get("kind", ""))))
     rule = Rule(
         values["code"],
-        _text_value(values["title"]),
+        _parse_text(values["title"]),
         Severity(values["severity"]),
         next(iter(kinds)) if len(kinds) == 1 else kinds or None,
         values.get("check", ""),
         "takes" in values,
-        _text_value(values.get("hint", "")),
-        _list_value(values.get("replaces", "")),
+        _parse_text(values.get("hint", "")),
+        _parse_list(values.get("replaces", "")),
     )
     return rule, f"# {rule.code}: {rule.title}\n{page_body}"
 
 
-def _text_value(value: str) -> str:
+def _parse_text(value: str) -> str:
     return str(json.loads(value)) if value.startswith('"') else value
 
 
-def _list_value(value: str) -> tuple[str, ...]:
+def _parse_list(value: str) -> tuple[str, ...]:
     return tuple(value.strip("[]").split(", ")) if value else ()
 
 
@@ -194,15 +194,15 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
 
 def listed_rules() -> list[ListedEntry]:
     """Return the rules of plug-ins, loaded, and the kinds of files that they check."""
-    listed = []
+    entries = []
     for point in _rule_points():
-        loaded = _load_rule(point)
-        if isinstance(loaded, Rule):
-            kind, about = ", ".join(sorted(loaded.kinds)), loaded.title
+        rule_or_fault = _load_rule(point)
+        if isinstance(rule_or_fault, Rule):
+            kind, about = ", ".join(sorted(rule_or_fault.kinds)), rule_or_fault.title
         else:
-            kind, about = "", loaded.message
-        listed.append(ListedEntry(point.name, point.value, kind, about))
-    return listed
+            kind, about = "", rule_or_fault.message
+        entries.append(ListedEntry(point.name, point.value, kind, about))
+    return entries
 
 
 def current_codes(code: str) -> tuple[str, ...]:
@@ -218,8 +218,8 @@ def current_codes(code: str) -> tuple[str, ...]:
 _DIGITS = str.maketrans("OILSB", "01158")
 
 
-def code_meant(code: str, codes: Iterable[str]) -> str | None:
-    """Return the code or prefix whose digits were typed as letters; None if unclear.
+def corrected_code(code: str, codes: Iterable[str]) -> str | None:
+    """Return a code with letters typed for digits corrected; None if unclear.
 
     >>> code_meant("MOT2O8", ["MOT208"])
     'MOT208'
@@ -247,18 +247,17 @@ def find_rule(code: str) -> Rule:
         hint = nearest(
             padded_code, [padded_code] if padded_code in rules else sorted(rules)
         )
-        family = re.match("[A-Z]*", name)[0]  # type: ignore[index]
+        family_prefix = re.match("[A-Z]*", name)[0]  # type: ignore[index]
         family_codes = sorted(
-            known_code for known_code in rules if known_code.startswith(family)
+            known_code for known_code in rules if known_code.startswith(family_prefix)
         )
-        meant = code_meant(name, rules)
-        if meant is not None:
-            hint = f"did you mean {meant!r}, with digits?"
-        elif padded_code not in rules and family and family_codes:
+        suggested_code = corrected_code(name, rules)
+        if suggested_code is not None:
+            hint = f"did you mean {suggested_code!r}, with digits?"
+        elif padded_code not in rules and family_prefix and family_codes:
             range_text = f"{family_codes[0]} to {family_codes[-1]}"
-            hint = (
-                f"{family} codes are {range_text}; animtool explain {family} lists them"
-            )
+            hint = f"{family_prefix} codes are {range_text}; "
+            hint += f"animtool explain {family_prefix} lists them"
         elif hint.startswith("allowed"):
             hint = "animtool explain lists them"
         raise OptionError(Fault("VAL005", message, hint=hint))
@@ -287,7 +286,7 @@ def _load_rule(point: EntryPoint) -> Rule | Fault:
 
 
 def _rule_fault(name: str, rule: Rule) -> str:
-    """Return the fault of a plug-in's rule, or None."""
+    """Return the fault of a plug-in's rule as text; empty if it is valid."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"
     if name in builtin_rules() or name in replaced_codes():

@@ -110,7 +110,7 @@ class Shot:
 
     def seconds_at(self, frame: Fraction | int) -> Fraction:
         """Return the media time of a frame [s]."""
-        fps, media_in = self._timing()
+        fps, media_in = self._rate_and_media_in()
         return media_in + (frame - self.cut_in) * self.speed / fps
 
     def frame_at(self, seconds: Fraction | int) -> Fraction:
@@ -122,10 +122,10 @@ class Shot:
         >>> shot.frame_at(Fraction(5, 2))
         Fraction(1013, 1)
         """
-        fps, media_in = self._timing()
+        fps, media_in = self._rate_and_media_in()
         return self.cut_in + (seconds - media_in) * fps / self.speed
 
-    def _timing(self) -> tuple[Fraction, Fraction]:
+    def _rate_and_media_in(self) -> tuple[Fraction, Fraction]:
         if self.fps is None or self.media_in is None:
             raise ValueError("the shot has no media times")
         return self.fps, self.media_in

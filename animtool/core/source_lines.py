@@ -48,17 +48,21 @@ def crop_line(line: str, column: int) -> Iterator[str]:
     >>> list(crop_line("joints: []", 9))
     ['joints: []', '        ^']
     """
-    line_part = line.rstrip()
+    stripped_line = line.rstrip()
     offset = 0
-    if len(line_part) > MAX_WIDTH:
-        offset = max(0, min(column - 1 - CONTEXT_BEFORE, len(line_part) - MAX_WIDTH))
-    left_part = line_part[offset : offset + MAX_WIDTH]
-    left_part = "".join(c if c.isprintable() else " " for c in left_part)
+    if len(stripped_line) > MAX_WIDTH:
+        offset = max(
+            0, min(column - 1 - CONTEXT_BEFORE, len(stripped_line) - MAX_WIDTH)
+        )
+    shown_part = stripped_line[offset : offset + MAX_WIDTH]
+    shown_part = "".join(
+        character if character.isprintable() else " " for character in shown_part
+    )
     if offset:
-        left_part = "\N{HORIZONTAL ELLIPSIS}" + left_part[1:]
-    if offset + MAX_WIDTH < len(line_part):
-        left_part = left_part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
-    yield left_part
+        shown_part = "\N{HORIZONTAL ELLIPSIS}" + shown_part[1:]
+    if offset + MAX_WIDTH < len(stripped_line):
+        shown_part = shown_part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
+    yield shown_part
     yield " " * (column - 1 - offset) + "^"
 
 

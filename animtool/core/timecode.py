@@ -67,16 +67,16 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
                 f"{text!r} has {component} {value:02d}; the largest is {limit - 1:02d}"
             )
             raise ValueError(message)
-    left_out = _labels_dropped_per_minute(rate) if is_drop else 0
-    if minutes % 10 and not seconds and frames < left_out:
-        first_label = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
+    dropped_labels = _labels_dropped_per_minute(rate) if is_drop else 0
+    if minutes % 10 and not seconds and frames < dropped_labels:
+        first_label = f"{hours:02d}:{minutes:02d}:00;{dropped_labels:02d}"
         message = f"drop-frame has no {text!r}: this minute starts at {first_label}"
         raise ValueError(message)
     total_minutes = 60 * hours + minutes
     labels = labels_per_second * (60 * total_minutes + seconds) + frames
     return (
         labels
-        - left_out * (total_minutes - total_minutes // 10)
+        - dropped_labels * (total_minutes - total_minutes // 10)
         + Fraction(match[6] or 0)
     )
 
@@ -91,15 +91,19 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
     >>> timecode_label(61, Fraction(24)), timecode_label(-1, Fraction(24))
     ('00:00:02:13', '23:59:59:23')
     """
-    labels_per_second, left_out = (
+    labels_per_second, dropped_labels = (
         count_rate(rate),
         _labels_dropped_per_minute(rate) if drop else 0,
     )
     frame %= day_frames(rate, drop=drop)
-    if left_out:
-        tens, frame_in_tens = divmod(frame, 600 * labels_per_second - 9 * left_out)
-        minute = max(0, frame_in_tens - left_out) // (60 * labels_per_second - left_out)
-        frame += left_out * (9 * tens + minute)
+    if dropped_labels:
+        ten_minutes, frame_in_ten_minutes = divmod(
+            frame, 600 * labels_per_second - 9 * dropped_labels
+        )
+        minute = max(0, frame_in_ten_minutes - dropped_labels) // (
+            60 * labels_per_second - dropped_labels
+        )
+        frame += dropped_labels * (9 * ten_minutes + minute)
     seconds, frames = divmod(frame, labels_per_second)
     minutes, seconds = divmod(seconds, 60)
     hours, minutes = divmod(minutes, 60)
@@ -108,7 +112,7 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
 
 
 def seconds_between(
-    first: str, first_rate: Fraction, other: str, other_rate: Fraction
+    first: str, first_rate: Fraction, second: str, second_rate: Fraction
 ) -> Fraction:
     """Return the time from one label to another, also across midnight [s].
 
@@ -118,10 +122,10 @@ def seconds_between(
     >>> seconds_between("23:59:59:00", Fraction(25), "00:00:01:05", Fraction(25))
     Fraction(11, 5)
     """
-    gap = parse_timecode(other, other_rate) / other_rate
-    gap -= parse_timecode(first, first_rate) / first_rate
+    difference = parse_timecode(second, second_rate) / second_rate
+    difference -= parse_timecode(first, first_rate) / first_rate
     day = day_frames(first_rate, drop=";" in first) / first_rate
-    return (gap + day / 2) % day - day / 2
+    return (difference + day / 2) % day - day / 2
 
 
 def _labels_dropped_per_minute(rate: Fraction) -> int:

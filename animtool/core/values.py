@@ -42,10 +42,10 @@ def plain_value(value: Any) -> Any:
         return value
     if hasattr(value, "as_integer_ratio"):  # a float, a fraction
         return float(value) if math.isfinite(value) else None
-    return _plain_parts(value)
+    return _plain_container(value)
 
 
-def _plain_parts(value: Any) -> Any:
+def _plain_container(value: Any) -> Any:
     """Return containers as plain values."""
     keys = getattr(value, "json_keys", None)
     if isinstance(keys, str):
@@ -55,8 +55,8 @@ def _plain_parts(value: Any) -> Any:
     if hasattr(value, "tolist"):  # an array, or an element of one
         return plain_value(value.tolist())
     if isinstance(value, Mapping):
-        return {str(key): plain_value(part) for key, part in value.items()}
-    return [plain_value(part) for part in value]
+        return {str(key): plain_value(element) for key, element in value.items()}
+    return [plain_value(element) for element in value]
 
 
 def _fields_of(record: Any) -> dict[str, Any]:
@@ -120,14 +120,18 @@ def _tokens(template: str) -> Iterator[re.Match[str]]:
 
 def _parse_keys(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
     for token in tokens:
-        closes, token_parts, star, key, path, signs, opens = token.groups()
-        if closes:
+        closing_brace, token_parts, asterisk, key, path, signs, opening_brace = (
+            token.groups()
+        )
+        if closing_brace:
             return
         if token_parts:
             yield JsonKey(token_parts, "", "'")
             continue
-        inner = tuple(_parse_keys(tokens)) if opens else None
-        yield JsonKey("" if star else key or path, path.strip("."), signs, inner)
+        inner_keys = tuple(_parse_keys(tokens)) if opening_brace else None
+        yield JsonKey(
+            "" if asterisk else key or path, path.strip("."), signs, inner_keys
+        )
 
 
 def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
@@ -137,13 +141,13 @@ def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
         if json_key.sign == "'":
             values[json_key.key] = VERSION
         elif not json_key.key:
-            values |= _spread_value(record, value, json_key)
-        elif not _is_left_out(value, json_key.sign):
+            values |= _inserted_values(record, value, json_key)
+        elif not _is_omitted(value, json_key.sign):
             values[json_key.key] = _value_of_key(value, json_key)
     return values
 
 
-def _spread_value(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
+def _inserted_values(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
     """Return the keys of a value, or all fields of the record."""
     if value is None:
         return {}
@@ -159,7 +163,7 @@ def _is_empty(value: Any) -> bool:
     return value is None or (hasattr(value, "__len__") and not len(value))
 
 
-def _is_left_out(value: Any, sign: str) -> bool:
+def _is_omitted(value: Any, sign: str) -> bool:
     return ("?" in sign and value is None) or ("+" in sign and _is_empty(value))
 
 
@@ -180,5 +184,5 @@ def _value_of_key(value: Any, key: JsonKey) -> Any:
 
 def _round_values(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _round_values(part) for name, part in value.items()}
+        return {name: _round_values(element) for name, element in value.items()}
     return round(value, 6)

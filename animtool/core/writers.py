@@ -241,8 +241,10 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
     writer = writer_of(path)
     if writer is None or not writer.markers:
         message = f"{suffix_text(path)} is not a format for markers"
-        of_markers = [suffix for suffix, one in WRITERS.items() if one.markers]
-        hint = f"allowed: {', '.join(of_markers)}"
+        marker_suffixes = [
+            suffix for suffix, writer_ in WRITERS.items() if writer_.markers
+        ]
+        hint = f"allowed: {', '.join(marker_suffixes)}"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
     return cast(Callable[..., list[Fault]], load_object(writer.markers))
 

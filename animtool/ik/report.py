@@ -448,7 +448,7 @@ def single_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]
     if not solved.moving_between or frames == 1:
         return []
     message = f"each of {counted(frames, 'frame')} is solved on its own, as "
-    message += f"{listed([repr(name) for name in solved.moving_between], most=6)} "
+    message += f"{listed([repr(name) for name in solved.moving_between], max_items=6)} "
     message += "between the joints that may move "
     message += "moves too" if len(solved.moving_between) == 1 else "move too"
     hint = "that takes longer, no smoother path is searched for, and nothing is "
@@ -473,7 +473,7 @@ def _goal_warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
 
 def _miss_text(report: GoalReport) -> str:
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
-    frames_text = listed([_frames(span) for span in report.spans], most=6)
+    frames_text = listed([_frames(span) for span in report.spans], max_items=6)
     amounts = []
     if worst.distance > 0:
         amounts.append(_length(worst.distance))

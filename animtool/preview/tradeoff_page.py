@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from animtool.core.arguments import ArgumentNamer, in_python, worded
+from animtool.core.arguments import ArgumentNamer, python_name, worded
 from animtool.core.files.output import check_outputs, write_parts
 from animtool.preview.build import make_page
 from animtool.preview.options import PreviewOptions
@@ -29,7 +29,7 @@ def write_tradeoff_page(
     output: Path,
     *,
     overwrite: bool = False,
-    calling: ArgumentNamer = in_python,
+    calling: ArgumentNamer = python_name,
 ) -> int:
     """Write a page of a report; return its size [byte].
 
@@ -46,7 +46,9 @@ def write_tradeoff_page(
     return output.stat().st_size
 
 
-def page_parts(report: Tradeoffs, calling: ArgumentNamer = in_python) -> Iterator[str]:
+def page_parts(
+    report: Tradeoffs, calling: ArgumentNamer = python_name
+) -> Iterator[str]:
     """Yield the page in parts; it is self-contained."""
     style = viewer_text("tradeoffs.css")
     title = html.escape(f"{report.source.name}: time against error")

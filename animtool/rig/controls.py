@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import joined_cycle
+from animtool.core.errors import cycle_text
 from animtool.core.record import dataclass
 from animtool.rig.drivers import SLIDE, Driver, curve_values
 from animtool.rig.expressions import Expression
@@ -69,7 +69,7 @@ class ControlCycleError(ValueError):
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        super().__init__(joined_cycle(cycle))
+        super().__init__(cycle_text(cycle))
 
 
 def evaluation_order(controls: Sequence[Control]) -> list[str]:

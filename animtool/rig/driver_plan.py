@@ -13,7 +13,7 @@ from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, joined_cycle
+from animtool.core.errors import Fault, OptionError, cycle_text
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.rig.controls import Control, Drive
@@ -47,8 +47,8 @@ class DriverCycleError(ValueError):
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        cycle_text = joined_cycle([name.partition("/")[2] for name in cycle])
-        super().__init__(f"what is driven depends on itself: {cycle_text}")
+        text = cycle_text([name.partition("/")[2] for name in cycle])
+        super().__init__(f"what is driven depends on itself: {text}")
 
 
 def readable_parts(joint: Joint) -> list[str]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
-from animtool.core.errors import counted, joined_cycle
+from animtool.core.errors import counted, cycle_text
 from animtool.core.names import nearest
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -221,8 +221,8 @@ def _parents_first(
                     *unfinished_names[unfinished_names.index(missing_parent) :],
                     missing_parent,
                 ]
-                cycle_text = joined_cycle(trail[::-1])
-                message = f"the joints are their own ancestors: {cycle_text}"
+                cycle = cycle_text(trail[::-1])
+                message = f"the joints are their own ancestors: {cycle}"
                 hint = "remove the parent of the one that is the root"
                 document.add("RIG003", ("joints", entry.index), message, hint)
                 entry.parent, entry.orphaned = None, True

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import joined_cycle
+from animtool.core.errors import cycle_text
 from animtool.rig.parts import Shape
 
 _SIDED_NAMES = """
@@ -65,7 +65,7 @@ class ShapeCycleError(ValueError):
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        super().__init__(joined_cycle(cycle))
+        super().__init__(cycle_text(cycle))
 
 
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:

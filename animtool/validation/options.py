@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
 from animtool.core.options import inherits_docs, option, options_of
 from animtool.core.record import dataclass
-from animtool.core.rules import all_rules, builtin_rules, code_meant, current_codes
+from animtool.core.rules import all_rules, builtin_rules, corrected_code, current_codes
 from animtool.validation.profiles import PROFILES, load_profile
 
 
@@ -207,7 +207,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         if prefix and any(code.startswith(prefix) for code in rules):
             continue
         message = f"no code matches {prefix!r}"
-        meant = code_meant(prefix, rules)
+        meant = corrected_code(prefix, rules)
         hint = nearest(prefix, list(rules))
         if meant is not None:
             hint = f"did you mean {meant!r}, with digits?"

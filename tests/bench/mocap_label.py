@@ -30,7 +30,7 @@ from animtool.capture.markers.label import label
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
 
-RESULTS = Path(__file__).parent / "results" / "mocap_label.csv"
+REPORT_MODELS = Path(__file__).parent / "results" / "mocap_label.csv"
 ROUNDS = 3
 
 
@@ -66,7 +66,7 @@ def main() -> None:
             }
         )
         print(rows[-1])
-    with RESULTS.open("w", newline="") as file:
+    with REPORT_MODELS.open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)

@@ -8,7 +8,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.cli.bake import bake
-from animtool.cli.console import FlagCalling
+from animtool.cli.console import FlagNamer
 from animtool.cli.convert import convert
 from animtool.cli.info import info
 from animtool.core.arguments import Argument
@@ -35,14 +35,14 @@ from animtool.core.arguments import Argument
 def test_bake_calls_arguments_by_its_flags(
     name: str, value: str | None, flag: str | None
 ) -> None:
-    assert FlagCalling(bake)(Argument(name, value)) == flag
+    assert FlagNamer(bake)(Argument(name, value)) == flag
 
 
 def test_commands_call_one_argument_by_their_own_flags() -> None:
-    assert FlagCalling(info)(Argument("source.prim_path")) == "--source-prim"
-    assert FlagCalling(convert)(Argument("to_units")) is None
-    assert FlagCalling(convert).elsewhere(Argument("to_units")) == "bake --to-units"
-    assert FlagCalling(convert).elsewhere(Argument("landmarks")) == "landmarks:"
+    assert FlagNamer(info)(Argument("source.prim_path")) == "--source-prim"
+    assert FlagNamer(convert)(Argument("to_units")) is None
+    assert FlagNamer(convert).name_elsewhere(Argument("to_units")) == "bake --to-units"
+    assert FlagNamer(convert).name_elsewhere(Argument("landmarks")) == "landmarks:"
 
 
 def test_what_exists_is_refused_with_the_flags_of_the_command(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-from animtool.cli.docs import SITE
+from animtool.cli.docs import SITE_FOLDER
 from animtool.cli.docs_reference import codes_markdown, commands_markdown
 from animtool.cli.main import COMMANDS
 from animtool.core.errors import ExitCode
@@ -117,7 +117,7 @@ def test_the_local_build_is_opened(
         shown.append(address)
         return True
 
-    monkeypatch.setattr("animtool.cli.docs.SITE", tmp_path)
+    monkeypatch.setattr("animtool.cli.docs.SITE_FOLDER", tmp_path)
     monkeypatch.setattr("animtool.preview.show.has_browser", lambda: display)
     monkeypatch.setattr("animtool.preview.show.open_browser", show)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
@@ -130,7 +130,7 @@ def test_the_local_build_is_opened(
 def test_the_site_is_built_where_it_is_looked_for(root: Path) -> None:
     settings = (root / "mkdocs.yml").read_text("utf-8")
     assert re.search(r"^site_dir: build/site$", settings, re.M)
-    assert root / "build/site" == SITE
+    assert root / "build/site" == SITE_FOLDER
 
 
 def test_the_reference_of_commands_has_all_of_them() -> None:

@@ -10,7 +10,7 @@ import pytest
 from support.cli import animtool, animtool_process
 
 from animtool.cli.console import Console
-from animtool.cli.main import COMMANDS, WITHOUT_USD
+from animtool.cli.main import COMMANDS, COMMANDS_WITHOUT_USD
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.process.signals import TerminatedError
 
@@ -37,7 +37,7 @@ def test_the_table_says_what_the_commands_say() -> None:
 
 
 def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
-    assert set(COMMANDS) > WITHOUT_USD
+    assert set(COMMANDS) > COMMANDS_WITHOUT_USD
 
 
 @pytest.mark.parametrize(

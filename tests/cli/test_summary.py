@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from animtool.cli.summary import BAKED, STATS, channel_lines, mesh_groups
+from animtool.cli.summary import BAKE_TEMPLATE, STATS, channel_lines, mesh_groups
 from animtool.clip.key_report import ChannelError
 from animtool.core.values import plain_value
 from animtool.report.text import render
@@ -75,9 +75,11 @@ def test_characters_have_lines_of_their_own() -> None:
     )
     (group,) = mesh_groups([mesh])
     take = {"only": {"meshes": [mesh]}}
-    lines = [line for line in BAKED.lines if getattr(line, "name", "") == MESHES]
+    lines = [
+        line for line in BAKE_TEMPLATE.lines if getattr(line, "name", "") == MESHES
+    ]
     assert group["meshes"] == [mesh]
-    assert render(take, lines, BAKED.printers) == [
+    assert render(take, lines, BAKE_TEMPLATE.printers) == [
         "  1 system of square.scene.yaml, simulated",
         "    people: 3 agents, 10 frames, 10 ms per frame",
         "      2 with their own animation, 25% of poses written: "

@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 
 from animtool.core.arguments import (
-    KEYS,
+    FILE_KEYS,
     Argument,
-    Text,
+    TextWithArguments,
     argument,
     as_text,
     clause,
-    in_file,
-    in_python,
+    file_key,
+    python_name,
     worded,
 )
 from animtool.core.errors import Fault, FormatError
@@ -39,13 +39,13 @@ def test_an_argument_is_called_as_the_interface_calls_it(
 ) -> None:
     text = as_text(f"{argument(name, value)} says it")
     assert text == f"{python} says it"
-    assert worded(text, in_file) == f"{file} says it"
+    assert worded(text, file_key) == f"{file} says it"
 
 
 def test_keys_are_those_that_scenes_have() -> None:
     for prefix, record in (("", BakeOptions), ("source.", SourceOptions)):
         for name, key in keys_of(record, "scene").items():
-            alias = KEYS.get(f"{prefix}{name}", name)
+            alias = FILE_KEYS.get(f"{prefix}{name}", name)
             assert key.alias in {None, alias}, name
 
 
@@ -76,10 +76,10 @@ def test_a_fault_keeps_what_it_names() -> None:
 
 def test_joined_texts_keep_what_they_name() -> None:
     text = as_text(argument("up"))
-    assert isinstance("a " + text + " b", Text)
-    assert worded("a " + text + " b", in_file) == "a up: b"
+    assert isinstance("a " + text + " b", TextWithArguments)
+    assert worded("a " + text + " b", file_key) == "a up: b"
 
 
 def test_values_of_texts_may_hold_braces() -> None:
     assert as_text(argument("set", "a={b}")) == 'set="a={b}"'
-    assert in_python(Argument("command.quiet")) is None
+    assert python_name(Argument("command.quiet")) is None

@@ -6,8 +6,8 @@ import pytest
 
 from animtool.core.errors import OptionError
 from animtool.core.pages import (
+    PAGE_BY_SUBJECT,
     PAGE_KINDS,
-    SUBJECTS,
     all_pages,
     find_page,
     page_markdown,
@@ -45,7 +45,7 @@ def test_a_word_of_a_heading_leads_to_its_page() -> None:
 
 def test_words_of_users_lead_to_pages() -> None:
     names = {page.name for page in all_pages()}
-    assert set(SUBJECTS.values()) <= names
+    assert set(PAGE_BY_SUBJECT.values()) <= names
     assert find_page("Mixamo").name == "howto/fbx-and-gltf"
 
 

@@ -74,10 +74,10 @@ def test_what_is_no_frame_time(text: str) -> None:
 
 
 def test_rivals_are_named_only_where_the_choice_is_open() -> None:
-    assert rate_from_frame_time("0.017").rivals == (58, 59)
-    assert rate_from_frame_time("0.0042").rivals == (236, 237, 238, 239)
-    assert rate_from_frame_time("0.008").rivals == ()
-    assert rate_from_frame_time("0.0333").rivals == ()
+    assert rate_from_frame_time("0.017").ambiguous_rates == (58, 59)
+    assert rate_from_frame_time("0.0042").ambiguous_rates == (236, 237, 238, 239)
+    assert rate_from_frame_time("0.008").ambiguous_rates == ()
+    assert rate_from_frame_time("0.0333").ambiguous_rates == ()
 
 
 @given(st.integers(1, 1000), st.booleans())

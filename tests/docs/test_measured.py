@@ -7,7 +7,7 @@ import re
 from support.measured_tables import (
     PAGE,
     RATIOS,
-    RESULTS,
+    REPORT_MODELS,
     ROOT,
     is_older_form,
     measured,
@@ -34,7 +34,7 @@ def test_it_has_a_row_that_is_slower() -> None:
 def test_its_plots_and_tables_are_committed() -> None:
     named = re.findall(r"bench/results/([\w.]+)", PAGE.read_text("utf-8"))
     assert len(set(named)) > 5
-    assert all((RESULTS / name).is_file() for name in named)
+    assert all((REPORT_MODELS / name).is_file() for name in named)
 
 
 def test_the_readme_quotes_the_table_alone_and_results_of_the_present_form() -> None:

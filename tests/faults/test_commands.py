@@ -78,7 +78,7 @@ def test_all_files_of_a_command_or_none(
         placed += 1
         if placed == last:
             raise output_error(self.path, "the test says so")
-        commit(self, new=new)
+        commit(self, must_be_new=new)
 
     monkeypatch.setattr(WrittenFile, "commit", placing)
     whole = shutil.copytree(stage, tmp_path / "whole")

@@ -19,7 +19,7 @@ from support.drifting import author_samples
 from support.small_takes import small
 from support.suite import examples
 
-from animtool.cli.summary import BAKED
+from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError, Severity
 from animtool.core.shot import FrameRange
@@ -152,7 +152,7 @@ def _check_samples(
 
 
 def _text(report: BakeReport) -> str:
-    return "\n".join(BAKED.text(report))
+    return "\n".join(BAKE_TEMPLATE.text(report))
 
 
 TARGETS = """targets: animtool/1

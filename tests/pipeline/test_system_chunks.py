@@ -188,7 +188,7 @@ for chunk in json.loads(sys.argv[3]):
     peak.begin()
     report = bake(scene, folder / f"{chunk}.usdc", BakeOptions(chunk=chunk))
     size = report.takes[0].meshes[0].written.bytes
-    print(json.dumps([peak.taken(), size]), flush=True)
+    print(json.dumps([peak.peak_since_last_call(), size]), flush=True)
     os._exit(0)
 """
 

@@ -56,7 +56,7 @@ class C3dFile:
     first: int = 1
     residuals: Any = None  # (F, M) in units of the scale
     masks: Any = None  # (F, M) bits
-    declared: int | None = None  # frames that the header claims
+    declare_option: int | None = None  # frames that the header claims
     used: int | None = None  # points that the header claims
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
     analog: Any = None  # (F, A) numbers behind the points of a frame
@@ -110,7 +110,11 @@ class C3dFile:
 
     def _header(self, start: int) -> bytes:
         frames, count = np.shape(self.points)[:2]
-        last = self.first + (frames if self.declared is None else self.declared) - 1
+        last = (
+            self.first
+            + (frames if self.declare_option is None else self.declare_option)
+            - 1
+        )
         used = count if self.used is None else self.used
         p = self.processor
         analog = 0 if self.analog is None else np.shape(self.analog)[1]

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "animtool/docs/explanation/accuracy-and-speed.md"
-RESULTS = ROOT / "tests/bench/results"
+REPORT_MODELS = ROOT / "tests/bench/results"
 _MARK = re.compile(r"(<!-- measured -->\n)(?:\n(?:\|.*\n)+)?")
 
 
@@ -72,13 +72,13 @@ RATIOS = (
 
 def results_of(file: str) -> list[dict[str, str]]:
     """Return the rows of a benchmark's results."""
-    text = (RESULTS / f"{file}.csv").read_text("utf-8")
+    text = (REPORT_MODELS / f"{file}.csv").read_text("utf-8")
     return list(csv.DictReader(x for x in text.splitlines() if x[:1] != "#"))
 
 
 def is_older_form(file: str) -> bool:
     """Return whether results were written by an earlier form of their benchmark."""
-    lines = (RESULTS / f"{file}.csv").read_text("utf-8").splitlines()
+    lines = (REPORT_MODELS / f"{file}.csv").read_text("utf-8").splitlines()
     return any("older form" in line for line in lines if line[:1] == "#")
 
 

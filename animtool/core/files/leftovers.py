@@ -58,19 +58,21 @@ class PlacedFile:
     backup: Path  # backup of the replaced file; unused if there was none
 
     def roll_back(self) -> None:
-        """Roll back sets of dead processes in a folder, once per process and folder.
+        """Restore the replaced file, or remove a new one.
 
         Does nothing if another process has replaced the file since. May be called
         again.
         """
-        current = _path_status(self.final)
-        backup = _path_status(self.backup)
-        if backup is not None and (current is None or self._is_written_file(current)):
+        final_status = _path_status(self.final)
+        backup_status = _path_status(self.backup)
+        if backup_status is not None and (
+            final_status is None or self._is_written_file(final_status)
+        ):
             self.backup.replace(self.final)
-        elif backup is not None:
+        elif backup_status is not None:
             # The final path still has the old file, or a later one.
             self.backup.unlink()
-        elif current is not None and self._is_written_file(current):
+        elif final_status is not None and self._is_written_file(final_status):
             self.final.unlink()
         self.temporary.unlink(missing_ok=True)
 
@@ -84,10 +86,10 @@ class PlacedFile:
 
 @dataclass(frozen=True, slots=True)
 class Journal:
-    """Journal of a set that is being committed: a file in each of its folders.
+    """Journal of a file set that is being committed, with a file in each folder.
 
-    The set is complete as soon as one of these files is gone. Each names only files of
-    its own folder, so that a foreign journal cannot affect other folders.
+    The set is complete as soon as one journal file is removed. Each journal file names
+    only files of its folder, so a foreign journal cannot affect other folders.
     """
 
     name: str  # of the journal file in each folder
@@ -103,14 +105,14 @@ class Journal:
         )
         try:
             for folder in folders:
-                in_folder = [
+                folder_entries = [
                     _journal_entry(file)
                     for file in files
                     if file.final.parent == folder
                 ]
                 record = {
                     "folders": [os.fspath(f) for f in folders],
-                    "files": in_folder,
+                    "files": folder_entries,
                 }
                 journal._write(folder, json.dumps(record).encode())
         except BaseException:
@@ -159,11 +161,11 @@ class Journal:
 def _placed_file(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
     names = [entry[key] for key in ("final", "temporary", "old")]
     # Names in a journal must not lead out of its folder.
-    final, temporary, old = (folder / Path(name).name for name in names)
-    if not (_OWNER_PATTERN.match(temporary.name) and _OWNER_PATTERN.match(old.name)):
+    final, temporary, backup = (folder / Path(name).name for name in names)
+    if not (_OWNER_PATTERN.match(temporary.name) and _OWNER_PATTERN.match(backup.name)):
         raise ValueError(f"{temporary.name!r} is not a temporary name")
-    inode, size, changed = map(int, entry["state"])
-    return PlacedFile(final, temporary, (inode, size, changed), old)
+    inode, size, changed_at = map(int, entry["state"])
+    return PlacedFile(final, temporary, (inode, size, changed_at), backup)
 
 
 def _journal_entry(file: PlacedFile) -> Mapping[str, Any]:
@@ -184,7 +186,7 @@ def _path_status(path: Path) -> os.stat_result | None:
 
 
 def roll_back_folder(folder: Path) -> None:
-    """Roll back sets of dead processes in a folder; once a process and folder."""
+    """Roll back sets of dead processes in a folder, once per process and folder."""
     _roll_back_once(os.fspath(folder), os.getpid())
 
 
@@ -244,13 +246,17 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
     """
     removed_files = []
     for folder in dict.fromkeys(folders):
-        dead = [path for path in _temporary_files(folder) if _owner_of(path, process)]
-        sets = [path for path in dead if path.name.endswith(_JOURNAL_SUFFIX)]
+        orphaned_files = [
+            path for path in _temporary_files(folder) if _owner_of(path, process)
+        ]
+        journals = [
+            path for path in orphaned_files if path.name.endswith(_JOURNAL_SUFFIX)
+        ]
         # If it cannot be rolled back now, it can be later, as long as its files are
         # kept.
-        if not all([_roll_back_journal(path) for path in sets]):
+        if not all([_roll_back_journal(path) for path in journals]):
             continue
-        for path in dead:
+        for path in orphaned_files:
             with contextlib.suppress(OSError):
                 path.unlink()
                 removed_files.append(path)
@@ -268,7 +274,9 @@ def _owner_of(path: Path, process: int | None) -> bool:
 
 def _temporary_files(folder: Path) -> list[Path]:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        return [Path(e.path) for e in entries if e.name.startswith(".animtool-")]
+        return [
+            Path(entry.path) for entry in entries if entry.name.startswith(".animtool-")
+        ]
     return []
 
 

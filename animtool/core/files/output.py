@@ -23,7 +23,11 @@ from animtool.core.files.placing import (
     output_target,
 )
 from animtool.core.files.reading import check_inputs, recorded_inputs
-from animtool.core.process.signals import deferred_signals, ending_signal, raise_again
+from animtool.core.process.signals import (
+    deferred_signals,
+    ending_signal,
+    reraise_swallowed,
+)
 from animtool.core.process.supervisor import note_folder, note_output
 from animtool.core.record import dataclass
 
@@ -124,10 +128,10 @@ def check_outputs(
 ) -> None:
     """Refuse outputs that cannot or must not be written.
 
-    An output exists and overwrite is off (OUT001), or is also an input (OUT003); two
-    are the same file (OUT007); its folder is missing or not writable (OUT002); or it
-    leads to something other than a file (OUT005). All faults of one kind are raised
-    together.
+    Refused are outputs that exist without ``overwrite`` (OUT001) or are inputs
+    (OUT003), equal outputs (OUT007), outputs in folders that are missing or not
+    writable (OUT002), and paths that are not files (OUT005). All faults of one kind are
+    raised together.
     """
     targets: list[OutputTarget] = []
     for path in outputs:
@@ -148,10 +152,10 @@ def check_outputs(
         hint = f"{argument('overwrite', True)} replaces it"
         if len(existing) == len(outputs):
             hint += clause(f", {argument('command.skip_existing', True)} leaves it")
-        message, phrase_and_paths = "already exists", existing
+        message, reported_paths = "already exists", existing
         if len(existing) > MAX_LISTED_OUTPUTS:
             other_text = counted(len(existing) - 1, "other output")
-            message, phrase_and_paths = (
+            message, reported_paths = (
                 f"already exists, and so do {other_text}",
                 existing[:1],
             )
@@ -159,7 +163,7 @@ def check_outputs(
         raise OptionError(
             [
                 Fault("OUT001", message, str(existing_path), (), hint)
-                for existing_path in phrase_and_paths
+                for existing_path in reported_paths
             ]
         )
     final_paths = {output.final for output in targets}
@@ -171,15 +175,15 @@ def check_outputs(
 def _check_folder(folder: Path, path: Path) -> None:
     """Refuse an output in a folder that does not exist or may not be written to."""
     try:
-        missing = "" if folder.is_dir() else "does not exist"
-        if missing and folder.exists():
-            missing = "is not a folder"
+        problem = "" if folder.is_dir() else "does not exist"
+        if problem and folder.exists():
+            problem = "is not a folder"
     except OSError as error:
         raise output_error(path, error) from error
-    if missing:
-        message = f"cannot be written: its folder {str(folder)!r} {missing}"
+    if problem:
+        message = f"cannot be written: its folder {str(folder)!r} {problem}"
         hint = "make the folder first"
-        if missing == "is not a folder":
+        if problem == "is not a folder":
             hint = f"choose another {argument('output')}"
         raise OutputError(Fault("OUT002", message, str(path), (), hint))
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -226,10 +230,10 @@ def _refuse_duplicates(targets: Iterable[OutputTarget | WrittenFile]) -> None:
             raise OptionError(fault)
 
 
-def same_file(path: Path, other: Path) -> bool:
+def same_file(path: Path, other_path: Path) -> bool:
     """Return whether two paths lead to the same file."""
     try:
-        return path == other.resolve() or path.samefile(other)
+        return path == other_path.resolve() or path.samefile(other_path)
     except OSError:
         return False
 
@@ -288,27 +292,27 @@ def replacement_path(path: Path) -> Iterator[Path]:
     """
     # Links stay: their target is replaced.
     final = output_target(path).final
-    written, waiting = (
+    written_file, pending_set = (
         WrittenFile(path, final, new_temporary(final)),
         _pending_outputs.get(),
     )
     note_folder(final.parent)
-    done, cleaning = False, ending_signal()
+    has_succeeded, initial_signal = False, ending_signal()
     try:
-        yield written.temporary
-        if ending_signal() and not cleaning:
+        yield written_file.temporary
+        if ending_signal() and not initial_signal:
             # A library swallowed the signal's exception.
-            raise_again()
+            reraise_swallowed()
         check_inputs()
-        written.seal()
-        if waiting is None:
-            _commit([written])
+        written_file.seal()
+        if pending_set is None:
+            _commit([written_file])
         else:
-            waiting.files.append(written)
-        done = True
+            pending_set.files.append(written_file)
+        has_succeeded = True
     finally:
-        if waiting is None or not done:
-            written.remove()
+        if pending_set is None or not has_succeeded:
+            written_file.remove()
 
 
 def _commit(files: Sequence[WrittenFile]) -> None:
@@ -323,43 +327,43 @@ def _commit(files: Sequence[WrittenFile]) -> None:
 
 def written_size(path: Path) -> int:
     """Return the size of a written file, committed or not [byte]."""
-    waiting = _pending_outputs.get()
-    for written in [] if waiting is None else reversed(waiting.files):
-        if written.path == path:
-            return written.temporary.stat().st_size
+    pending_set = _pending_outputs.get()
+    for written_file in [] if pending_set is None else reversed(pending_set.files):
+        if written_file.path == path:
+            return written_file.temporary.stat().st_size
     return path.stat().st_size
 
 
 @contextlib.contextmanager
 def atomic_outputs() -> Iterator[None]:
-    """Commit the files that the block writes together at its end.
+    """Commit all files that the block writes together at its end.
 
-    They are renamed in the order of writing; if the block fails, none is. A nested
-    block leaves this to the outer one. Inputs of the block must not change meanwhile
-    (IO004), no other process may write one of the outputs (OUT001), and no two outputs
-    may be the same file (OUT007).
+    They are renamed in the order of writing; if the block fails, none is. In a nested
+    block, the outer one commits them. Inputs of the block must not change (IO004), no
+    other process may write one of the outputs (OUT001), and no two outputs may be the
+    same file (OUT007).
     """
     if _pending_outputs.get() is not None:
         yield
         return
-    waiting = _OutputSet()
-    token = _pending_outputs.set(waiting)
+    pending_set = _OutputSet()
+    token = _pending_outputs.set(pending_set)
     try:
         with recorded_inputs():
             yield
             check_inputs()
         # A signal between renames would leave an incomplete set.
         with deferred_signals():
-            _commit(waiting.files)
-            for action in waiting.commit_actions:
+            _commit(pending_set.files)
+            for action in pending_set.commit_actions:
                 action()
     except BaseException:
-        _remove(waiting.early_paths)
+        _remove(pending_set.early_paths)
         raise
     finally:
         _pending_outputs.reset(token)
-        for written in waiting.files:
-            written.remove()
+        for written_file in pending_set.files:
+            written_file.remove()
 
 
 @contextlib.contextmanager
@@ -369,7 +373,7 @@ def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     For files that are read again before the files that refer to them are written. They
     are removed if the block, or an enclosing `atomic_outputs`, fails.
     """
-    waiting = _pending_outputs.get()
+    pending_set = _pending_outputs.get()
     token = _pending_outputs.set(None)
     try:
         yield
@@ -378,8 +382,8 @@ def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
         raise
     finally:
         _pending_outputs.reset(token)
-    if waiting is not None:
-        waiting.early_paths.extend(paths)
+    if pending_set is not None:
+        pending_set.early_paths.extend(paths)
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -393,8 +397,8 @@ def after_commit(action: Callable[[], object]) -> None:
 
     It is called now, or inside `atomic_outputs` at its end, if that succeeds.
     """
-    waiting = _pending_outputs.get()
-    if waiting is None:
+    pending_set = _pending_outputs.get()
+    if pending_set is None:
         action()
     else:
-        waiting.commit_actions.append(action)
+        pending_set.commit_actions.append(action)

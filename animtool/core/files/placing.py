@@ -124,14 +124,14 @@ class WrittenFile:
             temporary_status.st_mtime_ns,
         )
 
-    def commit(self, *, new: bool) -> None:
+    def commit(self, *, must_be_new: bool) -> None:
         """Rename the file to its final name.
 
         Args:
-            new: Whether the final name must be unused.
+            must_be_new: Whether the final name must be unused.
         """
         try:
-            if new:
+            if must_be_new:
                 _rename_new(self.temporary, self.final)
             else:
                 self.temporary.replace(self.final)
@@ -185,21 +185,21 @@ def _rename_new(temporary: Path, final: Path) -> None:
             temporary.unlink()
 
 
-def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
+def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
     """Commit sealed files in any folders, in order: all of them or none.
 
-    If one of the ``new`` names is in use (OUT001), or a file cannot be renamed, the
+    If one of the ``new_paths`` exists (OUT001), or a file cannot be renamed, the
     previous state is restored.
     """
     if len(files) > 1:
-        _commit_set(files, new)
+        _commit_set(files, new_paths)
     else:
         for file in files:
-            file.commit(new=file.final in new)
+            file.commit(must_be_new=file.final in new_paths)
             _flush_folder(file.final.parent)
 
 
-def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
+def _commit_set(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
     placed_files = [
         PlacedFile(file.final, file.temporary, file.state, new_temporary(file.final))
         for file in files
@@ -210,9 +210,9 @@ def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
         raise output_error(files[0].path, error) from error
     try:
         for file, placed_file in zip(files, placed_files, strict=True):
-            if file.final not in new:
+            if file.final not in new_paths:
                 _back_up(file, placed_file)
-            file.commit(new=file.final in new)
+            file.commit(must_be_new=file.final in new_paths)
     except BaseException:
         if all([_try_roll_back(placed_file) for placed_file in reversed(placed_files)]):
             journal.end()
@@ -235,7 +235,7 @@ def _try_roll_back(placed_file: PlacedFile) -> bool:
 
 
 def _back_up(file: WrittenFile, placed_file: PlacedFile) -> None:
-    """Keep a replaced file under its backup name."""
+    """Give a replaced file its backup name."""
     try:
         os.link(placed_file.final, placed_file.backup)
     except FileNotFoundError:
@@ -245,8 +245,8 @@ def _back_up(file: WrittenFile, placed_file: PlacedFile) -> None:
             raise output_error(file.path, error) from error
         try:
             placed_file.final.replace(placed_file.backup)
-        except OSError as failed:
-            raise output_error(file.path, failed) from failed
+        except OSError as link_error:
+            raise output_error(file.path, link_error) from link_error
 
 
 def _flush_folder(folder: Path) -> None:

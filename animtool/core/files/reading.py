@@ -52,12 +52,12 @@ class Inputs:
 
     # State of each file at its first access, by absolute path.
     states: dict[Path, FileState | None] = field(default_factory=dict)
-    # Files of these that were not only included by a USD layer.
+    # Those that were opened directly, not only included by a USD layer.
     opened: set[Path] = field(default_factory=set)
-    # Files of these that had been replaced at a later access.
+    # Those that had been replaced at a later access.
     replaced: set[Path] = field(default_factory=set)
 
-    def note(
+    def record(
         self, path: Path, state: FileState | None = None, *, composed: bool = False
     ) -> None:
         """Record a file that is about to be read; see `note_input`."""
@@ -71,7 +71,7 @@ class Inputs:
         elif state is not None and state != self.states[absolute_path]:
             self.replaced.add(absolute_path)
 
-    def changed(self) -> list[Path]:
+    def changed_paths(self) -> list[Path]:
         """Return the files that have changed."""
         return [
             path
@@ -81,7 +81,7 @@ class Inputs:
 
     def check(self) -> None:
         """Raise `FormatError` if files changed since they were recorded (IO004)."""
-        changed_paths = self.changed()
+        changed_paths = self.changed_paths()
         if changed_paths:
             raise changed_error(*changed_paths)
 
@@ -93,7 +93,9 @@ def changed_error(*paths: Path) -> FormatError:
     return FormatError([Fault("IO004", message, str(path), (), hint) for path in paths])
 
 
-_RECORDED: ContextVar[tuple[Inputs, ...]] = ContextVar("recorded_inputs", default=())
+_ACTIVE_RECORDS: ContextVar[tuple[Inputs, ...]] = ContextVar(
+    "recorded_inputs", default=()
+)
 
 
 @contextmanager
@@ -108,11 +110,11 @@ def recorded_inputs() -> Iterator[Inputs]:
     ['walk.bvh']
     """
     inputs = Inputs()
-    token = _RECORDED.set((*_RECORDED.get(), inputs))
+    token = _ACTIVE_RECORDS.set((*_ACTIVE_RECORDS.get(), inputs))
     try:
         yield inputs
     finally:
-        _RECORDED.reset(token)
+        _ACTIVE_RECORDS.reset(token)
 
 
 def note_input(
@@ -123,13 +125,13 @@ def note_input(
     The state is that of the descriptor if the file is open; None queries the path. A
     composed file is one that a USD layer includes; the user did not name it.
     """
-    for inputs in _RECORDED.get():
-        inputs.note(path, state, composed=composed)
+    for inputs in _ACTIVE_RECORDS.get():
+        inputs.record(path, state, composed=composed)
 
 
 def check_inputs() -> None:
     """Raise `FormatError` if recorded files have changed (IO004)."""
-    for inputs in _RECORDED.get():
+    for inputs in _ACTIVE_RECORDS.get():
         inputs.check()
 
 
@@ -142,8 +144,8 @@ _WILDCARDS = frozenset("*?[")
 MAX_INPUT_BYTES = 1_000_000_000
 # Largest text file; a rig of thousands of joints has a few MB.
 MAX_TEXT_BYTES = 32_000_000
-# Opening a FIFO without a writer must not block, and no terminal may become the
-# process's own.
+# Opening a FIFO without a writer must not block, and a terminal must not become the
+# process's controlling terminal.
 _OPEN_FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY")
 )
@@ -159,7 +161,7 @@ class MatchedFile:
     """A file that a name or pattern matched."""
 
     path: Path  # the file, spelled like its folder
-    base: Path  # the searched folder; of a named file its own
+    search_folder: Path  # the searched folder; for a named file, its folder
 
 
 class PathResolver:
@@ -214,11 +216,11 @@ def unexpanded_hint(text: str) -> str | None:
     return hint + "value" + clause(f" with {argument('set', f'{name}=VALUE')}")
 
 
-_RARELY_MEANT = {"", ".md", ".npz", ".png", ".py", ".txt"}
+_UNLIKELY_SUFFIXES = {"", ".md", ".npz", ".png", ".py", ".txt"}
 
 
 def _folder_hint(path: Path) -> str | None:
-    """Return a hint at the first file in a folder, if any; None for other paths."""
+    """Return a hint to name a file in a folder; None if the path is no folder."""
     try:
         entries = islice(path.iterdir(), MAX_NAMES)
         files = sorted(entry for entry in entries if entry.is_file())
@@ -226,7 +228,7 @@ def _folder_hint(path: Path) -> str | None:
         return None
     # Texts, scripts and arrays are rarely what is meant; YAML files are rigs, clips and
     # scenes.
-    files.sort(key=lambda file: file.suffix.lower() in _RARELY_MEANT)
+    files.sort(key=lambda file: file.suffix.lower() in _UNLIKELY_SUFFIXES)
     return f"name a file in it, such as {files[0]}" if files else "name a file"
 
 
@@ -358,9 +360,9 @@ def exists(path: Path) -> bool:
 def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint at the nearest existing file name.
 
-    It is the nearest name in the same folder, or for the first missing folder; relative
-    paths start in ``folder``. Without a similar one, the first missing folder is named.
-    None if the file exists, or if only its name is not there.
+    The hint names the most similar file, or a folder similar to the first missing one;
+    without one, it names the missing folder. Relative paths start in ``folder``. None
+    if the file exists, or only the file is missing and no name is similar.
     """
     self_and_parents = [path, *path.parents]
     missing = next(

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 
 # All of these formats are recognisable within their first bytes.
 HEAD_BYTES = 65_536
-_Read = TypeVar("_Read", bound=Callable[..., Any])
+_ReaderT = TypeVar("_ReaderT", bound=Callable[..., Any])
 # YAML or JSON that states its kind and version.
 DOCUMENT = "an animtool file (YAML or JSON)"
 _EXPORT_HINT = "export FBX, glTF or USD from {}, then use that file"
@@ -144,15 +144,15 @@ def format_mismatch(
 
 def expects_format(
     code: str, expected: str, hint: str = ""
-) -> Callable[[_Read], _Read]:
+) -> Callable[[_ReaderT], _ReaderT]:
     """Decorate a reader, so that its errors name the format of the file's bytes.
 
     The arguments are those of `format_mismatch`.
     """
 
-    def decorate(read: _Read) -> _Read:
+    def decorate(read: _ReaderT) -> _ReaderT:
         @wraps(read)
-        def checked(path: Path, *args: Any, **options: Any) -> Any:
+        def read_checked(path: Path, *args: Any, **options: Any) -> Any:
             try:
                 return read(path, *args, **options)
             except FormatError as error:
@@ -161,6 +161,6 @@ def expects_format(
                     raise
                 raise FormatError(fault) from error
 
-        return cast(_Read, checked)
+        return cast(_ReaderT, read_checked)
 
     return decorate

@@ -17,7 +17,7 @@ _SYMBOL_PATTERNS = (
     "openblas_{}_num_threads",
 )
 _LIBRARY_FOLDERS = ("numpy.libs", "scipy.libs", "numpy/.dylibs", "scipy/.dylibs")
-_Threads = tuple[Callable[[], int], Callable[[int], None]]
+_ThreadFunctions = tuple[Callable[[], int], Callable[[int], None]]
 
 
 @contextlib.contextmanager
@@ -29,24 +29,24 @@ def one_thread() -> Iterator[None]:
     threads may change the last bits of results.
     """
     libraries = _libraries()
-    previous_counts = [count() for count, _ in libraries]
+    previous_counts = [get_count() for get_count, _ in libraries]
     try:
-        for _, limit in libraries:
-            limit(1)
+        for _, set_count in libraries:
+            set_count(1)
         yield
     finally:
-        for (_, limit), threads in zip(libraries, previous_counts, strict=True):
-            limit(threads)
+        for (_, set_count), threads in zip(libraries, previous_counts, strict=True):
+            set_count(threads)
 
 
 @lru_cache(maxsize=1)
-def _libraries() -> tuple[_Threads, ...]:
+def _libraries() -> tuple[_ThreadFunctions, ...]:
     """Return the thread functions of each OpenBLAS in a wheel."""
     import numpy.linalg
     import scipy.linalg  # noqa: F401  (a library is only one that is loaded)
 
-    site = Path(numpy.__file__).parent.parent
-    roots = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
+    site_packages = Path(numpy.__file__).parent.parent
+    roots = dict.fromkeys((site_packages, Path(sysconfig.get_path("platlib"))))
     libraries = []
     for folder in (root / name for root in roots for name in _LIBRARY_FOLDERS):
         for path in sorted(folder.glob("*openblas*")) if folder.is_dir() else ():
@@ -55,10 +55,10 @@ def _libraries() -> tuple[_Threads, ...]:
     return tuple(libraries)
 
 
-def _thread_functions(library: ctypes.CDLL) -> list[_Threads]:
+def _thread_functions(library: ctypes.CDLL) -> list[_ThreadFunctions]:
     for name in _SYMBOL_PATTERNS:
-        count = getattr(library, name.format("get"), None)
-        limit = getattr(library, name.format("set"), None)
-        if count is not None and limit is not None:
-            return [(count, limit)]
+        get_count = getattr(library, name.format("get"), None)
+        set_count = getattr(library, name.format("set"), None)
+        if get_count is not None and set_count is not None:
+            return [(get_count, set_count)]
     return []

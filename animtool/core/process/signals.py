@@ -30,10 +30,10 @@ class _SignalState:
     """State of the process's end."""
 
     number: int = 0  # the signal that is obeyed; 0 for none so far
-    all_written: bool = (
+    has_written_all: bool = (
         False  # whether all output is written, so that signals have no effect
     )
-    installed: bool = False  # whether this module's handler is installed
+    is_installed: bool = False  # whether this module's handler is installed
 
 
 _signal_state = _SignalState()
@@ -44,26 +44,26 @@ def ending_signal() -> int:
     return _signal_state.number
 
 
-def raise_again() -> NoReturn:
+def reraise_swallowed() -> NoReturn:
     """Raise the exception of the obeyed signal again, if it was swallowed."""
     if _signal_state.number == signal.SIGINT:
         raise KeyboardInterrupt
     raise TerminatedError
 
 
-def _obey(signum: int, frame: FrameType | None) -> None:
+def _raise_first_signal(signum: int, frame: FrameType | None) -> None:
     """Raise at the first signal; later ones would interrupt the clean-up."""
     del frame
-    if _signal_state.all_written or _signal_state.number:
+    if _signal_state.has_written_all or _signal_state.number:
         return
     _signal_state.number = signum
-    raise_again()
+    reraise_swallowed()
 
 
-def _obey_again(signum: int, frame: FrameType | None) -> None:
+def _raise_for_swallowed_signal(signum: int, frame: FrameType | None) -> None:
     del signum, frame
-    if _signal_state.number and not _signal_state.all_written:
-        raise_again()
+    if _signal_state.number and not _signal_state.has_written_all:
+        reraise_swallowed()
 
 
 def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
@@ -72,7 +72,7 @@ def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
     if not (is_end and _signal_state.number):
         sys.__unraisablehook__(unraisable)
     elif hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGALRM, _obey_again)
+        signal.signal(signal.SIGALRM, _raise_for_swallowed_signal)
         signal.setitimer(signal.ITIMER_REAL, _RESEND_INTERVAL)
 
 
@@ -84,9 +84,9 @@ def obey_signals() -> None:
     """
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _obey)
+            signal.signal(number, _raise_first_signal)
     sys.unraisablehook = _reraise_ending
-    _signal_state.number, _signal_state.all_written, _signal_state.installed = (
+    _signal_state.number, _signal_state.has_written_all, _signal_state.is_installed = (
         0,
         False,
         True,
@@ -94,10 +94,10 @@ def obey_signals() -> None:
 
 
 @contextmanager
-def obeyed_signals() -> Iterator[None]:
+def obey_signals_in_block() -> Iterator[None]:
     """Obey signals in the block like `obey_signals`, unless already done."""
-    main_thread = threading.current_thread() is threading.main_thread()
-    if _signal_state.installed or not main_thread:
+    is_main_thread = threading.current_thread() is threading.main_thread()
+    if _signal_state.is_installed or not is_main_thread:
         yield
         return
     handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
@@ -110,7 +110,11 @@ def obeyed_signals() -> Iterator[None]:
             if handler is not None:
                 signal.signal(number, handler)
         sys.unraisablehook = hook
-        _signal_state.number, _signal_state.all_written, _signal_state.installed = (
+        (
+            _signal_state.number,
+            _signal_state.has_written_all,
+            _signal_state.is_installed,
+        ) = (
             0,
             False,
             False,
@@ -144,9 +148,9 @@ def without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
-def outlast_signals() -> None:
+def ignore_signals() -> None:
     """Ignore signals from now on: all output is written."""
-    _signal_state.all_written = True
+    _signal_state.has_written_all = True
 
 
 @contextmanager
@@ -163,7 +167,7 @@ def deferred_signals() -> Iterator[None]:
         return
     pending: list[int] = []
 
-    def note(signum: int, frame: FrameType | None) -> None:
+    def record_signal(signum: int, frame: FrameType | None) -> None:
         del frame
         pending.append(signum)
 
@@ -173,7 +177,7 @@ def deferred_signals() -> Iterator[None]:
         n: h for n, h in handlers.items() if h not in {None, signal.SIG_IGN}
     }
     for number in deferred_handlers:
-        signal.signal(number, note)
+        signal.signal(number, record_signal)
     try:
         yield
     finally:

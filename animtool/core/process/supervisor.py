@@ -80,7 +80,7 @@ def crash_fault(path: str, number: int) -> Fault:
 class _SharedNotes:
     """Memory shared by a child and its parent."""
 
-    shared: mmap.mmap  # length of the notes, then JSON
+    memory: mmap.mmap  # length of the notes, then JSON
     # Length of the recorded stdin, then its bytes; length 0 for nothing yet.
     stdin_record: mmap.mmap
     path: str = ""  # file that is being read; empty for none
@@ -91,7 +91,7 @@ class _SharedNotes:
     def write(self) -> None:
         text = json.dumps([self.path, self.has_output, self.folders]).encode()
         if len(text) < MAX_NOTES - _LENGTH_BYTES:
-            _store_data(self.shared, text)
+            _store_data(self.memory, text)
 
     def write_path(self, path: str) -> None:
         self.path = path
@@ -100,10 +100,10 @@ class _SharedNotes:
     def read(self) -> None:
         """Copy the notes of a child."""
         self.path, self.has_output, self.folders = "", False, []
-        text = _stored_data(self.shared)
+        text = _stored_data(self.memory)
         if text is not None:
             self.path, self.has_output, self.folders = json.loads(text)
-        self.shared[:_LENGTH_BYTES] = bytes(_LENGTH_BYTES)
+        self.memory[:_LENGTH_BYTES] = bytes(_LENGTH_BYTES)
 
 
 # The stored length is one more than that of the data, so that 0 means nothing.
@@ -128,12 +128,14 @@ class _SupervisionState:
         None  # where notes are stored; None if the process is not supervised
     )
     # Files that crashed a child, with the signals that ended it.
-    crashed: dict[str, int] = field(default_factory=dict)
+    crash_signals: dict[str, int] = field(default_factory=dict)
     # Files that are being read, the latest last.
     files_being_read: list[str] = field(default_factory=list)
     # Called with the file that is being read; None for no listener.
     listener: Callable[[str], object] | None = None
-    starting: int = 0  # number of threads that are starting processes in `without_main`
+    starting_threads: int = (
+        0  # number of threads that are starting processes in `without_main`
+    )
     script_module: ModuleType | None = None  # the script's module in the meantime
 
 
@@ -149,7 +151,7 @@ def reading_file(path: Path) -> Iterator[None]:
         yield
         return
     path_text = str(path)
-    crash_signal = _state.crashed.get(str(path.absolute()))
+    crash_signal = _state.crash_signals.get(str(path.absolute()))
     if crash_signal is not None:
         raise FormatError(crash_fault(path_text, crash_signal))
     with _lock:
@@ -170,7 +172,7 @@ def report_reading(listener: Callable[[str], object]) -> None:
 
 def has_crashed() -> bool:
     """Return whether an earlier run of this command crashed on a file."""
-    return bool(_state.crashed)
+    return bool(_state.crash_signals)
 
 
 def note_output() -> None:
@@ -232,12 +234,12 @@ def follow_parent() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = parent_process()
 
-    def end() -> None:
+    def wait_and_exit() -> None:
         if parent is not None:
             wait([parent.sentinel])
             os._exit(1)
 
-    threading.Thread(target=end, daemon=True).start()
+    threading.Thread(target=wait_and_exit, daemon=True).start()
 
 
 @contextmanager
@@ -249,7 +251,7 @@ def without_main() -> Iterator[None]:
     but without a file. Several threads may be in the block at the same time.
     """
     with _lock:
-        if not _state.starting:
+        if not _state.starting_threads:
             _state.script_module = main = sys.modules["__main__"]
             replacement = ModuleType("__main__")
             file_attributes = {"__spec__", "__file__", "__loader__"}
@@ -259,13 +261,13 @@ def without_main() -> Iterator[None]:
                 if name not in file_attributes
             )
             sys.modules["__main__"] = replacement
-        _state.starting += 1
+        _state.starting_threads += 1
     try:
         yield
     finally:
         with _lock:
-            _state.starting -= 1
-            if not _state.starting and _state.script_module is not None:
+            _state.starting_threads -= 1
+            if not _state.starting_threads and _state.script_module is not None:
                 sys.modules["__main__"], _state.script_module = (
                     _state.script_module,
                     None,
@@ -280,25 +282,25 @@ def can_supervise() -> bool:
 def supervise(
     work: Callable[[], int],
     refuse: Callable[[Crash], int],
-    clean: Callable[[list[str], int], object],
+    remove_leftovers: Callable[[list[str], int], object],
 ) -> int:
     """Run work in a child, rerun without a file that crashed it; return its exit code.
 
     Signals that ask this process to end or to pause are forwarded to the child. If a
     second run crashes too, ``refuse`` gets the crash and returns the exit code;
-    ``clean`` removes the unfinished files of a dead child from folders.
+    ``remove_leftovers`` removes the unfinished files of a dead child from folders.
     """
     notes = _SharedNotes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
     signals_to_wait = _signals_to_wait_for()
     signal.pthread_sigmask(signal.SIG_BLOCK, signals_to_wait)
     while True:
-        child, alive = _fork(work, notes, signals_to_wait)
+        child, alive_pipe = _fork(work, notes, signals_to_wait)
         code, end_signal = _wait(child, signals_to_wait)
-        os.close(alive)
+        os.close(alive_pipe)
         if code >= 0:
             return code
         notes.read()
-        clean(notes.folders, child)
+        remove_leftovers(notes.folders, child)
         if end_signal:
             return int(
                 ExitCode.INTERRUPTED
@@ -312,7 +314,7 @@ def supervise(
             return refuse(crash)
         from pathlib import Path  # every command imports this module
 
-        _state.crashed[str(Path(crash.path).absolute())] = crash.number
+        _state.crash_signals[str(Path(crash.path).absolute())] = crash.number
 
 
 def _signals_to_wait_for() -> set[int]:
@@ -347,12 +349,12 @@ def _fork(
 
 
 def _run_child(
-    work: Callable[[], int], alive: int, blocked_signals: set[int]
+    work: Callable[[], int], alive_pipe: int, blocked_signals: set[int]
 ) -> NoReturn:
-    """Do the work in the child, and exit.
+    """Run the work in the child process, then exit.
 
-    ``alive`` is closed when the parent ends; ``blocked`` are the other signals that the
-    parent waits for.
+    ``alive_pipe`` is closed when the parent ends; ``blocked_signals`` are the signals
+    that the parent waits for.
     """
     import resource
 
@@ -360,7 +362,7 @@ def _run_child(
     with suppress(OSError, ValueError):
         limit = resource.getrlimit(resource.RLIMIT_CORE)[1]
         resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
-    threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(alive_pipe,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked_signals)
     obey_signals()
@@ -369,10 +371,10 @@ def _run_child(
         code = work()
     except BaseException:
         sys.excepthook(*sys.exc_info())
-    leave(code)
+    exit_now(code)
 
 
-def leave(code: int) -> NoReturn:
+def exit_now(code: int) -> NoReturn:
     """Exit immediately after flushing the output, whatever signals arrive.
 
     Skips garbage collection and the destructors of libraries.
@@ -387,9 +389,9 @@ def leave(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _end_with_parent(alive: int) -> None:
+def _end_with_parent(alive_pipe: int) -> None:
     """Exit when the parent is gone, after clean-up if possible."""
-    os.read(alive, 1)
+    os.read(alive_pipe, 1)
     os.kill(os.getpid(), signal.SIGTERM)
     threading.Event().wait(GRACE_SECONDS)
     os._exit(128 + signal.SIGTERM)

@@ -339,9 +339,9 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
         message = (
             f"Frame Time {text} is not a standard rate; using {rate_label(rate.fps)}"
         )
-    elif rate.rivals:
+    elif rate.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
-        rivals = listed(rate.rivals, 6)
+        rivals = listed(rate.ambiguous_rates, 6)
         message = (
             f"Frame Time {text} is rounded: {rivals} fps would be printed the same"
         )

@@ -28,7 +28,7 @@ def rate_contradiction(header: BvhHeader, rate: Fraction, path: str) -> list[Fau
     """Return a note that the stated rate is not that of a plausible Frame Time."""
     assert header.rate is not None
     own, frames = header.rate.fps, header.declared_frames
-    same = abs(rate - own) <= SAME_RATE * own or rate in header.rate.rivals
+    same = abs(rate - own) <= SAME_RATE * own or rate in header.rate.ambiguous_rates
     if same or header.rate.kind is RateKind.PRINTED or rate_warning(own):
         return []
     stated = argument("source.fps", f"{float(rate):g}")

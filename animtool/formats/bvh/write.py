@@ -220,7 +220,7 @@ def frame_time(rate: Fraction) -> str:
         text = f"{float(1 / rate):.{decimals}f}"
         if float(text) > 0:
             choice = rate_from_frame_time(text)
-            if choice.fps == rate and not choice.rivals:
+            if choice.fps == rate and not choice.ambiguous_rates:
                 break
     return text
 

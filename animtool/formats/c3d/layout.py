@@ -99,7 +99,7 @@ class LayoutResult:
 
     layout: Layout | None
     short: Layout | None = None
-    rivals: tuple[Layout, ...] = ()
+    ambiguous_rates: tuple[Layout, ...] = ()
 
 
 def choose_layout(

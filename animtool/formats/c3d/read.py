@@ -242,16 +242,16 @@ def _data_ends(sections: Sections, size: int) -> list[int]:
 
 def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
     """Return the error for a file whose size fits no combination of counts."""
-    if len(outcome.rivals) == 1:
-        (only_rival,) = outcome.rivals
+    if len(outcome.ambiguous_rates) == 1:
+        (only_rival,) = outcome.ambiguous_rates
         message = (
             f"its counts do not match its size of {size} bytes: {only_rival} end at "
         )
         message += f"{only_rival.end}, and are not positions"
         return file.error("C3D003", message, "export it again")
-    if outcome.rivals:
+    if outcome.ambiguous_rates:
         message = "its header, parameters and size disagree, and nothing resolves it: "
-        message += f"between {' or '.join(map(str, outcome.rivals))}"
+        message += f"between {' or '.join(map(str, outcome.ambiguous_rates))}"
         return file.error("C3D003", message, "export it again")
     short = outcome.short
     if short is None or not short.points or not short.frames:

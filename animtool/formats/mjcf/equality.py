@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.errors import excerpt, joined_cycle
+from animtool.core.errors import cycle_text, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.robots.notes import XmlNotes
 from animtool.rig.drivers import ANGLE, SLIDE, Driver
@@ -127,9 +127,7 @@ def _has_cycles(
         while joint in rows and joint not in checked:
             if joint in path:
                 names = [model.joint(j).name for j in path[path.index(joint) :]]
-                message = (
-                    f"joints are tied in a ring: {joined_cycle([*names, names[0]])}"
-                )
+                message = f"joints are tied in a ring: {cycle_text([*names, names[0]])}"
                 hint = "remove one of these equalities"
                 notes.add("MJC010", None, message, hint, joint=names[0])
                 has_rings = True

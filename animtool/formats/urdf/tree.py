@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from animtool.core.errors import excerpt, joined_cycle, listed
+from animtool.core.errors import cycle_text, excerpt, listed
 from animtool.core.names import nearest
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.urdf.elements import SCALAR_KINDS, UrdfFile, UrdfJoint
@@ -30,7 +30,7 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
             cycle = _cycle_through(joint, parents)
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
-                message += f"; {joined_cycle(cycle)} go round"
+                message += f"; {cycle_text(cycle)} go round"
             _add_fault(notes, "URD011", joint, message, hint)
         elif joint.child:
             parents[joint.child] = joint
@@ -82,7 +82,7 @@ def _check_roots(
             link = parent_joints[link].parent
         names = names[cycle.index(link) :]
         first_joint = file.joints[names[0]]
-        message = f"joints go round: {joined_cycle([*reversed(names), names[-1]])}"
+        message = f"joints go round: {cycle_text([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
         _add_fault(notes, "URD011", first_joint, message, "remove one of these joints")
@@ -130,7 +130,7 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         cycle = names[names.index(mimic.joint) :]
         cycle = cycle if len(cycle) > 1 else [mimic.joint, mimic.joint]
         if not reported.intersection(cycle):
-            message = f"joints mimic each other: {joined_cycle(cycle)}"
+            message = f"joints mimic each other: {cycle_text(cycle)}"
             _add_fault(
                 notes, "URD015", file.joints[cycle[0]], message, "one must move itself"
             )

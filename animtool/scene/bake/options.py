@@ -69,7 +69,7 @@ class BakeOptions:
         "file",
         label="a rig layer",
         not_for=("systems", "file"),
-        both=Key(
+        common_key=Key(
             "The USD rig that a layer goes over, or a shot that contains it.",
             "hero.usda",
         ),
@@ -79,7 +79,7 @@ class BakeOptions:
     force_fit: bool = option(
         False,
         "switch",
-        both=Key("Write a take even if it does not match the rig.", True),
+        common_key=Key("Write a take even if it does not match the rig.", True),
         help="Write a take even if it does not match the rig.",
     )
     take: str | None = option(
@@ -109,7 +109,7 @@ class BakeOptions:
         "choice",
         label="placement",
         not_for=("systems",),
-        both=Key(
+        common_key=Key(
             "Keep or drop the placement of a USD source's character, its position "
             "and heading on the stage. Size and up axis are kept. Default: `keep`; "
             "for a layer over a rig with its own placement: `drop`.",
@@ -127,7 +127,7 @@ class BakeOptions:
         label="bones",
         not_for=("systems", "library", "deform", "file"),
         over_layer=f"{argument('bones', True)} has no effect on a layer",
-        both=Key("Add geometry that shows the joints.", True),
+        common_key=Key("Add geometry that shows the joints.", True),
         help="Add light geometry that shows the joints.",
     )
     strip_namespace: int = option(
@@ -235,7 +235,7 @@ class BakeOptions:
         "switch",
         label="sparse",
         not_for=("systems", "deform", "file"),
-        both=Key("Write only joints that leave their rest pose.", True),
+        common_key=Key("Write only joints that leave their rest pose.", True),
         help="Write only joints that leave their rest pose.",
     )
     keep_curves: bool = option(
@@ -275,7 +275,7 @@ class BakeOptions:
         (),
         "lengths",
         goes_with="reduce",
-        both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
+        common_key=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
         help=f"Another tolerance of {argument('reduce')} for a joint or a pattern, "
         "such as 'hand_*=0.1mm'; repeatable.",
     )

@@ -278,10 +278,10 @@ def plan_takes(
     target = _target(path if is_added else options.rig_layer, options.prim_path)
     mappings: Sequence[RigJointMap | None]
     if target is None:
-        streams = _place_on_stage(sources, streams, options, notices)
+        streams = _reorient_to_stage(sources, streams, options, notices)
         mappings = [None] * len(streams)
     else:
-        streams, mappings = _place_on_rig(streams, target, options, notices)
+        streams, mappings = _map_to_rig_layer(streams, target, options, notices)
     if options.root_motion and not streams[0].rig.joints:
         message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
@@ -361,7 +361,7 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
     return PointPrims(open_character(take, target))
 
 
-def _place_on_stage(
+def _reorient_to_stage(
     sources: Sequence[Path],
     streams: list[TakeStream],
     options: BakeOptions,
@@ -377,7 +377,7 @@ def _place_on_stage(
     return [reorient(stream, up) for stream in streams]
 
 
-def _place_on_rig(
+def _map_to_rig_layer(
     streams: list[TakeStream],
     target: RigTarget,
     options: BakeOptions,

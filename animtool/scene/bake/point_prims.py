@@ -72,7 +72,7 @@ class PointStream:
         """Yield blocks of frames of all meshes, in time order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
-        for codes, motion, own_frames in motion_pieces(
+        for codes, motion, written_frames in motion_pieces(
             timed_blocks, neighbours=self.velocities
         ):
             mapped_motion = motion
@@ -86,7 +86,7 @@ class PointStream:
                     frames = self._displaced_frames(
                         i, frames, codes, mapped_motion.points[mesh.name]
                     )
-                yield from self._float32_blocks(i, codes, frames, own_frames)
+                yield from self._float32_blocks(i, codes, frames, written_frames)
 
     def _displaced_frames(
         self,
@@ -110,26 +110,26 @@ class PointStream:
         mesh: int,
         codes: FloatArray,
         deformed_blocks: Iterator[DeformedFrames],
-        own_frames: slice,
+        written_frames: slice,
     ) -> Iterator[Block]:
-        """Yield the own frames of a piece, without neighbours, in float32."""
+        """Yield the written frames of a piece, without neighbours, in float32."""
         frames_done = 0
         start_time = time.perf_counter()
         for deformed_block in deformed_blocks:
             first, last = (
-                max(own_frames.start - frames_done, 0),
-                max(own_frames.stop - frames_done, 0),
+                max(written_frames.start - frames_done, 0),
+                max(written_frames.stop - frames_done, 0),
             )
-            own_block = deformed_block.select(slice(first, last))
+            written_block = deformed_block.select(slice(first, last))
             block_codes = codes[
-                frames_done + first : frames_done + first + len(own_block.points)
+                frames_done + first : frames_done + first + len(written_block.points)
             ]
             frames_done += len(deformed_block.points)
             if not len(block_codes):
                 continue
             space = self.spaces[mesh]
             block = round_points(
-                mesh, block_codes, own_block, self.meters_per_unit, space
+                mesh, block_codes, written_block, self.meters_per_unit, space
             )
             self.seconds[mesh] += time.perf_counter() - start_time
             yield block

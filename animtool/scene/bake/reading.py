@@ -17,7 +17,7 @@ from animtool.core.errors import (
 )
 from animtool.core.names import has_kind_suffix
 from animtool.core.options import (
-    chosen_options,
+    changed_options,
     clash_messages,
     option_marker,
     refused_options,
@@ -217,7 +217,7 @@ def check_options(
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return the options that a rig layer excludes, and whether each is set."""
-    reasons = (option.over_layer for option in chosen_options(options).values())
+    reasons = (option.over_layer for option in changed_options(options).values())
     return [
         (
             form == "layer" and options.rig_layer is None,
@@ -297,7 +297,7 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:
     """Raise `OptionError` for USD or key options that the output cannot use."""
     faults = []
-    for name, option in chosen_options(options).items():
+    for name, option in changed_options(options).items():
         if name in writer.options or "file" not in option.not_for:
             continue
         if name == "reduce":

@@ -77,7 +77,7 @@ def _warn_of_cone(document: Document, location: Location, spread: object) -> Non
 def warn_of_sizes(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn about lengths, masses and accelerations in another unit (SIM200)."""
+    """Warn about lengths, masses, densities and forces in other units (SIM200)."""
     _warn_of_ratio(document, location, values)
     _warn_of_forces(document, location, values)
     for i, body in enumerate(values.get("bodies") or ()):

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import MAX_NUMBER, range_faults, ranges_of, within
+from animtool.core.options import MAX_NUMBER, between, range_faults, ranges_of
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.motion.keyed import (
@@ -58,22 +58,22 @@ class SimulateOptions:
     what: tuple[str, ...] = ()  # names of the rig's attachments
     # Frequency of the pull to the animated pose [Hz]; 0 is no pull. None is 2 for
     # chains and strands, and 0 for cloth.
-    frequency: Annotated[float | None, within(0.0, "SIM004")] = None
+    frequency: Annotated[float | None, between(0.0, "SIM004")] = None
     # Damping ratio of that pull [1]; 1 is critical.
-    ratio: Annotated[float, within(0.0, "SIM004")] = 0.3
+    ratio: Annotated[float, between(0.0, "SIM004")] = 0.3
     # Bending frequency of cloth and strands [Hz]. None is 2.
-    bend: Annotated[float | None, within(0.0, "SIM004")] = None
+    bend: Annotated[float | None, between(0.0, "SIM004")] = None
     # Shear frequency of cloth [Hz].
-    diagonals: Annotated[float, within(0.0, "SIM004")] = 20.0
+    diagonals: Annotated[float, between(0.0, "SIM004")] = 20.0
     # Strain limit of springs [1]. None is 0.01 for chains, and 0.05 for others.
-    stretch: Annotated[float | None, within(0.0, "SIM004", includes_minimum=False)] = (
+    stretch: Annotated[float | None, between(0.0, "SIM004", includes_minimum=False)] = (
         None
     )
     # Gravity, down along the rig's up axis [m/s²]. With 0, attachments of a static
     # character do not move.
-    gravity: Annotated[float, within(-MAX_NUMBER, "SIM004")] = 9.81
+    gravity: Annotated[float, between(-MAX_NUMBER, "SIM004")] = 9.81
     # Linear drag [1/s]; for cloth, the drag coefficient of its faces [1].
-    drag: Annotated[float, within(0.0, "SIM004")] = 0.5
+    drag: Annotated[float, between(0.0, "SIM004")] = 0.5
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capsules: bool = True  # collide with the rig's capsules
@@ -89,32 +89,32 @@ class SimulateOptions:
     meshes: tuple[MovingMeshModel, ...] = ()
     radius: str | float = "5mm"  # distance from all colliders, in [m] or as ``5mm``
     # Coulomb's coefficient on colliders and between layers [1].
-    friction: Annotated[float, within(0.0, "SIM004")] = 0.2
+    friction: Annotated[float, between(0.0, "SIM004")] = 0.2
     # Cloth collides with itself and with attachments that are named after it.
     self_contact: bool = True
     # Self-contact distance, written like ``radius``. None is the smaller of the radius
     # and a third of the edge length.
     thickness: str | float | None = None
     # Settling time in the first pose [s].
-    settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
+    settle: Annotated[float, between(0.0, "SIM004", 600.0)] = 1.0
     # Time from the settled pose to the first frame [s].
-    preroll: Annotated[float, within(0.0, "SIM004", 600.0)] = 0.0
+    preroll: Annotated[float, between(0.0, "SIM004", 600.0)] = 0.0
     lead: PreRoll = PreRoll.HOLD  # motion during the preroll
     loop: bool = False  # the take is a cycle: its first pose follows its last
     # The cycle is repeated until the largest change from the last repeat is below this,
     # such as ``0.1mm``.
     loop_tolerance: str = "0.1mm"
-    loop_repeats: Annotated[int, within(1.0, "SIM004", 10_000.0)] = 20  # most repeats
+    loop_repeats: Annotated[int, between(1.0, "SIM004", 10_000.0)] = 20  # most repeats
     # Blend weight of the simulation, one number or ``[[frame, weight], …]`` [1].
     weight: WeightOption = 1.0
     # Interpolation of weights between keys.
     interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     # Speed of the carrier above which it teleports [m/s]; 0 is never.
-    teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
+    teleport_speed: Annotated[float, between(0.0, "SIM004")] = 50.0
     teleports: tuple[float, ...] = ()  # frames that begin with a teleport
     # Steps per second; None is as many as ``stretch`` needs.
     rate: Annotated[
-        float | None, within(0.0, "SIM004", 1e6, includes_minimum=False)
+        float | None, between(0.0, "SIM004", 1e6, includes_minimum=False)
     ] = None
     # File (``.npz``) for the states at the frames of ``save_at``, next to the scene.
     save: str = ""

@@ -15,7 +15,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import MAX_NUMBER, within
+from animtool.core.options import MAX_NUMBER, between
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
@@ -49,28 +49,30 @@ class RagdollOptions:
     start: float | None = None  # start frame; None for the first
     end: float | None = None  # frame at which the take resumes; None for never
     # Blend frames at the start, and after `end` [frames].
-    blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
+    blend: Annotated[float, between(0.0, "SIM062", 1e6)] = 4.0
     # Total mass [kg], distributed as the rig states.
-    mass: Annotated[float | None, within(0.0, "SIM062", includes_minimum=False)] = None
+    mass: Annotated[float | None, between(0.0, "SIM062", includes_minimum=False)] = None
     # Density if neither `mass` nor the rig sets a mass [kg/m³].
-    density: Annotated[float, within(0.0, "SIM062", includes_minimum=False)] = 1000.0
+    density: Annotated[float, between(0.0, "SIM062", includes_minimum=False)] = 1000.0
     # Stiffness towards the pose of the take [N m/rad].
-    stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
+    stiffness: Annotated[float, between(0.0, "SIM062")] = 0.0
     # Damping of joints [N m s/rad].
-    damping: Annotated[float, within(0.0, "SIM062")] = 0.5
+    damping: Annotated[float, between(0.0, "SIM062")] = 0.5
     # Passive stiffness and damping towards the pose of `start`, as of muscles and
     # ligaments [1]; 0 is limp.
-    tone: Annotated[float, within(0.0, "SIM062", 100.0)] = 1.0
+    tone: Annotated[float, between(0.0, "SIM062", 100.0)] = 1.0
     # Whether fingers without colliders get capsules attached to the hand.
     fingers: bool = True
     # Along the rig's negative up axis [m/s²].
-    gravity: Annotated[float, within(-MAX_NUMBER, "SIM062")] = 9.81
-    friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
+    gravity: Annotated[float, between(-MAX_NUMBER, "SIM062")] = 9.81
+    friction: Annotated[float, between(0.0, "SIM062")] = 0.6  # friction coefficient [1]
     colliders: ColliderEntries = ()  # colliders of the ragdoll
-    step: Annotated[float, within(0.0, "SIM062", 1.0, includes_minimum=False)] = (
+    step: Annotated[float, between(0.0, "SIM062", 1.0, includes_minimum=False)] = (
         0.005  # [s]
     )
-    substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # substeps of each step
+    substeps: Annotated[int, between(1.0, "SIM062", 1000.0)] = (
+        8  # substeps of each step
+    )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-from animtool.core.arguments import ArgumentNamer, in_python
+from animtool.core.arguments import ArgumentNamer, python_name
 from animtool.core.plugins import load_object
 from animtool.validation.formats.plain import text_report
 from animtool.validation.run import Report
@@ -26,7 +26,7 @@ def written(
     form: str,
     *,
     repeats: bool = False,
-    calling: ArgumentNamer = in_python,
+    calling: ArgumentNamer = python_name,
 ) -> str:
     """Return a report in one of `FORMATS`.
 

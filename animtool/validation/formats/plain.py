@@ -18,12 +18,12 @@ from animtool.core.arguments import (
     argument,
     as_text,
     clause,
-    in_python,
+    python_name,
     worded,
 )
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.junit import JunitCase, junit_xml
-from animtool.core.quantities import escaped, json_printed
+from animtool.core.quantities import escaped, printable_json
 from animtool.core.record import dataclass
 from animtool.core.source_lines import SourceLineCache, excerpt_lines
 from animtool.core.values import plain_value
@@ -75,7 +75,7 @@ SUMMARY = Template(
 
 
 def text_report(
-    report: Report, *, repeats: bool = False, calling: ArgumentNamer = in_python
+    report: Report, *, repeats: bool = False, calling: ArgumentNamer = python_name
 ) -> str:
     """Return the findings, each with its source line, and a summary line."""
     report = report.worded(calling)
@@ -154,7 +154,7 @@ def _escape_data(text: str) -> str:
 
 def json_report(report: Report) -> str:
     """Return every checked file and every finding as JSON."""
-    return json_printed(plain_value(report), indent=2) + "\n"
+    return printable_json(plain_value(report), indent=2) + "\n"
 
 
 def junit_report(report: Report) -> str:

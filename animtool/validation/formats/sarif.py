@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from animtool.core.errors import Fault, Severity
-from animtool.core.quantities import json_printed
+from animtool.core.quantities import printable_json
 from animtool.core.rules import Rule, all_rules, page_text
 from animtool.core.source_lines import SourceLineCache
 from animtool.validation.run import Report
@@ -52,7 +52,7 @@ def sarif_report(report: Report) -> str:
         "columnKind": "unicodeCodePoints",
     }
     value = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
-    return json_printed(value, indent=2) + "\n"
+    return printable_json(value, indent=2) + "\n"
 
 
 def _rule_object(rule: Rule) -> dict[str, Any]:

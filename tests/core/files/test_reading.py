@@ -37,7 +37,10 @@ def tree(tmp_path: Path) -> Path:
 def found(folder: Path, text: str) -> list[tuple[str, str]]:
     """Return files and where each was searched, from a folder."""
     return [
-        (file.path.relative_to(folder).as_posix(), file.base.relative_to(folder).name)
+        (
+            file.path.relative_to(folder).as_posix(),
+            file.search_folder.relative_to(folder).name,
+        )
         for file in matching_files(str(folder / text), [".bvh"])
     ]
 

@@ -20,7 +20,7 @@ from animtool.capture.face.file import face_model, load_landmarks
 from animtool.capture.templates import load_template
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.core.errors import AnimtoolError, Fault
-from animtool.core.quantities import json_printed
+from animtool.core.quantities import printable_json
 from animtool.ik.file import load_targets
 from animtool.retarget.file import load_map
 from animtool.rig.file import load_rig
@@ -125,7 +125,7 @@ def _check(faults: Sequence[Fault]) -> None:
     assert len(faults) <= 201
     for fault in faults:
         assert not UNSEEN.search(str(fault)), ascii(str(fault))
-        json_printed(fault.as_dict()).encode()
+        printable_json(fault.as_dict()).encode()
 
 
 def _seeds(folder: Path) -> Iterator[Seed]:

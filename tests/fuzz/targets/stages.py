@@ -20,7 +20,7 @@ ABOUT = "UsdPhysics stages of rigid bodies, with odd values, simulated"
 
 FPS, FRAMES = 24, 3
 # Share of cases whose result is written too.
-BAKED = 0.05
+BAKE_TEMPLATE = 0.05
 # A stage is odd as a whole: none of its values is, some are, or many.
 _ODD = (0.0, 0.003, 0.01, 0.03, 0.1, 0.4)
 _NUMBERS = (
@@ -60,7 +60,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
         written: dict[str, Any] = {}
         if rng.random() < 0.5:
             written = {"prims": "xforms", "physics": bool(rng.integers(2))}
-        baked = rng.random() < BAKED
+        baked = rng.random() < BAKE_TEMPLATE
         scene = {
             "scene": "animtool/1",
             "fps": FPS,

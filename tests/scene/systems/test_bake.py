@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdGeom
 from support.faults import raises
 
 from animtool import BakeOptions, bake
-from animtool.cli.summary import BAKED
+from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.core.values import plain_value
 from animtool.scene.bake.outline import create_outline
@@ -90,7 +90,7 @@ def test_points_are_written_with_all_that_they_are(tmp_path: Path) -> None:
 
 def test_the_summary_says_what_was_simulated(tmp_path: Path) -> None:
     report = bake(written(tmp_path, SCENE), tmp_path / "embers.usdc")
-    lines = BAKED.text(report)
+    lines = BAKE_TEMPLATE.text(report)
     assert any("1 system of shot.scene.yaml, simulated" in line for line in lines)
     assert any("embers: up to" in line and "12 frames" in line for line in lines)
     (mesh,) = plain_value(report)["meshes"]

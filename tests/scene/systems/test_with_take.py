@@ -17,7 +17,7 @@ from support.suite import some_quick
 from support.usd import validation_errors
 
 from animtool import BakeOptions, bake
-from animtool.cli.summary import BAKED
+from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
@@ -211,7 +211,7 @@ def test_it_is_below_the_character(tmp_path: Path) -> None:
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, 9)
     assert not validation_errors(stage)
-    text = "\n".join(BAKED.text(report))
+    text = "\n".join(BAKE_TEMPLATE.text(report))
     assert "1 system of shot.scene.yaml, simulated" in text
     assert "4 joints" in text
     (mesh,) = plain_value(report)["meshes"]

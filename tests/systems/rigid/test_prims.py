@@ -14,7 +14,7 @@ from support.rigid import FLOOR, box
 from support.simulated import Simulator
 
 from animtool import BakeOptions, bake
-from animtool.cli.summary import BAKED
+from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.errors import AnimtoolError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.compare_points import compare_points
@@ -122,5 +122,5 @@ def test_names_that_become_one_are_warned_of(tmp_path: Path) -> None:
 
 
 def test_the_largest_error_names_its_body(tmp_path: Path) -> None:
-    lines = BAKED.text(_bake(tmp_path, "instancer"))
+    lines = BAKE_TEMPLATE.text(_bake(tmp_path, "instancer"))
     assert any("(body 'brick_1', frame " in line for line in lines)

@@ -15,7 +15,7 @@ from support.faults import raises
 
 import animtool
 from animtool import BakeOptions, bake
-from animtool.cli.summary import BAKED
+from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.errors import FormatError, Severity, ToleranceError
 from animtool.core.shot import FrameRange
 from animtool.core.values import plain_value
@@ -177,7 +177,7 @@ def test_the_report_says_which_solver_and_why(tmp_path: Path) -> None:
     (note,) = report.notices
     assert (note.code, note.severity) == ("SIM130", Severity.NOTE)
     assert note.lines == (6,)
-    assert any("lead: 11 particles" in line for line in BAKED.text(report))
+    assert any("lead: 11 particles" in line for line in BAKE_TEMPLATE.text(report))
 
 
 def test_a_scene_is_what_python_simulates(tmp_path: Path) -> None:
