@@ -33,24 +33,24 @@ from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
 
-# Starting a process for a chunk and checking the whole batch takes about 1 s: a
-# hundredth of this [s].
+# Default duration of a task [s]. Starting a process for a chunk and checking the batch
+# takes about a hundredth of it.
 TASK_SECONDS = 120.0
-# Items per chunk if nothing states the time of one: captures take about 0.1 s, long
-# ones a second.
+# Items per chunk if their duration is unknown: captures take about 0.1 s, long ones a
+# second.
 DEFAULT_CHUNK = 100
 # Time between the farm's request to end a task and its kill [s].
 NOTICE_SECONDS = 30
 TEMPLATE_FILE, VALUES_FILE = "template.yaml", "parameter_values.yaml"
-MAX_NAME = 128
+MAX_NAME_LENGTH = 128
 # Maximum size of a report, enough for 100,000 items [bytes].
-MAX_REPORT = 64_000_000
-# Longer than anybody waits for an item.
+MAX_REPORT_BYTES = 64_000_000
+# Upper limit of the mean time of an item [s].
 MAX_SECONDS = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Cuts:
+class CutArguments:
     """Shot options of the command line that extend a batch file."""
 
     path: Path | None = None  # the timeline; None uses the batch file's
@@ -58,7 +58,7 @@ class Cuts:
 
 
 # Items without a timeline.
-NO_CUTS = Cuts()
+NO_CUT_ARGUMENTS = CutArguments()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Bundle:
     """An Open Job Description bundle that is not written yet."""
 
     template: Mapping[str, Any]  # template of the job
-    values: Mapping[str, str]  # values of parameters that the template leaves open
+    values: Mapping[str, str]  # values of parameters without a default
     items: int  # number of items
     chunk: int  # number of items per task
 
@@ -101,7 +101,7 @@ class WrittenBundle:
 def mean_seconds(path: Path) -> float:
     """Return the mean time of an item from a batch's JSON report [s] (else BAT037)."""
     try:
-        items = list_in(json_of_file(path, MAX_REPORT), "items")
+        items = list_in(json_of_file(path, MAX_REPORT_BYTES), "items")
         seconds = [
             number_in(item, "seconds")
             for item in map(object_of, items)
@@ -120,7 +120,7 @@ def mean_seconds(path: Path) -> float:
 
 
 def chunk_size(
-    items: int, seconds: float | None = None, span: float = TASK_SECONDS
+    items: int, seconds: float | None = None, task_seconds: float = TASK_SECONDS
 ) -> int:
     """Return the number of items per task, from seconds per item and per task [s].
 
@@ -129,16 +129,18 @@ def chunk_size(
     """
     if seconds is None:
         return min(DEFAULT_CHUNK, items)
-    return max(1, min(items, round(span / max(seconds, 1e-6))))
+    return max(1, min(items, round(task_seconds / max(seconds, 1e-6))))
 
 
-def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> Bundle:
+def batch_bundle(
+    batch: Batch, path: Path, chunk: int, cuts: CutArguments = NO_CUT_ARGUMENTS
+) -> Bundle:
     """Return the bundle of a batch, with shot options."""
     cut_words = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
-        "name": name[:MAX_NAME],
+        "name": name[:MAX_NAME_LENGTH],
         "parameterDefinitions": _parameters(batch, chunk, cuts),
         "steps": [
             {
@@ -169,12 +171,12 @@ def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> 
     return Bundle(template, values, len(batch.items), chunk)
 
 
-def _cut_words(cuts: Cuts) -> list[str]:
+def _cut_words(cuts: CutArguments) -> list[str]:
     words = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
     return [*words, *cuts.words]
 
 
-def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:
+def _parameters(batch: Batch, chunk: int, cuts: CutArguments) -> list[dict[str, Any]]:
     timeline = {
         "name": "CutList",
         "type": "PATH",
@@ -220,9 +222,9 @@ def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:
     ]
 
 
-def _script(*chosen: str) -> dict[str, Any]:
+def _script(*selection: str) -> dict[str, Any]:
     """Return the script of a step."""
-    arguments = ["batch", "{{Param.BatchFile}}", *chosen, "-j", "{{Param.Jobs}}"]
+    arguments = ["batch", "{{Param.BatchFile}}", *selection, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
     cancelation = {

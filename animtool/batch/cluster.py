@@ -20,17 +20,17 @@ from typing import Any
 from uuid import uuid4
 
 from animtool.batch.cluster_client import (
-    ADDRESS,
+    ADDRESS_PATTERN,
     TIMEOUT,
-    connected_client,
+    connect_client,
     disk_tokens,
     leave_cluster,
     scheduler_address,
-    unusable,
+    unusable_cluster_error,
 )
 from animtool.batch.cluster_worker import (
-    DISK,
-    INPUTS,
+    DISK_CODE,
+    INPUTS_CODE,
     WorkerCheck,
     build_task,
     builder_versions,
@@ -54,28 +54,29 @@ from animtool.core.record import dataclass
 
 # Interval for counting workers while no item ends [s].
 POLL_INTERVAL = 1.0
-# A nanny restarts a lost worker within seconds, and clusters on demand start machines
-# within minutes; longer waits may never end [s].
-MAX_WORKERLESS = 300.0
-# A network disk may remember for a minute that a file was missing [s].
-MAX_UNSEEN = 90.0
+# Maximum time without workers [s]. A nanny restarts a lost worker within seconds, and
+# clusters on demand start machines within minutes.
+MAX_WORKERLESS_SECONDS = 300.0
+# Maximum wait for files of a worker [s]: a network disk may cache for a minute that a
+# file was missing.
+MAX_DELIVERY_SECONDS = 90.0
 # Number of times that an item is sent again after its worker was lost.
 MAX_LOSSES = 3
 RESUME = "finished items are recorded; run the same command again to resume"
 
 
 def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
-    """Yield the outcomes of items that the workers of a dask cluster build.
+    """Yield the outcomes of items built by the workers of a dask cluster.
 
     Each worker thread has a subprocess that builds one item after another, with the
-    limits and crash handling of `run_processes`. As many items are started as the fit
-    workers have threads, or as the user requested. Inputs and outputs must be on the
-    same disks under the same names: workers that see others, or have other versions,
-    are excluded with a warning.
+    limits and crash handling of `run_processes`. The number of running items is the
+    number of threads of fit workers, or the requested one. Inputs and outputs must have
+    the same paths on all machines. Workers with different files or versions are
+    excluded with a warning.
     """
     argument = work.argument
-    file = argument.endswith(".json")
-    if not (file or ADDRESS.fullmatch(argument)):
+    is_file = argument.endswith(".json")
+    if not (is_file or ADDRESS_PATTERN.fullmatch(argument)):
         message = f"{excerpt(argument)} is not the address of a dask scheduler"
         hint = "write it as dask=tcp://host:8786 or dask=scheduler.json"
         raise OptionError(Fault("BAT031", message, hint=hint))
@@ -83,23 +84,23 @@ def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
         message = "the dask executor needs the package distributed"
         hint = "pip install 'animtool[farm]'"
         raise OptionError(Fault("IO005", message, hint=hint))
-    return _outcomes(work, scheduler_address(Path(argument)) if file else argument)
+    return _outcomes(work, scheduler_address(Path(argument)) if is_file else argument)
 
 
 def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
-    client = connected_client(address)
+    client = connect_client(address)
     name = f"animtool-{uuid4().hex}"
     try:
         with disk_tokens(work.folders) as tokens:
-            farm = _Farm(client, name, work, tokens)
+            run = _ClusterRun(client, name, work, tokens)
             # dask calls back in one thread for all clients of a process; waiting for a
             # lost result there would block them.
-            ends = (farm.finished, farm.ended)
-            Thread(target=_fetch_results, args=ends, daemon=True).start()
+            queues = (run.finished, run.results)
+            Thread(target=_fetch_results, args=queues, daemon=True).start()
             try:
-                yield from farm.outcomes()
+                yield from run.outcomes()
             finally:
-                farm.finished.put(None)
+                run.finished.put(None)
     finally:
         leave_cluster(client, name)
 
@@ -118,18 +119,18 @@ def _fetch_results(
 
 @dataclass(slots=True, eq=False)
 class _ClusterWorker:
-    """Known state of a worker of the cluster."""
+    """State of a worker of the cluster."""
 
     address: str  # address of the worker
     threads: int  # its number of threads
-    fit: bool | None = None  # whether it builds items; None if unknown
+    is_fit: bool | None = None  # whether it builds items; None if unknown
     host: str = ""  # its machine
-    going: int = 0  # number of running items
-    built: int = 0  # number of finished items
+    running_count: int = 0  # number of running items
+    built_count: int = 0  # number of finished items
 
     def has_room(self, *, queue_next: bool) -> bool:
-        """Return whether to send an item; with ``queue_next`` one more than threads."""
-        return self.going < self.threads + (queue_next and self.built > 0)
+        """Return whether to send another item; ``queue_next`` allows one extra item."""
+        return self.running_count < self.threads + (queue_next and self.built_count > 0)
 
     def __str__(self) -> str:
         return f"{self.address} ({self.host})" if self.host else self.address
@@ -144,7 +145,7 @@ class _SentItem:
 
 
 @dataclass(slots=True)
-class _Farm:
+class _ClusterRun:
     """A run on a cluster."""
 
     client: Any  # connection to the cluster
@@ -154,56 +155,64 @@ class _Farm:
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
     sent: dict[Any, _SentItem] = field(default_factory=dict)  # running tasks by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
-    ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
-    again: list[Item] = field(default_factory=list)  # items to send to another worker
+    results: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
+    items_to_resend: list[Item] = field(
+        default_factory=list
+    )  # items to send to another worker
     losses: dict[int, int] = field(
         default_factory=dict
     )  # number of losses by item number
     # Outcomes whose files are not visible yet, with the deadline.
-    unseen: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
+    undelivered: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
         default_factory=list
     )
-    said: list[Fault] = field(default_factory=list)  # pending warnings
+    pending_warnings: list[Fault] = field(default_factory=list)  # pending warnings
     delivery: Delivery = field(init=False)
     check: bytes = field(init=False)
     build: Callable[[bytes], ItemOutcome | None] = field(init=False)
-    _had_workers: float = field(default_factory=time.monotonic)
-    _waits: bool = False  # whether the lack of workers was reported
+    _last_worker_time: float = field(default_factory=time.monotonic)
+    _warned_of_no_workers: bool = False  # whether the lack of workers was reported
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
         self.build = build_task(self.name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
-        inputs = tuple(self.delivery.checks(self.work.inputs))
+        inputs = tuple(self.delivery.input_checks(self.work.inputs))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
 
     def outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield outcomes and warnings until all items are built."""
-        counted_at = -POLL_INTERVAL
+        last_count_time = -POLL_INTERVAL
         while True:
-            if time.monotonic() - counted_at >= POLL_INTERVAL:
+            if time.monotonic() - last_count_time >= POLL_INTERVAL:
                 yield from self._reclaim_lost_items(self._addresses())
-                counted_at = time.monotonic()
+                last_count_time = time.monotonic()
             has_more = self._send()
             yield from self._pop_faults()
-            if has_more and not self.unseen:
+            if has_more and not self.undelivered:
                 self._refuse_unfit()
-            if not (has_more or self.unseen or any(s.item for s in self.sent.values())):
+            if not (
+                has_more
+                or self.undelivered
+                or any(sent_item.item for sent_item in self.sent.values())
+            ):
                 return
             with suppress(Empty):
-                future, value = self.ended.get(timeout=POLL_INTERVAL)
+                future, value = self.results.get(timeout=POLL_INTERVAL)
                 if future in self.sent:
                     yield from self._handle_answer(self.sent.pop(future), value)
             yield from self._delivered_outcomes()
 
     def _pop_faults(self) -> Iterator[Fault]:
-        while self.said:
-            yield self.said.pop(0)
+        while self.pending_warnings:
+            yield self.pending_warnings.pop(0)
 
     def _addresses(self) -> Mapping[str, int]:
         """Return the current workers and the number of their threads."""
         if self.client.status in {"closing", "closed"}:
-            raise unusable(self.work.argument, "the scheduler has stopped", RESUME)
+            raise unusable_cluster_error(
+                self.work.argument, "the scheduler has stopped", RESUME
+            )
         try:
             threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
         except (OSError, RuntimeError):
@@ -211,23 +220,25 @@ class _Farm:
             threads = {}
         current_time = time.monotonic()
         if threads:
-            self._had_workers, self._waits = current_time, False
+            self._last_worker_time, self._warned_of_no_workers = current_time, False
             return threads
-        if current_time - self._had_workers > MAX_WORKERLESS:
-            reason = f"it has had no worker for {MAX_WORKERLESS:g} s"
-            raise unusable(self.work.argument, reason, RESUME)
-        if not self._waits:
-            self._waits = True
+        if current_time - self._last_worker_time > MAX_WORKERLESS_SECONDS:
+            reason = f"it has had no worker for {MAX_WORKERLESS_SECONDS:g} s"
+            raise unusable_cluster_error(self.work.argument, reason, RESUME)
+        if not self._warned_of_no_workers:
+            self._warned_of_no_workers = True
             message = f"the cluster at {self.work.argument} has no workers now: "
-            message += f"waiting up to {MAX_WORKERLESS:g} s for one"
+            message += f"waiting up to {MAX_WORKERLESS_SECONDS:g} s for one"
             hint = "start workers: dask worker ADDRESS"
-            self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
+            self.pending_warnings.append(
+                Fault("BAT076", message, None, (), hint, Severity.WARNING)
+            )
         return threads
 
     def _reclaim_lost_items(
         self, addresses: Mapping[str, int]
     ) -> Iterator[ItemOutcome]:
-        """Take back items of lost workers, and check new workers."""
+        """Reclaim items of lost workers, and start checks of new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
             for future in [
@@ -236,20 +247,24 @@ class _Farm:
                 if sent_item.worker is worker
             ]:
                 future.cancel()
-                yield from self._loss(self.sent.pop(future), "the worker has stopped")
+                yield from self._resend_lost_item(
+                    self.sent.pop(future), "the worker has stopped"
+                )
         for address in addresses.keys() - self.workers.keys():
             self.workers[address] = _ClusterWorker(address, addresses[address])
-            self._ask(self.workers[address])
+            self._start_check(self.workers[address])
 
-    def _loss(self, sent_item: _SentItem, reason: str) -> Iterator[ItemOutcome]:
+    def _resend_lost_item(
+        self, sent_item: _SentItem, reason: str
+    ) -> Iterator[ItemOutcome]:
         """Send the item of a lost worker again, a limited number of times."""
-        sent_item.worker.going -= sent_item.item is not None
+        sent_item.worker.running_count -= sent_item.item is not None
         if sent_item.item is None:
             return
         number = sent_item.item.number
         self.losses[number] = self.losses.get(number, 0) + 1
         if self.losses[number] < MAX_LOSSES:
-            self.again.append(sent_item.item)
+            self.items_to_resend.append(sent_item.item)
             return
         message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
         message += f"{sent_item.worker}: {reason}"
@@ -259,7 +274,7 @@ class _Farm:
         fault = Fault("BAT020", message, str(sent_item.item.file.path), (), hint)
         yield ItemOutcome.failed(sent_item.item, fault)
 
-    def _ask(self, worker: _ClusterWorker) -> None:
+    def _start_check(self, worker: _ClusterWorker) -> None:
         self._submit(
             check_task(self.name, builder_versions()),
             self.check,
@@ -275,58 +290,71 @@ class _Farm:
 
     def _send(self) -> bool:
         """Send items while fit workers have free threads; return if any remain."""
-        fit = [worker for worker in self.workers.values() if worker.fit]
-        running_count = sum(worker.going for worker in fit)
+        fit_workers = [worker for worker in self.workers.values() if worker.is_fit]
+        total_running = sum(worker.running_count for worker in fit_workers)
         requested_count, threads = (
-            self.work.asked,
-            sum(worker.threads for worker in fit),
+            self.work.requested_jobs,
+            sum(worker.threads for worker in fit_workers),
         )
         # If every thread is busy, the next item is queued at the worker, so that its
         # transfer takes no time later.
         queue_next = self.work.queue_next and (
             requested_count is None or requested_count >= threads
         )
-        while queue_next or requested_count is None or running_count < requested_count:
+        while queue_next or requested_count is None or total_running < requested_count:
             idle_workers = [
-                worker for worker in fit if worker.has_room(queue_next=queue_next)
+                worker
+                for worker in fit_workers
+                if worker.has_room(queue_next=queue_next)
             ]
             if not idle_workers:
                 return True
-            item = self.again.pop(0) if self.again else next(self.work.items, None)
+            item = (
+                self.items_to_resend.pop(0)
+                if self.items_to_resend
+                else next(self.work.items, None)
+            )
             if item is None:
                 return False
-            worker = min(idle_workers, key=lambda one: one.going / one.threads)
-            worker.going += 1
-            running_count += 1
+            worker = min(
+                idle_workers,
+                key=lambda candidate: candidate.running_count / candidate.threads,
+            )
+            worker.running_count += 1
+            total_running += 1
             self._submit(self.build, pickle.dumps(item), _SentItem(worker, item))
         return True
 
     def _refuse_unfit(self) -> None:
         """Raise an error if all workers are checked and unfit."""
-        if not self.workers or any(w.fit is not False for w in self.workers.values()):
+        if not self.workers or any(
+            worker.is_fit is not False for worker in self.workers.values()
+        ):
             return
         count = counted(len(self.workers), "worker")
         reason = f"{count}, all excluded: the warnings say why"
-        raise unusable(self.work.argument, reason, RESUME)
+        raise unusable_cluster_error(self.work.argument, reason, RESUME)
 
     def _handle_answer(
-        self, sent: _SentItem, value: object
+        self, sent_item: _SentItem, value: object
     ) -> Iterator[ItemOutcome | Fault]:
         """Process the answer of a worker: a check or the outcome of an item."""
-        worker, item = sent.worker, sent.item
+        worker, item = sent_item.worker, sent_item.item
         if item is None:
             yield from self._accept_check(worker, value)
             return
         if isinstance(value, BaseException):
             # A lost worker is detected in the next count.
-            yield from self._loss(sent, f"{type(value).__name__}: {value}")
+            yield from self._resend_lost_item(
+                sent_item, f"{type(value).__name__}: {value}"
+            )
             return
-        worker.going -= 1
+        worker.running_count -= 1
         if value is None:
             # Another process has the address now.
-            worker.fit = None
-            self.again.append(item)
-            self._ask(worker)
+            worker.is_fit = None
+            self.items_to_resend.append(item)
+            self._start_check(worker)
         elif not (isinstance(value, ItemOutcome) and value.number == item.number):
             message = f"worker {worker} returned something other than a result"
             fault = Fault("BAT020", message, str(item.file.path))
@@ -339,20 +367,20 @@ class _Farm:
     def _accept_check(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
         if isinstance(value, tuple):
             worker.host, code, reason = value
-            worker.fit = not code
+            worker.is_fit = not code
         elif worker.address not in self._addresses():
             return
         else:
-            worker.fit, code = False, INPUTS
+            worker.is_fit, code = False, INPUTS_CODE
             reason = f"it cannot be checked: {type(value).__name__}: {value}"
-        if not worker.fit:
-            yield from self._leave_out(worker, code, reason)
+        if not worker.is_fit:
+            yield from self._exclude(worker, code, reason)
 
-    def _leave_out(
+    def _exclude(
         self, worker: _ClusterWorker, code: str, reason: str
     ) -> Iterator[Fault]:
         """Stop sending items to a worker, and warn once."""
-        worker.fit = False
+        worker.is_fit = False
         message = f"worker {worker} is excluded: {excerpt(reason, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
@@ -363,39 +391,39 @@ class _Farm:
 
         If the worker's inputs differ, another worker builds the item.
         """
-        other_inputs = self.delivery.other_inputs(outcome)
-        changed_inputs = self.delivery.changed(other_inputs)
+        other_inputs = self.delivery.differing_inputs(outcome)
+        changed_inputs = self.delivery.locally_changed(other_inputs)
         if changed_inputs:
             yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
         elif other_inputs:
             reason = (
                 f"it has different files with the same names: {listed(other_inputs, 2)}"
             )
-            yield from self._leave_out(worker, INPUTS, reason)
-            self.again.append(item)
+            yield from self._exclude(worker, INPUTS_CODE, reason)
+            self.items_to_resend.append(item)
         else:
-            until = time.monotonic() + MAX_UNSEEN
-            self.unseen.append((until, item, worker, outcome))
+            deadline = time.monotonic() + MAX_DELIVERY_SECONDS
+            self.undelivered.append((deadline, item, worker, outcome))
 
     def _delivered_outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcomes whose files have arrived with the written content."""
-        time_and_unseen, unseen = time.monotonic(), self.unseen
-        self.unseen = []
-        for until, item, worker, outcome in unseen:
-            delivered_outcome = self.delivery.delivered(outcome)
+        current_time, waiting_outcomes = time.monotonic(), self.undelivered
+        self.undelivered = []
+        for deadline, item, worker, outcome in waiting_outcomes:
+            delivered_outcome = self.delivery.with_local_outputs(outcome)
             if delivered_outcome is not None:
-                worker.built += 1
+                worker.built_count += 1
                 yield delivered_outcome
-            elif time_and_unseen < until and worker.fit:
-                self.unseen.append((until, item, worker, outcome))
+            elif current_time < deadline and worker.is_fit:
+                self.undelivered.append((deadline, item, worker, outcome))
             else:
-                self.again.append(item)
-                if worker.fit:
+                self.items_to_resend.append(item)
+                if worker.is_fit:
                     reason = (
                         f"its {str(item.output.parent)!r} is not the folder of this "
                         "machine"
                     )
-                    yield from self._leave_out(worker, DISK, reason)
+                    yield from self._exclude(worker, DISK_CODE, reason)
 
     def _accept_failure(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
@@ -409,15 +437,15 @@ class _Farm:
         if not unreadable_inputs or FileState.of(Path(unreadable_inputs[0])) is None:
             yield outcome
             return
-        self.again.append(item)
-        if worker.fit:
+        self.items_to_resend.append(item)
+        if worker.is_fit:
             reason = f"it cannot read {listed(unreadable_inputs, 2)}"
-            yield from self._leave_out(worker, INPUTS, reason)
+            yield from self._exclude(worker, INPUTS_CODE, reason)
 
 
 _HINTS = {
     "BAT036": "install the same versions on every machine: results are then equal to "
     "the byte",
-    INPUTS: "mount the input folders under the same paths on every machine",
-    DISK: "mount the output folders under the same paths on every machine",
+    INPUTS_CODE: "mount the input folders under the same paths on every machine",
+    DISK_CODE: "mount the output folders under the same paths on every machine",
 }

@@ -16,29 +16,29 @@ from animtool.batch.records import RecordError, json_of_file, text_in
 from animtool.core.errors import Fault, OutputError, excerpt
 from animtool.core.files.leftovers import new_temporary
 
-# A scheduler that has not answered by then is not there: with the start of a command,
-# it is reported within 10 s [s].
+# Time for a scheduler to answer [s]; with the start of a command, a missing one is
+# reported within 10 s.
 TIMEOUT = 6.5
 MAX_TOKENS = 50
 # A scheduler writes a kilobyte about itself, and some for each worker.
-MAX_SCHEDULER = 16_000_000
-ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
+MAX_SCHEDULER_FILE_BYTES = 16_000_000
+ADDRESS_PATTERN = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 
 
 def scheduler_address(path: Path) -> str:
     """Return the address in a scheduler file."""
     try:
-        address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
+        address = text_in(json_of_file(path, MAX_SCHEDULER_FILE_BYTES), "address", 1000)
     except RecordError as error:
         raise _unreachable_error(str(path), error) from error
-    if not ADDRESS.fullmatch(address):
+    if not ADDRESS_PATTERN.fullmatch(address):
         raise _unreachable_error(
             str(path), RecordError(f"{excerpt(address)} is not an address")
         )
     return address
 
 
-def connected_client(address: str) -> Any:
+def connect_client(address: str) -> Any:
     """Return a client of the scheduler at an address."""
     from distributed import Client
 
@@ -72,12 +72,12 @@ def _unreachable_error(scheduler_text: str, error: Exception) -> OutputError:
         "check that the scheduler runs, at this address, with the same version of "
         "distributed"
     )
-    return unusable(scheduler_text, reason, hint)
+    return unusable_cluster_error(scheduler_text, reason, hint)
 
 
-def unusable(about: str, why: str, hint: str) -> OutputError:
+def unusable_cluster_error(address: str, reason: str, hint: str) -> OutputError:
     """Return the error of a cluster that cannot build items."""
-    message = f"the dask cluster at {about} cannot be used: {why}"
+    message = f"the dask cluster at {address} cannot be used: {reason}"
     return OutputError(Fault("BAT035", message, hint=hint))
 
 
@@ -87,18 +87,18 @@ def leave_cluster(client: Any, name: str) -> None:
     A scheduler that does not answer is not waited for.
     """
 
-    def release(dask_worker: Any) -> None:
+    def release_run(dask_worker: Any) -> None:
         from animtool.batch.cluster_worker import release
 
         release(dask_worker, name)
 
-    def leave() -> None:
+    def disconnect() -> None:
         with suppress(Exception):
-            client.run(release, on_error="ignore")
+            client.run(release_run, on_error="ignore")
 
-    leaving = Thread(target=leave, daemon=True)
-    leaving.start()
-    leaving.join(TIMEOUT)
+    disconnect_thread = Thread(target=disconnect, daemon=True)
+    disconnect_thread.start()
+    disconnect_thread.join(TIMEOUT)
     with suppress(TimeoutError):
         client.close(TIMEOUT)
 

@@ -26,7 +26,7 @@ from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 
 # Codes of reasons for excluding a worker.
-VERSIONS, INPUTS, DISK = "BAT036", "BAT074", "BAT075"
+VERSIONS_CODE, INPUTS_CODE, DISK_CODE = "BAT036", "BAT074", "BAT075"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +68,23 @@ def _code_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
+def version_differences(
+    expected_versions: Mapping[str, str], actual_versions: Mapping[str, str]
+) -> str:
     """Return the versions that differ as text; empty if none does.
 
-    >>> differences({"numpy": "2.1", "scipy": "1"}, {"numpy": "1.9", "scipy": "1"})
+    >>> version_differences({"numpy": "2.1"}, {"numpy": "1.9"})
     'numpy 1.9 instead of 2.1'
     """
     return ", ".join(
-        f"{name} {actual.get(name) or 'none'} instead of {expected.get(name) or 'none'}"
-        for name in sorted({*expected, *actual})
-        if expected.get(name) != actual.get(name)
+        f"{name} {actual_versions.get(name) or 'none'} instead of "
+        f"{expected_versions.get(name) or 'none'}"
+        for name in sorted({*expected_versions, *actual_versions})
+        if expected_versions.get(name) != actual_versions.get(name)
     )
 
 
-def admit(
+def prepare_worker(
     worker: Any, name: str, versions: Mapping[str, str], pickled: bytes
 ) -> tuple[str, str]:
     """Prepare a worker for a run; return code and reason if it is unfit.
@@ -92,36 +95,39 @@ def admit(
         versions: Result of `builder_versions` on the machine of the run.
         pickled: A `WorkerCheck`, read only if the versions are equal.
     """
-    version_differences = differences(versions, builder_versions())
-    if version_differences:
-        return VERSIONS, f"it has {version_differences}"
+    differences_text = version_differences(versions, builder_versions())
+    if differences_text:
+        return VERSIONS_CODE, f"it has {differences_text}"
     check: WorkerCheck = pickle.loads(pickled)
-    for code, reason in _reasons(check):
+    for code, reason in _unfit_reasons(check):
         return code, reason
     worker.plugins[name] = WorkerProcesses(check.task)
     return "", ""
 
 
-def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
+def _unfit_reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
     if not Path(check.task.folder).is_dir():
-        yield INPUTS, f"it has no folder {excerpt(check.task.folder, 200)}"
-    missing = [
+        yield INPUTS_CODE, f"it has no folder {excerpt(check.task.folder, 200)}"
+    missing_paths = [
         expected_input.path
         for expected_input in check.inputs
         if not os.access(expected_input.path, os.R_OK)
     ]
-    if missing:
-        count, total = len(missing), len(check.inputs)
-        yield INPUTS, f"it cannot read {count} of {total} inputs: {listed(missing, 2)}"
-    differing = [
+    if missing_paths:
+        count, total = len(missing_paths), len(check.inputs)
+        yield (
+            INPUTS_CODE,
+            f"it cannot read {count} of {total} inputs: {listed(missing_paths, 2)}",
+        )
+    different_paths = [
         expected_input.path
         for expected_input in check.inputs
         if not _is_same(expected_input)
     ]
-    if differing:
+    if different_paths:
         yield (
-            INPUTS,
-            f"it has different files with the same names: {listed(differing, 2)}",
+            INPUTS_CODE,
+            f"it has different files with the same names: {listed(different_paths, 2)}",
         )
     for path, text in check.tokens.items():
         folder = Path(path).parent
@@ -130,9 +136,9 @@ def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
         except AnimtoolError:
             is_same = False
         if not is_same:
-            yield DISK, f"its {str(folder)!r} is not the folder of this machine"
+            yield DISK_CODE, f"its {str(folder)!r} is not the folder of this machine"
         elif not os.access(folder, os.W_OK | os.X_OK):
-            yield DISK, f"it has no permission to write to {str(folder)!r}"
+            yield DISK_CODE, f"it has no permission to write to {str(folder)!r}"
 
 
 def _is_same(expected_check: InputCheck) -> bool:
@@ -172,7 +178,7 @@ class WorkerProcesses:
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
         self._busy.append(process)
         try:
-            outcome = process.make(item)
+            outcome = process.build_item(item)
         except OSError as error:
             self._busy.remove(process)
             process.end()
@@ -196,20 +202,20 @@ def check_task(
 ) -> Callable[[bytes], tuple[str, str, str]]:
     """Return a task that checks a worker: its host, and code and reason if unfit.
 
-    A worker drops out of its cluster if it cannot import names in a message. Therefore
-    the function is sent as code, and its animtool arguments as bytes.
+    A worker that cannot import names in a message leaves its cluster. Therefore the
+    function is sent as code, and its animtool arguments as bytes.
     """
 
-    def ask(pickled: bytes) -> tuple[str, str, str]:
+    def check_worker(pickled: bytes) -> tuple[str, str, str]:
         import platform
 
         from distributed import get_worker
 
         host = platform.node()
         try:
-            from animtool.batch.cluster_worker import admit
+            from animtool.batch.cluster_worker import prepare_worker
 
-            return (host, *admit(get_worker(), name, versions, pickled))
+            return (host, *prepare_worker(get_worker(), name, versions, pickled))
         except Exception as error:
             from importlib.metadata import PackageNotFoundError, version
 
@@ -220,13 +226,13 @@ def check_task(
             reason = f"it has {actual} instead of {versions['animtool']}: "
             return host, "BAT036", f"{reason}{type(error).__name__}: {error}"
 
-    return ask
+    return check_worker
 
 
 def build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
     """Return a task that builds an item on a checked worker, sent as code."""
 
-    def build(pickled: bytes) -> ItemOutcome | None:
+    def build_item(pickled: bytes) -> ItemOutcome | None:
         import pickle
 
         from distributed import get_worker
@@ -235,4 +241,4 @@ def build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
 
         return build_on(get_worker(), name, pickle.loads(pickled))
 
-    return build
+    return build_item

@@ -33,7 +33,7 @@ class CutMetadata:
 
 
 def cut_metadata(
-    metadata: Mapping[str, Any], named: str, *, rate: bool = False
+    metadata: Mapping[str, Any], owner_text: str, *, allows_fps: bool = False
 ) -> tuple[CutMetadata, list[tuple[str, str]]]:
     """Return the cut's metadata, and the faults in it with hints.
 
@@ -42,25 +42,29 @@ def cut_metadata(
     >>> cut_metadata({"animtool": {"handels": 8}}, "clip 'a'")[1]
     [("metadata.animtool of clip 'a' has no key 'handels'", "did you mean 'handles'?")]
     """
-    values_stated = metadata.get("animtool")
-    if values_stated is None:
+    stated_values = metadata.get("animtool")
+    if stated_values is None:
         return CutMetadata(), []
-    location = f"metadata.animtool of {named}"
-    names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
-    if not isinstance(values_stated, Mapping):
+    location = f"metadata.animtool of {owner_text}"
+    names = [
+        metadata_field.name
+        for metadata_field in fields(CutMetadata)
+        if allows_fps or metadata_field.name != "fps"
+    ]
+    if not isinstance(stated_values, Mapping):
         return CutMetadata(), [
             (f"{location} is not a table", f"keys: {', '.join(names)}")
         ]
     values: dict[str, Any] = {}
     faults = []
-    for key, value in values_stated.items():
+    for key, value in stated_values.items():
         if key not in names:
             faults.append(
                 (f"{location} has no key {excerpt(key)}", nearest(key, names))
             )
             continue
         try:
-            values[key] = _READ.get(key, _integer)(key, value)
+            values[key] = _PARSERS.get(key, _parse_integer)(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a value such as {EXAMPLES[key]}"
             faults.append((f"{location}: {key}: {error}", hint))
@@ -76,29 +80,29 @@ EXAMPLES = {
 }
 
 
-def _integer(key: str, value: object) -> int:
-    shown = excerpt(str(value))
+def _parse_integer(key: str, value: object) -> int:
+    value_text = excerpt(str(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{shown} is not a whole number")
+        raise TypeError(f"{value_text} is not a whole number")
     if abs(value) > MAX_FRAME or value != int(value):
-        raise ValueError(f"{shown} is not a whole number up to {MAX_FRAME}")
+        raise ValueError(f"{value_text} is not a whole number up to {MAX_FRAME}")
     if key == "handles" and value < 0:
-        raise ValueError(f"{shown} is below 0")
+        raise ValueError(f"{value_text} is below 0")
     return int(value)
 
 
-def _timecode(_key: str, value: object) -> str:
+def _parse_timecode(_key: str, value: object) -> str:
     if not is_timecode(value):
-        shown = excerpt(str(value))
+        value_text = excerpt(str(value))
         raise ValueError(
-            f"{shown} is not a time code such as 01:00:00:00 or 01:00:00;02"
+            f"{value_text} is not a time code such as 01:00:00:00 or 01:00:00;02"
         )
     return str(value).strip()
 
 
-_READ: dict[str, Callable[[str, Any], Any]] = {
+_PARSERS: dict[str, Callable[[str, Any], Any]] = {
     "fps": lambda _, value: parse_rate(value),
-    "first_timecode": _timecode,
+    "first_timecode": _parse_timecode,
 }
 
 
@@ -168,7 +172,7 @@ class CutContext:
         return parse_timecode(text, rate) / rate
 
     def cut_in(self) -> tuple[int, list[str]]:
-        """Return the first frame of the cut, and contradicting settings.
+        """Return the first frame of the cut, and messages about contradicting settings.
 
         A start includes the head handle. The project's default is 1001.
         """
@@ -179,18 +183,21 @@ class CutContext:
             (self.timeline.start_frame, self.timeline.cut_start, "the timeline's"),
             (None, settings.timeline.cut_start, "settings"),
         ]
-        for begin, cut, where in levels:
-            if begin is not None and cut not in {None, begin + self.handles}:
-                message = f"{where}: start_frame {begin} with handles of "
+        for start_frame, cut_start, level_name in levels:
+            if start_frame is not None and cut_start not in {
+                None,
+                start_frame + self.handles,
+            }:
+                message = f"{level_name}: start_frame {start_frame} with handles of "
                 message += (
                     f"{self.handles} puts the start of the cut at "
-                    f"{begin + self.handles}, "
+                    f"{start_frame + self.handles}, "
                 )
-                faults.append(f"{message}but cut_start is {cut}")
-            if cut is not None:
-                return cut, faults
-            if begin is not None:
-                return begin + self.handles, faults
+                faults.append(f"{message}but cut_start is {cut_start}")
+            if cut_start is not None:
+                return cut_start, faults
+            if start_frame is not None:
+                return start_frame + self.handles, faults
         start = SHOT_START if settings.start is None else int(settings.start)
         return start + self.handles, faults
 
@@ -236,10 +243,10 @@ def shot_of(
     )
 
 
-def played_notices(
-    shot: Shot, span: Span, fps: Fraction, named: str
+def shot_notices(
+    shot: Shot, span: Span, fps: Fraction, clip_text: str
 ) -> Iterator[tuple[str, str, bool]]:
-    """Yield unusual properties of a shot: code, message, whether a warning."""
+    """Yield notices about a shot: code, message, and whether it is a warning."""
     first_time, last_time = (
         f"{float(shot.seconds_at(frame)):.6g} s"
         for frame in (shot.cut_in, shot.cut_out)
@@ -247,20 +254,20 @@ def played_notices(
     if shot.speed == 0:
         yield (
             "BAT044",
-            f"{named} freezes its media at {first_time}; so does the shot",
+            f"{clip_text} freezes its media at {first_time}; so does the shot",
             False,
         )
     elif shot.speed < 0:
         range_text = f"from {first_time} of its media to {last_time}"
         yield (
             "BAT044",
-            f"{named} plays in reverse, {range_text}; so does the shot",
+            f"{clip_text} plays in reverse, {range_text}; so does the shot",
             True,
         )
     frames = span.seconds * fps
     if frames < 1 - FRAME_TOLERANCE:
         message = (
-            f"{named} shows {float(frames):.3g} of a frame; the shot has one frame"
+            f"{clip_text} shows {float(frames):.3g} of a frame; the shot has one frame"
         )
         yield "BAT043", message, True
 

@@ -16,24 +16,24 @@ from animtool.batch.cut_frames import (
     CutOptions,
     cut_metadata,
     media_names,
-    played_notices,
+    shot_notices,
     shot_of,
 )
 from animtool.batch.edl import edl_timeline, read_edl
 from animtool.batch.spans import (
+    ClipVisitor,
     ShownClip,
     Span,
     UnsupportedTimeError,
-    Walk,
     span_of,
     transition_sides,
 )
 from animtool.batch.timeline import (
     FRAME_TOLERANCE,
     exact_rate,
+    import_otio,
     is_edl,
     is_remote,
-    library,
     media_path,
     read_timeline,
     seconds_of,
@@ -57,10 +57,10 @@ from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
 
-# What a person reads of a timeline of thousands of clips.
+# Maximum numbers of reported faults and of listed names.
 MAX_FAULTS, MAX_NAMED = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
-MAX_NAME = 120
+MAX_NAME_LENGTH = 120
 # Everything but characters that are safe in file names and variables.
 _ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
@@ -89,15 +89,15 @@ def read_cuts(
     path: Path,
     media: Sequence[MatchedFile] = (),
     options: CutOptions | None = None,
-    left_out: Callable[[Path], bool] = lambda _: False,
+    is_excluded: Callable[[Path], bool] = lambda _: False,
 ) -> CutList:
     """Return the shots of a timeline: the clips of its video tracks.
 
-    A clip's media is the file that it refers to; without a reference, or if that file
-    is missing, it is the entry of ``media`` with the name of the clip or of that file.
+    A clip's media is the file that it refers to. Without a reference, or if that file
+    is missing, it is the entry of ``media`` with the name of the clip or of the file.
     Times are seconds of the media; a shot counts frames at the timeline's rate.
     """
-    return _CutReader(path, media, options or CutOptions(), left_out).read()
+    return _CutReader(path, media, options or CutOptions(), is_excluded).read()
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
@@ -109,12 +109,12 @@ def _shot_clips(
     entries: Sequence[ShownClip],
     name: str | None,
     path: Path,
-    skipped: Mapping[str, str],
+    skip_reasons: Mapping[str, str],
 ) -> list[ShownClip]:
     """Return the clips of a named shot; without a name the only clip."""
     names = [entry.name for entry in entries]
-    if name is not None and name not in names and name in skipped:
-        message = f"has no shot {excerpt(name)}: {skipped[name]}"
+    if name is not None and name not in names and name in skip_reasons:
+        message = f"has no shot {excerpt(name)}: {skip_reasons[name]}"
         raise OptionError(Fault("BAT048", message, str(path)))
     if not names:
         message = "has no clip, so there is no shot to bake"
@@ -141,17 +141,17 @@ class _CutReader:
         path: Path,
         media: Sequence[MatchedFile],
         options: CutOptions,
-        left_out: Callable[[Path], bool] = lambda _: False,
+        is_excluded: Callable[[Path], bool] = lambda _: False,
     ) -> None:
-        self.path, self.options, self.left_out = path, options, left_out
+        self.path, self.options, self.is_excluded = path, options, is_excluded
         self.cuts = CutList()
         self.faults: list[Fault] = []
         # Shot names, each with the highest number appended so far.
-        self.taken: dict[str, int] = {}
+        self.used_names: dict[str, int] = {}
         self.timeline_metadata = CutMetadata()
         self.fps = Fraction(0)
         self.tree: Any = None  # the timeline; without it clips have no parents
-        self.drop = False  # whether time codes of media are drop-frame
+        self.is_drop_frame = False  # whether time codes of media are drop-frame
         self.media: dict[str, MatchedFile] = {}
         for file in media:
             self.media.setdefault(source_stem(file.path).casefold(), file)
@@ -161,32 +161,34 @@ class _CutReader:
         return self.cuts_of(self.clips().clips)
 
     def read_one(self, name: str | None) -> CutList:
-        """Return a named shot."""
+        """Return the shot of a name, or the only shot."""
         walk = self.clips()
-        return self.cuts_of(_shot_clips(walk.clips, name, self.path, walk.skipped))
+        return self.cuts_of(_shot_clips(walk.clips, name, self.path, walk.skip_reasons))
 
-    def clips(self) -> Walk:
+    def clips(self) -> ClipVisitor:
         """Return the visible clips with the names of their shots."""
-        walk = Walk(self.say)
+        walk = ClipVisitor(self.report_omission)
         timeline = self.tree = self.timeline()
         if timeline is None:
             return walk
         try:
-            walk.timeline(timeline.tracks)
-        except (ValueError, library().exceptions.OTIOError) as error:
+            walk.visit_timeline(timeline.tracks)
+        except (ValueError, import_otio().exceptions.OTIOError) as error:
             message = f"a range in it is invalid: {excerpt(str(error), 120)}"
             raise FormatError(Fault("BAT041", message, str(self.path))) from error
         if walk.gaps:
             self.note("BAT043", f"skipped gaps: {walk.gaps}")
-        walk.clips[:] = [self.entry(shown) for shown in walk.clips]
+        walk.clips[:] = [self.entry(shown_clip) for shown_clip in walk.clips]
         return walk
 
     def timeline(self) -> Any:
         """Return the timeline, its rate and metadata; None without events."""
-        library()
+        import_otio()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
-            self.timeline_metadata = self.metadata(timeline, "the timeline", rate=True)
+            self.timeline_metadata = self.metadata(
+                timeline, "the timeline", allows_fps=True
+            )
             requested_fps = self.options.fps
             rate = timeline_rate(
                 timeline, self.path, self.timeline_metadata.fps, requested_fps
@@ -196,7 +198,10 @@ class _CutReader:
             edl = read_edl(self.path)
             if not edl.events:
                 return None
-            self.fps, self.drop = edl_rate(edl, self.options.fps), edl.only_drop
+            self.fps, self.is_drop_frame = (
+                edl_rate(edl, self.options.fps),
+                edl.is_all_drop_frame,
+            )
             timeline, notices = edl_timeline(edl, self.fps)
         self.cuts.notices += notices
         return timeline
@@ -209,9 +214,9 @@ class _CutReader:
             raise FormatError(first_faults(self.faults, MAX_FAULTS, str(self.path)))
         return self.cuts
 
-    def say(self, code: str, message: str, warn: bool) -> None:
-        """Report parts of the timeline that were left out or changed."""
-        self.note(code, message, Severity.WARNING if warn else Severity.NOTE)
+    def report_omission(self, code: str, message: str, is_warning: bool) -> None:
+        """Report an item of the timeline that was skipped or changed."""
+        self.note(code, message, Severity.WARNING if is_warning else Severity.NOTE)
 
     def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
         """Record a notice on the timeline."""
@@ -222,18 +227,22 @@ class _CutReader:
         """Record an error of the timeline."""
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
-    def metadata(self, schema: Any, named: str, *, rate: bool = False) -> CutMetadata:
+    def metadata(
+        self, schema: Any, owner_text: str, *, allows_fps: bool = False
+    ) -> CutMetadata:
         """Return ``metadata.animtool`` of a clip or the timeline."""
-        metadata, faults = cut_metadata(schema.metadata, named, rate=rate)
+        metadata, faults = cut_metadata(
+            schema.metadata, owner_text, allows_fps=allows_fps
+        )
         for message, hint in faults:
             self.fault("BAT047", message, hint)
         return metadata
 
-    def entry(self, shown: ShownClip) -> ShownClip:
+    def entry(self, shown_clip: ShownClip) -> ShownClip:
         """Return a clip with the name of its shot."""
-        path = self.referred(shown.clip)
-        name = shown.clip.name or ("" if path is None else source_stem(path))
-        return replace(shown, name=self.name(name, shown.named))
+        path = self.referenced_path(shown_clip.clip)
+        name = shown_clip.clip.name or ("" if path is None else source_stem(path))
+        return replace(shown_clip, name=self.name(name, shown_clip.clip_text))
 
     def clip(self, entry: ShownClip) -> None:
         """Add the shot of a clip."""
@@ -241,52 +250,56 @@ class _CutReader:
         # need.
         from animtool.core.clock import MAX_FRAMES
 
-        clip, clip_and_name = entry.clip, entry.named
-        medium = self.medium(clip, clip_and_name)
-        if medium is None:
+        clip, clip_text = entry.clip, entry.clip_text
+        media_file = self.find_media_file(clip, clip_text)
+        if media_file is None:
             return
         clip_metadata, settings = (
-            self.metadata(clip, clip_and_name),
+            self.metadata(clip, clip_text),
             find_config(self.path),
         )
         context = CutContext(
             self.options, clip_metadata, self.timeline_metadata, settings
         )
         for message in context.cut_in()[1]:
-            self.fault("BAT047", f"{clip_and_name}: {message}", "write one of them")
-        available = clip.media_reference.available_range
+            self.fault("BAT047", f"{clip_text}: {message}", "write one of them")
+        media_range = clip.media_reference.available_range
         try:
             span = span_of(entry)
             media_start, media_fps = None, span.rate
-            if available is not None:
-                media_start = seconds_of(available.start_time)
-                media_fps = exact_rate(available.start_time.rate)
-            first_time = context.first_timecode(media_start, span.rate, drop=self.drop)
+            if media_range is not None:
+                media_start = seconds_of(media_range.start_time)
+                media_fps = exact_rate(media_range.start_time.rate)
+            first_time = context.first_timecode(
+                media_start, span.rate, drop=self.is_drop_frame
+            )
             transitions = self.overlaps(entry, span)
         except UnsupportedTimeError as error:
-            message = f"{clip_and_name}: {error}; it is skipped"
+            message = f"{clip_text}: {error}; it is skipped"
             self.note("BAT044", message, Severity.WARNING)
             return
         except Exception as error:
-            message = (
-                f"the range of {clip_and_name} is invalid: {excerpt(str(error), 120)}"
-            )
+            message = f"the range of {clip_text} is invalid: {excerpt(str(error), 120)}"
             self.fault("BAT041", message)
             return
         if span.seconds <= 0:
-            self.fault("BAT041", f"{clip_and_name} shows no frame of its media")
+            self.fault("BAT041", f"{clip_text} shows no frame of its media")
             return
         shot = shot_of(
-            entry.name, span, self.fps, context, first_time, transitions, drop=self.drop
+            entry.name,
+            span,
+            self.fps,
+            context,
+            first_time,
+            transitions,
+            drop=self.is_drop_frame,
         )
         if shot.end - shot.start >= MAX_FRAMES:
-            message = (
-                f"{clip_and_name} has too many frames: {shot.end - shot.start + 1}"
-            )
+            message = f"{clip_text} has too many frames: {shot.end - shot.start + 1}"
             self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
-        for notice in played_notices(shot, span, self.fps, clip_and_name):
-            self.say(*notice)
+        for notice in shot_notices(shot, span, self.fps, clip_text):
+            self.report_omission(*notice)
         names = {
             "shot": shot.name,
             "clip": clip.name or "",
@@ -294,18 +307,18 @@ class _CutReader:
             **shot.names(),
             **media_names(shot, media_fps),
         }
-        self.cuts.shots.append(Cut(medium, names, shot))
+        self.cuts.shots.append(Cut(media_file, names, shot))
 
-    def referred(self, clip: Any) -> Path | None:
+    def referenced_path(self, clip: Any) -> Path | None:
         """Return the file that a clip refers to, which may be missing."""
         url = getattr(clip.media_reference, "target_url", None)
         return None if not url else media_path(str(url), self.path.parent)
 
-    def medium(self, clip: Any, named: str) -> MatchedFile | None:
+    def find_media_file(self, clip: Any, clip_text: str) -> MatchedFile | None:
         """Return the media of a clip; None if it has none or it is missing."""
-        path = self.referred(clip)
-        if path is not None and self.left_out(path):
-            self.note("BAT043", f"{named} is skipped, as requested: {path}")
+        path = self.referenced_path(clip)
+        if path is not None and self.is_excluded(path):
+            self.note("BAT043", f"{clip_text} is skipped, as requested: {path}")
             return None
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
@@ -324,19 +337,21 @@ class _CutReader:
                 clip.media_reference.target_url if is_remote(clip) else path
             )
             self.fault(
-                "BAT042", f"the media of {named} is {problem}: {reference_text}", hint
+                "BAT042",
+                f"the media of {clip_text} is {problem}: {reference_text}",
+                hint,
             )
         elif self.media:
-            self.fault("BAT042", f"no media matches the name of {named}")
+            self.fault("BAT042", f"no media matches the name of {clip_text}")
         else:
-            message = f"{named} is skipped: it refers to no media"
+            message = f"{clip_text} is skipped: it refers to no media"
             self.note("BAT043", message, Severity.WARNING)
         return None
 
     def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
         """Return the frames that transitions add before and after a cut."""
         sides_and_ends = zip(
-            transition_sides(entry), (span.head, span.tail), strict=True
+            transition_sides(entry), (span.shows_begin, span.shows_end), strict=True
         )
         frames_before, frames_after = (
             ceil(seconds_of(transition) / entry.speed * self.fps - FRAME_TOLERANCE)
@@ -350,21 +365,21 @@ class _CutReader:
             )
             self.note(
                 "BAT043",
-                f"{entry.named} is in transitions: {overlap_text} are included",
+                f"{entry.clip_text} is in transitions: {overlap_text} are included",
             )
         return frames_before, frames_after
 
-    def name(self, shot: str, named: str) -> str:
+    def name(self, shot: str, clip_text: str) -> str:
         """Return a legal name that no other shot has."""
-        legal = _ILLEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
-        name, number = legal, self.taken.get(legal.casefold(), 1)
-        while name.casefold() in self.taken:
+        legal_name = _ILLEGAL.sub("_", shot).strip("_-")[:MAX_NAME_LENGTH] or "shot"
+        name, number = legal_name, self.used_names.get(legal_name.casefold(), 1)
+        while name.casefold() in self.used_names:
             number += 1
-            name = f"{legal}_{number}"
-        self.taken[name.casefold()] = 1
-        self.taken[legal.casefold()] = number
+            name = f"{legal_name}_{number}"
+        self.used_names[name.casefold()] = 1
+        self.used_names[legal_name.casefold()] = number
         if name != shot:
-            self.note("BAT046", f"{named} is the shot {name}")
+            self.note("BAT046", f"{clip_text} is the shot {name}")
         return name
 
 

@@ -1,4 +1,4 @@
-"""Files that another machine built, compared with local copies."""
+"""Checks that files written by another machine have arrived."""
 
 from __future__ import annotations
 
@@ -19,48 +19,50 @@ from animtool.core.record import dataclass
 # If there are more inputs, only every n-th is checked.
 MAX_INPUTS = 10_000
 # Larger inputs are not compared by content before the first item [bytes].
-MAX_COMPARED = 10_000_000
+MAX_COMPARED_BYTES = 10_000_000
 
 
 @dataclass(slots=True)
 class Delivery:
-    """State of local files, each read once while it is unchanged."""
+    """Compares inputs and outputs of other machines with local files."""
 
     root: Path  # root of the paths in records
     # State of inputs at their first access.
     _states: dict[Path, FileState | None] = field(default_factory=dict)
     _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
-    def note(self, path: Path) -> FileState | None:
+    def record_state(self, path: Path) -> FileState | None:
         """Return the first recorded state of an input."""
         absolute_path = path.absolute()
         if absolute_path not in self._states:
             self._states[absolute_path] = FileState.of(absolute_path)
         return self._states[absolute_path]
 
-    def checks(self, inputs: Iterable[Path]) -> Iterator[InputCheck]:
+    def input_checks(self, inputs: Iterable[Path]) -> Iterator[InputCheck]:
         """Yield the inputs that a worker must see; every n-th if there are many."""
         paths = list(dict.fromkeys(path.absolute() for path in inputs))
         for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
-            state = self.note(path)
+            state = self.record_state(path)
             if state is not None and path.is_file():
-                is_compared = state.size <= MAX_COMPARED and len(paths) <= MAX_INPUTS
+                is_compared = (
+                    state.size <= MAX_COMPARED_BYTES and len(paths) <= MAX_INPUTS
+                )
                 with suppress(AnimtoolError, OSError):
                     digest = file_digest(path) if is_compared else ""
                     yield InputCheck(str(path), state.size, digest)
 
-    def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
+    def differing_inputs(self, outcome: ItemOutcome) -> list[Path]:
         """Return the inputs whose local content differs from what the item recorded."""
         paths = [
             (path_of_name(record.path, self.root), record) for record in outcome.inputs
         ]
         return [path for path, record in paths if not self._is_same(path, record)]
 
-    def changed(self, paths: Iterable[Path]) -> list[Path]:
+    def locally_changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the inputs that changed locally since their first record."""
-        return [path for path in paths if self.note(path) != FileState.of(path)]
+        return [path for path in paths if self.record_state(path) != FileState.of(path)]
 
-    def delivered(self, outcome: ItemOutcome) -> ItemOutcome | None:
+    def with_local_outputs(self, outcome: ItemOutcome) -> ItemOutcome | None:
         """Return an outcome with its local outputs; None until they match.
 
         The state is read again each time, since a network disk may remember for a

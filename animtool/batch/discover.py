@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, cast
 
 from animtool.batch.cut_frames import SHOT_NAMES
 from animtool.batch.cuts import Cut
-from animtool.batch.inputs import cuts_of, input_suffixes, no_input, with_timeline
+from animtool.batch.inputs import cuts_of, input_suffixes, no_input_error, with_timeline
 from animtool.batch.item import (
     INPUT_NAMES,
     Item,
     ItemTask,
-    NamedOutputs,
+    OutputPattern,
     UnsafeNameError,
     file_pattern,
     input_names,
     output_root,
     unknown_names,
 )
-from animtool.batch.overrides import Overridden, overridden
+from animtool.batch.overrides import OverriddenVariables, resolve_overrides
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.core.arguments import argument
@@ -49,9 +49,9 @@ MAX_FAULTS = 50
 def sample_source(
     spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
-    """Return the source of an input's first item.
+    """Return the source of the first item of an input.
 
-    variables: overrides for the input.
+    variables: Overridden variables of the input.
     """
     names, file = {**shot.names, **spec.rows[0]}, shot.media
     return item_task.source(
@@ -80,7 +80,10 @@ def check_columns(spec: BatchSpec) -> None:
 
 
 def check_effects(
-    spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], overrides: Overridden
+    spec: BatchSpec,
+    item_task: ItemTask,
+    shots: Sequence[Cut],
+    overrides: OverriddenVariables,
 ) -> None:
     """Refuse scenes whose items or variants would all be equal."""
     shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
@@ -100,8 +103,8 @@ def check_effects(
             continue
         values = overrides.values.get(shot.media.path, {})
         scene = cast("Scene", sample_source(spec, item_task, shot, values))
-        inputs = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-        if spec.scene is not None and not scene.effective_variables & inputs:
+        input_variables = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
+        if spec.scene is not None and not scene.effective_variables & input_variables:
             faults.append(_unused_inputs_fault(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
             names_text = ", ".join(f"${{{name}}}" for name in names)
@@ -135,7 +138,7 @@ class Batch:
     limits: Limits  # limits of each item
     jobs: int | None  # number of processes; None uses one per processor
     root: Path  # folder of all outputs, absolute; root of the paths in records
-    named: tuple[Path, ...] = ()  # files that all items are built with, such as a scene
+    shared_inputs: tuple[Path, ...] = ()  # inputs of all items, such as a scene
     # Source of the first item, if all have the same scene.
     sample: Source | None = None
     # Warnings about the timeline, the inputs and the overrides.
@@ -169,10 +172,10 @@ def find_batch(spec: BatchSpec) -> Batch:
     cuts = cuts_of(spec)
     shots = cuts.shots
     if not shots:
-        raise no_input(spec)
+        raise no_input_error(spec)
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
-    overrides = overridden(
+    overrides = resolve_overrides(
         spec.overrides, files, spec.folder, input_suffixes(spec), spec.path
     )
     sample = None
@@ -183,7 +186,7 @@ def find_batch(spec: BatchSpec) -> Batch:
             item_task.refuse_several(sample)
     _check_variables(spec, item_task, sample)
     check_effects(spec, item_task, shots, overrides)
-    items = _Items(spec, item_task, shots, sample, overrides).build()
+    items = _ItemListBuilder(spec, item_task, shots, sample, overrides).build()
     _check_roots(spec, items)
     options = spec.options
     notices = (*cuts.notices, *overrides.notices)
@@ -218,18 +221,18 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     shots = cuts_of(spec).shots
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
-    overrides = overridden(
+    overrides = resolve_overrides(
         spec.overrides, files, spec.folder, input_suffixes(spec), spec.path
     )
-    by_scene: dict[Path, SceneValues] = {}
+    values_by_scene: dict[Path, SceneValues] = {}
     for shot in shots:
         path = spec.scene or shot.media.path
-        if path not in by_scene and has_kind_suffix(path, "scene"):
+        if path not in values_by_scene and has_kind_suffix(path, "scene"):
             names, file = {**shot.names, **spec.rows[0]}, shot.media
             values = overrides.values.get(file.path, {})
             item = Item(1, file, file.path, names, variables=values)
-            by_scene[path] = SceneValues(item_task.names(item), frozenset(names))
-    return by_scene
+            values_by_scene[path] = SceneValues(item_task.names(item), frozenset(names))
+    return values_by_scene
 
 
 def _with_scene_input(spec: BatchSpec) -> BatchSpec:
@@ -270,21 +273,21 @@ def _check_variables(
     spec: BatchSpec, item_task: ItemTask, sample: Source | None
 ) -> None:
     """Refuse variables that neither the scene nor the output uses."""
-    overridden = [name for override in spec.overrides for name in override.variables]
-    variables = [*dict.fromkeys([*spec.variables, *overridden]), *spec.rows[0]]
-    used_in_output = {
-        name for name in variables if f"{{{name}}}" in (spec.output or "")
-    }
+    override_names = [
+        name for override in spec.overrides for name in override.variables
+    ]
+    variables = [*dict.fromkeys([*spec.variables, *override_names]), *spec.rows[0]]
+    used_names = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
-        used_in_output |= set(getattr(sample, "variables", ()))
+        used_names |= set(getattr(sample, "variables", ()))
     elif any(has_kind_suffix(path, "scene") for path in item_task.kinds):
         # Each holds its faults until the items are built.
-        used_in_output |= set(variables)
-    taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
+        used_names |= set(variables)
+    reserved_names = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
     has_scene = spec.scene is not None
     check_unused(
         variables,
-        used_in_output - taken,
+        used_names - reserved_names,
         spec.path,
         in_batch=spec.path is not None,
         has_scene=has_scene,
@@ -292,14 +295,14 @@ def _check_variables(
 
 
 @dataclass(slots=True)
-class _Items:
+class _ItemListBuilder:
     """Builds the items, each with its output: by pattern, scene or input."""
 
     spec: BatchSpec
     item_task: ItemTask
     shots: Sequence[Cut]
     sample: Source | None
-    overrides: Overridden
+    overrides: OverriddenVariables
     faults: list[Fault] = field(default_factory=list)
 
     def build(self) -> tuple[Item, ...]:
@@ -308,7 +311,7 @@ class _Items:
         outputs = None
         if spec.output is not None:
             paths = frozenset({"parent", *spec.variables})
-            outputs = NamedOutputs(spec.output, spec.folder, paths)
+            outputs = OutputPattern(spec.output, spec.folder, paths)
         combinations = itertools.product(self.shots, spec.rows)
         items = [
             self._item(number, shot, row, outputs)
@@ -323,32 +326,34 @@ class _Items:
         number: int,
         shot: Cut,
         row: Mapping[str, str],
-        outputs: NamedOutputs | None,
+        outputs: OutputPattern | None,
     ) -> Item:
-        spec, file, overrides = self.spec, shot.media, {**shot.names, **row}
+        spec, file, row_values = self.spec, shot.media, {**shot.names, **row}
         variables = self.overrides.values.get(file.path, {})
         file_name_parts = {name: file_name(value) for name, value in row.items()}
         suffix = "".join(f"_{part}" for part in file_name_parts.values())
-        output = file.path.with_name(f"{source_stem(file.path)}{suffix}.usdc")
+        output_path = file.path.with_name(f"{source_stem(file.path)}{suffix}.usdc")
         if spec.cuts is not None:
-            output = spec.cuts.with_name(f"{shot.names['shot']}{suffix}.usdc")
+            output_path = spec.cuts.with_name(f"{shot.names['shot']}{suffix}.usdc")
         if outputs is not None:
             names = {**spec.variables, **variables, **input_names(file)}
             names |= {**shot.names, **file_name_parts}
             try:
-                output = outputs.path(names)
+                output_path = outputs.path(names)
             except UnsafeNameError as error:
-                self._refuse(shot, row, error)
-        item = Item(number, file, output, overrides, (), row, variables, shot.shot)
+                self._record_unsafe_output(shot, row, error)
+        item = Item(
+            number, file, output_path, row_values, (), row, variables, shot.shot
+        )
         named_by_scene = getattr(self.sample, "output", None) is not None
         if outputs is None and (
             named_by_scene
             or (spec.scene is None and has_kind_suffix(file.path, "scene"))
         ):
-            item = self.item_task.named(item)
+            item = self.item_task.with_scene_outputs(item)
         return item
 
-    def _refuse(
+    def _record_unsafe_output(
         self, shot: Cut, row: Mapping[str, str], error: UnsafeNameError
     ) -> None:
         """Record an output with an unsafe name, located in the file that states it."""

@@ -22,17 +22,17 @@ from animtool.core.rates import parse_rate, rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import count_rate, parse_timecode
 
-# Maximum size; a feature film with all comments has a hundredth [bytes].
+# Maximum size [bytes]; a feature film with all comments has a hundredth of it.
 MAX_BYTES = 100_000_000
 MAX_FAULTS = 100
 MAX_FRAME = 10**9
 # Reel names that mean black and bars.
 BLACK_REELS = {"BL", "BLACK_REELS", "BARS"}
 UNKNOWN_REEL = "AX"
-_LABEL = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
+_LABEL_PATTERN = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
 _EVENT = re.compile(
     r"(?P<number>\d+)\w?\s+(?P<reel>\S+)\s+(?P<channel>\S+)\s+(?P<edit>[A-Z]+\d*)\s+"
-    rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_LABEL})\s+){{3}}(?:{_LABEL}))\s*",
+    rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_LABEL_PATTERN})\s+){{3}}(?:{_LABEL_PATTERN}))\s*",
     re.IGNORECASE,
 )
 _SPEED_LINE = re.compile(
@@ -58,7 +58,7 @@ class Event:
     number: str
     reel: str
     channel: str
-    edit: str  # C for a cut, D a dissolve, W a wipe, K a key
+    edit_type: str  # C for a cut, D a dissolve, W a wipe, K a key
     length: int  # length of a transition [frame]
     times: tuple[str, str, str, str]  # source in and out, record in and out
     speed: str | None = None  # of M2: source frames per second
@@ -68,7 +68,7 @@ class Event:
 
 @dataclass(slots=True)
 class Edl:
-    """An EDL whose rate may be unknown."""
+    """The events of an EDL; its rate may be unknown."""
 
     path: Path
     title: str = ""
@@ -76,18 +76,18 @@ class Edl:
     fps: Fraction | None = None  # stated by comments
 
     @property
-    def drop(self) -> bool:
+    def has_drop_frame(self) -> bool:
         """Whether it has drop-frame time codes."""
         return any(";" in time for event in self.events for time in event.times)
 
     @property
-    def only_drop(self) -> bool:
+    def is_all_drop_frame(self) -> bool:
         """Whether all time codes are drop-frame."""
         times = (time for event in self.events for time in event.times)
-        return self.drop and all(";" in time for time in times)
+        return self.has_drop_frame and all(";" in time for time in times)
 
     @property
-    def last_label(self) -> int:
+    def max_frame_label(self) -> int:
         """The highest frame number within a second."""
         times = (time for event in self.events for time in event.times if ":" in time)
         return max((int(re.split("[:;]", time)[3]) for time in times), default=0)
@@ -97,14 +97,14 @@ def read_edl(path: Path) -> Edl:
     """Return the events of an EDL (else BAT041), with semicolons for drop-frame."""
     check_text(path)
     text = read_input(path, MAX_BYTES).decode("utf-8-sig", "replace")
-    edl, drop, rate_known = Edl(path), False, not text.strip()
+    edl, is_drop_frame, is_edl = Edl(path), False, not text.strip()
     faults = []
-    for number, raw in enumerate(text.splitlines(), 1):
-        line = raw.strip()
+    for number, raw_line in enumerate(text.splitlines(), 1):
+        line = raw_line.strip()
         if line.startswith("TITLE:"):
-            edl.title, rate_known = line[6:].strip(), True
+            edl.title, is_edl = line[6:].strip(), True
         elif line.startswith("FCM"):
-            drop, rate_known = (
+            is_drop_frame, is_edl = (
                 "NON" not in line.upper() and "DROP" in line.upper(),
                 True,
             )
@@ -113,12 +113,12 @@ def read_edl(path: Path) -> Edl:
             if match is None:
                 faults.append((f"{excerpt(line)} is not an EDL event", number))
             else:
-                edl.events.append(_event(match, number, drop=drop))
+                edl.events.append(_event(match, number, drop=is_drop_frame))
         elif (stated_rate := _RATE.fullmatch(line)) is not None and edl.fps is None:
             edl.fps = _rate_or_none(stated_rate["rate"])
         elif edl.events:
             _comment(edl.events[-1], line)
-    if not rate_known and not edl.events and not faults:
+    if not is_edl and not edl.events and not faults:
         faults.append(("contains no EDL event", 1))
     if faults:
         shown_faults = faults[:MAX_FAULTS]
@@ -170,17 +170,17 @@ def _comment(event: Event, line: str) -> None:
 
 def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
     """Return an EDL as an OpenTimelineIO timeline, with notices."""
-    return _TimelineBuilder(edl, rate).built()
+    return _TimelineBuilder(edl, rate).build()
 
 
 @dataclass(frozen=True, slots=True)
-class _Times:
+class _EventTimes:
     """The times of an event [frame]."""
 
     first: int
     count: int
     record: int
-    shown: int
+    shown_count: int
 
 
 class _TimelineBuilder:
@@ -189,11 +189,11 @@ class _TimelineBuilder:
 
         self.otio, self.edl, self.rate = otio, edl, rate
         self.tracks: dict[str, Any] = {}
-        self.ends: dict[str, int] = {}  # ends of tracks, in record frames
+        self.end_by_track: dict[str, int] = {}  # ends of tracks, in record frames
         self.notices: list[Fault] = []
         self.faults: list[Fault] = []
 
-    def built(self) -> tuple[Any, list[Fault]]:
+    def build(self) -> tuple[Any, list[Fault]]:
         """Return the timeline."""
         timeline = self.otio.schema.Timeline(self.edl.title)
         for event, belongs_to_next in _with_continuation(self.edl.events):
@@ -204,7 +204,7 @@ class _TimelineBuilder:
             raise FormatError(self.faults[:MAX_FAULTS])
         return timeline, self.notices
 
-    def times(self, event: Event) -> _Times | None:
+    def times(self, event: Event) -> _EventTimes | None:
         """Return the times of an event; None with a fault if invalid."""
         try:
             frames = [self.frame(text) for text in event.times]
@@ -221,7 +221,7 @@ class _TimelineBuilder:
         first_frame, last_frame = (
             sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
         )
-        return _Times(
+        return _EventTimes(
             first_frame, last_frame - first_frame, frames[2], frames[3] - frames[2]
         )
 
@@ -233,7 +233,9 @@ class _TimelineBuilder:
             return int(text)
         return int(parse_timecode(text, self.rate))
 
-    def add(self, timeline: Any, event: Event, times: _Times, later: bool) -> None:
+    def add(
+        self, timeline: Any, event: Event, times: _EventTimes, belongs_to_next: bool
+    ) -> None:
         """Add an event to its tracks."""
         schema = self.otio.schema
         for name in _tracks_of(event.channel):
@@ -242,36 +244,34 @@ class _TimelineBuilder:
                 self.tracks[name] = schema.Track(name, kind=kind)
                 timeline.tracks.append(self.tracks[name])
             track = self.tracks[name]
-            gap_frames = times.record - self.ends.get(name, times.record)
+            gap_frames = times.record - self.end_by_track.get(name, times.record)
             if gap_frames > 0 and len(track):
                 track.append(schema.Gap(source_range=self.span(0, gap_frames)))
-            shown_frames = max(times.shown, 0) or times.count
-            self.ends[name] = times.record + shown_frames
-            if event.edit != "C" and event.length and len(track):
+            shown_frames = max(times.shown_count, 0) or times.count
+            self.end_by_track[name] = times.record + shown_frames
+            if event.edit_type != "C" and event.length and len(track):
                 track.append(self.transition(event))
             if event.reel.upper() in BLACK_REELS:
                 if shown_frames:
                     track.append(schema.Gap(source_range=self.span(0, shown_frames)))
-            elif not (later and times.count <= 0):
+            elif not (belongs_to_next and times.count <= 0):
                 track.append(self.clip(event, times))
 
     def transition(self, event: Event) -> Any:
         """Return a transition that starts with its second clip."""
-        time = self.otio.opentime.RationalTime
-        offset_and_length = (
-            time(0, float(self.rate)),
-            time(event.length, float(self.rate)),
+        rational_time = self.otio.opentime.RationalTime
+        offsets = (
+            rational_time(0, float(self.rate)),
+            rational_time(event.length, float(self.rate)),
         )
-        return self.otio.schema.Transition(
-            event.edit, "SMPTE_Dissolve", *offset_and_length
-        )
+        return self.otio.schema.Transition(event.edit_type, "SMPTE_Dissolve", *offsets)
 
-    def clip(self, event: Event, times: _Times) -> Any:
+    def clip(self, event: Event, times: _EventTimes) -> Any:
         """Return the clip of an event, with its speed."""
         schema, comments = self.otio.schema, event.comments
         url = comments.get("file")
         name = comments.get("name")
-        if event.edit != "C":
+        if event.edit_type != "C":
             name = comments.get("to") or name
         if name is None:
             reel = "" if event.reel.upper() == UNKNOWN_REEL else event.reel
@@ -284,9 +284,11 @@ class _TimelineBuilder:
             clip.effects.append(schema.LinearTimeWarp(time_scalar=float(speed)))
         return clip
 
-    def speed(self, event: Event, times: _Times, name: str) -> tuple[Fraction, int]:
+    def speed(
+        self, event: Event, times: _EventTimes, name: str
+    ) -> tuple[Fraction, int]:
         """Return the speed of an event and its number of frames."""
-        source, record_frames = max(times.count, 0), max(times.shown, 0)
+        source, record_frames = max(times.count, 0), max(times.shown_count, 0)
         if event.freeze:
             return Fraction(0), record_frames or source
         if event.speed is not None:
@@ -312,8 +314,10 @@ class _TimelineBuilder:
 
     def span(self, first: int, count: int) -> Any:
         """Return a range of frames."""
-        time, rate = self.otio.opentime.RationalTime, float(self.rate)
-        return self.otio.opentime.TimeRange(time(first, rate), time(count, rate))
+        rational_time, rate = self.otio.opentime.RationalTime, float(self.rate)
+        return self.otio.opentime.TimeRange(
+            rational_time(first, rate), rational_time(count, rate)
+        )
 
 
 def _event_speed(event: Event) -> Fraction:

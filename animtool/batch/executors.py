@@ -32,8 +32,8 @@ class Work:
     Attributes:
         builder: Builds an item, and raises only to end its process; can be sent to
             other processes.
-        items: Items to build. Take one only when it can be started: taking it reports
-            its start.
+        items: Items to build. Take one only when it can be started, since taking it
+            reports its start.
         limits: Limits of each item.
         jobs: Maximum number of simultaneous items.
         argument: Text after the executor's name and ``=``.
@@ -50,7 +50,7 @@ class Work:
     limits: Limits
     jobs: int
     argument: str = ""
-    asked: int | None = None
+    requested_jobs: int | None = None
     inputs: tuple[Path, ...] = ()
     folders: tuple[Path, ...] = ()
     queue_next: bool = True
@@ -106,14 +106,14 @@ EXECUTORS = {
 def processes(work: Work) -> Iterator[ItemOutcome]:
     """Yield outcomes of items built by several local processes."""
     if work.argument:
-        raise _argument("processes", f"{argument('jobs')} sets how many")
+        raise _argument_error("processes", f"{argument('jobs')} sets how many")
     return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
 def serial(work: Work) -> Iterator[ItemOutcome]:
     """Yield outcomes of items built one after another in this process."""
     if work.argument:
-        raise _argument("serial", "it takes no argument")
+        raise _argument_error("serial", "it takes no argument")
     if work.limits != Limits():
         message = "serial builds items in its own process, which cannot be limited"
         hint = f"processes applies limits, even with {argument('jobs', 1)}"
@@ -121,7 +121,7 @@ def serial(work: Work) -> Iterator[ItemOutcome]:
     return map(work.builder.build, work.items)
 
 
-def _argument(name: str, hint: str) -> OptionError:
+def _argument_error(name: str, hint: str) -> OptionError:
     return OptionError(Fault("BAT031", f"{name} takes no argument", hint=hint))
 
 

@@ -42,11 +42,11 @@ from animtool.scene.sources.open import SourceOptions
 
 
 def value_text(document: Document, location: Location, value: Value) -> str:
-    """Return a value as written; numbers keep their digits."""
+    """Return a value as text; numbers are spelled as in the file."""
     if isinstance(value, str):
         return value
-    written = document.written(location)
-    return written or str(value).lower()
+    source_text = document.written(location)
+    return source_text or str(value).lower()
 
 
 def variables_of_document(
@@ -59,25 +59,26 @@ def variables_of_document(
             hint = "use letters, digits and _, and do not start with a digit"
             document.add("BAT002", (*location, name), message, hint)
     return {
-        name: value_text(document, (*location, name), v) for name, v in values.items()
+        name: value_text(document, (*location, name), value)
+        for name, value in values.items()
     }
 
 
 def overrides_of_document(
-    document: Document, models: Sequence[OverrideModel], taken_names: Collection[str]
+    document: Document, models: Sequence[OverrideModel], reserved_names: Collection[str]
 ) -> tuple[Override, ...]:
     """Return the overrides of a batch file, with faults of names.
 
     Args:
         document: The batch file.
         models: Entries of the batch file.
-        taken_names: Names whose values come from elsewhere.
+        reserved_names: Names whose values come from elsewhere.
     """
     overrides = []
     for i, model in enumerate(models):
         location = ("overrides", i, "variables")
         values = variables_of_document(document, location, model.variables)
-        for name in sorted(values.keys() & taken_names):
+        for name in sorted(values.keys() & reserved_names):
             message = f"{name!r} already has a value for each item"
             hint = "inputs, shots and variants set it: give the variable another name"
             document.add("BAT063", (*location, name), message, hint)
@@ -89,17 +90,17 @@ VARIANTS_LOCATION = ("variants",)
 
 
 def rows_of_document(
-    document: Document, variants: Any, taken_names: Collection[str]
+    document: Document, variants: Any, reserved_names: Collection[str]
 ) -> Variants | None:
     """Return the variants of a batch file; None without any, or with faults."""
-    reader = _VariantReader(document, taken_names)
+    reader = _VariantReader(document, reserved_names)
     fault_count = len(document.faults)
     if isinstance(variants, list):
         table = reader.rows(variants)
     else:
         columns = reader.columns(variants)
         # If values are faulty, the table is incomplete.
-        table = None if len(document.faults) > fault_count else reader.combined(columns)
+        table = None if len(document.faults) > fault_count else reader.combine(columns)
     return (
         None
         if len(document.faults) > fault_count
@@ -109,8 +110,8 @@ def rows_of_document(
 
 
 class _VariantReader:
-    def __init__(self, document: Document, taken_names: Collection[str]) -> None:
-        self.document, self.taken_names = document, taken_names
+    def __init__(self, document: Document, reserved_names: Collection[str]) -> None:
+        self.document, self.reserved_names = document, reserved_names
 
     def columns(self, table: Mapping[str, Any]) -> dict[str, list[str]]:
         """Return the values of each column."""
@@ -120,7 +121,7 @@ class _VariantReader:
             for name, entry in table.items()
         }
 
-    def combined(self, columns: Mapping[str, list[str]]) -> Variants | None:
+    def combine(self, columns: Mapping[str, list[str]]) -> Variants | None:
         """Return every combination of the values of columns."""
         try:
             return columns_variants(columns)
@@ -142,8 +143,10 @@ class _VariantReader:
         rows_read = []
         for i, entry in enumerate(table):
             if set(entry) != set(column_names):
-                differing = ", ".join(sorted(set(entry) ^ set(column_names)))
-                message = f"the columns differ from those of the first row: {differing}"
+                different_names = ", ".join(sorted(set(entry) ^ set(column_names)))
+                message = (
+                    f"the columns differ from those of the first row: {different_names}"
+                )
                 hint = f"columns: {', '.join(column_names)}"
                 self.document.add("BAT062", (*VARIANTS_LOCATION, i), message, hint)
                 continue
@@ -156,7 +159,7 @@ class _VariantReader:
         return Variants(tuple(rows_read))
 
     def _check_names(self, location: Location, names: list[str]) -> None:
-        for i, message in name_problems(names, self.taken_names):
+        for i, message in name_problems(names, self.reserved_names):
             self.document.add("BAT063", (*location, names[i]), message)
 
     def _values(self, location: Location, values: Any) -> Iterator[str]:
@@ -179,9 +182,9 @@ class _VariantReader:
         except ValueError as error:
             self.document.add("BAT064", location, str(error))
 
-    def _value(self, location: Location, around: Any) -> str:
+    def _value(self, location: Location, container: Any) -> str:
         """Return a value in a list or a row."""
-        text = value_text(self.document, location, around[location[-1]])
+        text = value_text(self.document, location, container[location[-1]])
         problem = value_problem(text)
         if problem is not None:
             self.document.add("BAT064", location, problem)
@@ -223,14 +226,14 @@ class _BatchReader:
         self.keys = KeyReader(document, project_roots(document.path), "BAT002")
 
     def spec(self) -> BatchSpec:
-        model, path, read = self.model, self.document.path, self.keys.read_file
+        model, path, read_file = self.model, self.document.path, self.keys.read_file
         if model.scene is not None and model.options is not None:
             message = "the batch has both a scene and options"
             hint = "move the options into the scene's output"
             self.document.add("BAT001", ("options",), message, hint)
         has_inputs = not self.document.is_placeholder(("inputs",))
-        scene_alone = model.scene and model.variants
-        if has_inputs and not (model.inputs or self.of_shots or scene_alone):
+        is_scene_alone = model.scene and model.variants
+        if has_inputs and not (model.inputs or self.of_shots or is_scene_alone):
             states_inputs = "inputs" in model.model_fields_set
             message = "has no entries" if states_inputs else "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
@@ -239,7 +242,7 @@ class _BatchReader:
             )
         variants = self._variants()
         columns = () if variants is None else variants.names
-        self._names(columns)
+        self._check_output_names(columns)
         memory = self.keys.parse_value(
             ("limits", "memory"), model.limits.memory, parse_bytes
         )
@@ -248,14 +251,14 @@ class _BatchReader:
             path.parent,
             path.name.rpartition(".batch.")[0] or path.stem,
             tuple(model.exclude),
-            None if model.scene is None else read(("scene",), model.scene),
+            None if model.scene is None else read_file(("scene",), model.scene),
             variables_of_document(self.document, ("variables",), model.variables),
             self._options(model.options or OptionsModel()),
             model.output,
             Limits(model.limits.seconds, memory),
             None if model.jobs == "auto" else model.jobs,
             path,
-            None if model.cut is None else read(("cut",), model.cut),
+            None if model.cut is None else read_file(("cut",), model.cut),
             model.handles,
             variants,
             self.keys.roots,
@@ -295,13 +298,13 @@ class _BatchReader:
         taken_names = {*self._reserved_names(), *self.model.variables}
         return rows_of_document(self.document, variants, taken_names)
 
-    def _names(self, columns: Sequence[str]) -> None:
+    def _check_output_names(self, columns: Sequence[str]) -> None:
         """Check the names in braces in the output."""
         model = self.model
-        known = dict.fromkeys([*model.variables, *columns], "")
+        known_names = dict.fromkeys([*model.variables, *columns], "")
         if self.of_shots:
-            known |= dict.fromkeys(SHOT_NAMES, "")
-        for message, hint in unknown_names(model.output or "", known):
+            known_names |= dict.fromkeys(SHOT_NAMES, "")
+        for message, hint in unknown_names(model.output or "", known_names):
             self.document.add("BAT004", ("output",), message, hint)
 
     def _options(self, model: OptionsModel) -> BakeOptions:

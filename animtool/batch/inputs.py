@@ -23,20 +23,20 @@ from animtool.core.files.reading import (
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS, URDF, is_timeline
 
-# How names end of the files that a folder is searched for. USD is left out: outputs
-# are of that kind, and would be inputs of the next run.
-SUFFIXES = (
+# Suffixes of files that are searched for in folders. USD is excluded: outputs are USD,
+# and would be inputs of the next run.
+INPUT_SUFFIXES = (
     *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX, URDF)),
     *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
 )
-SCENES = tuple(
+SCENE_SUFFIXES = tuple(
     f".scene{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT
 )
 
 
 def cuts_of(spec: BatchSpec) -> CutList:
     """Return the cuts of the items: clips of a timeline, or the inputs."""
-    cuts, left_out, unmatched = _matched_inputs(spec)
+    cuts, is_excluded, unmatched = _matched_inputs(spec)
     if spec.cuts is None:
         return CutList([Cut(file) for file in cuts], unmatched)
     options, start = spec.options, spec.options.start
@@ -53,11 +53,11 @@ def cuts_of(spec: BatchSpec) -> CutList:
     if start is not None and start.denominator != 1:
         message = f"start is {float(start):g}, but shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
-    first = None if start is None else int(start)
+    start_frame = None if start is None else int(start)
     cut_options = CutOptions(
-        spec.handles, first, spec.fps or fps, spec.cut_start, spec.first_timecode
+        spec.handles, start_frame, spec.fps or fps, spec.cut_start, spec.first_timecode
     )
-    listed_cuts = read_cuts(spec.cuts, cuts, cut_options, left_out)
+    listed_cuts = read_cuts(spec.cuts, cuts, cut_options, is_excluded)
     return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
 
 
@@ -99,26 +99,28 @@ def with_timeline(spec: BatchSpec) -> BatchSpec:
 def _matched_inputs(
     spec: BatchSpec,
 ) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
-    """Return the distinct inputs in order, and a test for excluded files.
+    """Return the distinct inputs in order, a test for excluded files, and warnings.
 
-    And a warning for each entry that matches no file.
+    There is a warning for each entry that matches no file.
     """
     suffixes = input_suffixes(spec)
     resolve = PathResolver()
-    left_out = {
+    excluded_paths = {
         resolve(file.path)
         for text in spec.exclude
-        for file in _meant(spec.folder, text, suffixes)
+        for file in _match_files(spec.folder, text, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
     unmatched_patterns = []
     for i, text in enumerate(spec.inputs):
-        meant = _meant(spec.folder, text, suffixes)
-        remaining_files = {resolve(file.path): file for file in meant}
+        matched_files = _match_files(spec.folder, text, suffixes)
+        remaining_files = {resolve(file.path): file for file in matched_files}
         remaining_files = {
-            index: f for index, f in remaining_files.items() if index not in left_out
+            index: f
+            for index, f in remaining_files.items()
+            if index not in excluded_paths
         }
-        if not meant or _is_missing(text, remaining_files):
+        if not matched_files or _is_missing(text, remaining_files):
             unmatched_patterns.append(_unmatched_fault(spec, "inputs", i, suffixes))
         files = {**remaining_files, **files}
     # Globs that match nothing yet are usual among those that exclude.
@@ -128,7 +130,11 @@ def _matched_inputs(
         if not is_pattern(text) and not exists(spec.folder / text)
     ]
     ordered_files = [files[path] for path in sorted(files, key=os.fspath)]
-    return ordered_files, lambda path: resolve(path) in left_out, unmatched_patterns
+    return (
+        ordered_files,
+        lambda path: resolve(path) in excluded_paths,
+        unmatched_patterns,
+    )
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
@@ -136,9 +142,13 @@ def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
     return _matched_inputs(spec)[2]
 
 
-def _is_missing(text: str, meant: Mapping[Path, MatchedFile]) -> bool:
-    """Return whether an entry names one file, and that does not exist."""
-    return "://" not in text and len(meant) == 1 and not exists(next(iter(meant)))
+def _is_missing(text: str, matched_files: Mapping[Path, MatchedFile]) -> bool:
+    """Return whether an entry names a single file that does not exist."""
+    return (
+        "://" not in text
+        and len(matched_files) == 1
+        and not exists(next(iter(matched_files)))
+    )
 
 
 def _unmatched_fault(
@@ -155,7 +165,7 @@ def _unmatched_fault(
     return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
 
 
-def no_input(spec: BatchSpec) -> NoMatchError:
+def no_input_error(spec: BatchSpec) -> NoMatchError:
     """Return the error of a batch without items."""
     path = None if spec.path is None else str(spec.path)
     if spec.cuts is not None:
@@ -166,26 +176,32 @@ def no_input(spec: BatchSpec) -> NoMatchError:
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"
     missing = nearest_file(Path(spec.inputs[0]), spec.folder) if spec.inputs else None
-    hint = _other_suffix(spec, suffixes) or missing or hint
+    hint = _other_suffix_hint(spec, suffixes) or missing or hint
     return NoMatchError(Fault("BAT005", message, path, (), hint))
 
 
-def _other_suffix(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
+def _other_suffix_hint(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
     """Return a hint if files match a pattern except for its suffix, or its case."""
     for text in spec.inputs:
         stem, dot, suffix = text.rpartition(".")
-        others = [known.removeprefix(".") for known in suffixes]
-        for other in (suffix.lower(), suffix.upper(), *others):
-            meant = f"{stem}{dot}{other}"
-            if dot and other != suffix and _meant(spec.folder, meant, suffixes):
-                return f"did you mean {meant!r}?"
+        known_suffixes = [known_suffix.removeprefix(".") for known_suffix in suffixes]
+        for other_suffix in (suffix.lower(), suffix.upper(), *known_suffixes):
+            other_pattern = f"{stem}{dot}{other_suffix}"
+            if (
+                dot
+                and other_suffix != suffix
+                and _match_files(spec.folder, other_pattern, suffixes)
+            ):
+                return f"did you mean {other_pattern!r}?"
     return None
 
 
 def input_suffixes(spec: BatchSpec) -> Sequence[str]:
     """Return the suffixes of files that folders are searched for."""
-    return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
+    return (
+        INPUT_SUFFIXES if spec.scene is not None else (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
+    )
 
 
-def _meant(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
+def _match_files(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
     return list(matching_files(os.fspath(folder / text), suffixes))

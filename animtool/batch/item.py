@@ -95,10 +95,10 @@ def unknown_names(
         )
         return
     names = [*INPUT_NAMES, *variables]
-    for name, form, conversion in fields:
-        if name is not None and (form or conversion or name not in names):
-            quoted = f"{{{name}}}" if name or not form else "{}"
-            yield f"unknown name in {pattern!r}: {quoted}", nearest(name, names)
+    for name, format_spec, conversion in fields:
+        if name is not None and (format_spec or conversion or name not in names):
+            quoted_name = f"{{{name}}}" if name or not format_spec else "{}"
+            yield f"unknown name in {pattern!r}: {quoted_name}", nearest(name, names)
 
 
 def output_root(pattern: str) -> PurePath:
@@ -115,27 +115,27 @@ def output_root(pattern: str) -> PurePath:
 
 
 @dataclass(slots=True)
-class NamedOutputs:
-    """Outputs of a pattern, confined to its folder."""
+class OutputPattern:
+    """A pattern of output paths, which are confined to its folder."""
 
     pattern: str  # pattern of the files to write
     folder: Path  # base folder of relative patterns
     paths: frozenset[str]  # names whose values may contain folders, as in ``a/b``
-    _inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
+    _is_inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
-        """Return the output of some values."""
+        """Return the output path for values of the names."""
         root, path = self.folder, self.folder
         in_subfolder = False
         for component in PurePath(self.pattern).parts:
             names = [name for _, name, *_ in Formatter().parse(component) if name]
-            text = component.format(**values)
+            component_text = component.format(**values)
             if set(names) - _INPUT_FOLDERS:
                 in_subfolder = True
-                self._check(text, names, values)
-            path /= text
+                self._check(component_text, names, values)
+            path /= component_text
             root = root if in_subfolder else path
-        if in_subfolder and not self._stays(path.parent, root):
+        if in_subfolder and not self._stays_inside(path.parent, root):
             message = f"a link in {str(root)!r} leads outside it: {str(path.parent)!r}"
             raise UnsafeNameError("", message)
         return path
@@ -159,14 +159,14 @@ class NamedOutputs:
                 message = f"{{{names[-1]}}} is {value}: the name {excerpt(component)} "
                 raise UnsafeNameError(names[-1], message + problem)
 
-    def _stays(self, folder: Path, root: Path) -> bool:
+    def _stays_inside(self, folder: Path, root: Path) -> bool:
         key = folder, root
-        if key not in self._inside:
+        if key not in self._is_inside:
             try:
-                self._inside[key] = is_inside(folder, root)
+                self._is_inside[key] = is_inside(folder, root)
             except OSError:
-                self._inside[key] = False
-        return self._inside[key]
+                self._is_inside[key] = False
+        return self._is_inside[key]
 
 
 class UnsafeNameError(ValueError):
@@ -181,7 +181,7 @@ class UnsafeNameError(ValueError):
         self.name = name
 
 
-_KINDS: dict[str, type[PurePath]] = {
+_PATH_CLASSES: dict[str, type[PurePath]] = {
     "POSIX": PurePosixPath,
     "WINDOWS": PureWindowsPath,
 }
@@ -205,21 +205,21 @@ def read_rules(path: Path) -> list[PathRule]:
         record = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
         rules = list_in(record, key) if key in record else ()
-        return [_rule(object_of(rule)) for rule in rules]
+        return [_parse_rule(object_of(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
 
 
-def _rule(record: Mapping[str, Any]) -> PathRule:
+def _parse_rule(record: Mapping[str, Any]) -> PathRule:
     kind = text_in(record, "source_path_format")
-    if kind not in _KINDS:
+    if kind not in _PATH_CLASSES:
         raise RecordError(f"unknown 'source_path_format' {excerpt(kind)}")
-    source = _KINDS[kind](text_in(record, "source_path"))
+    source = _PATH_CLASSES[kind](text_in(record, "source_path"))
     return PathRule(source, text_in(record, "destination_path"))
 
 
-def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
+def map_path(text: str, rules: Sequence[PathRule]) -> str:
     r"""Return the local path, by the rule of the innermost folder.
 
     >>> rule = PathRule(PureWindowsPath("Z:/show"), "/mnt/show")
@@ -229,12 +229,12 @@ def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
     for rule in sorted(rules, key=lambda rule: -len(rule.source.parts)):
         path = type(rule.source)(text)
         if path.is_relative_to(rule.source):
-            inner = path.relative_to(rule.source).parts
-            return Path(rule.destination, *inner).as_posix()
+            relative_parts = path.relative_to(rule.source).parts
+            return Path(rule.destination, *relative_parts).as_posix()
     return text
 
 
-def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
+def map_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     """Return a batch with local inputs and outputs.
 
     Paths in scenes and options are not changed: they work if they are relative.
@@ -242,17 +242,17 @@ def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     if not rules:
         return spec
     output = spec.output
-    mapped_output = None if output is None else mapped_path(output, rules)
+    mapped_output = None if output is None else map_path(output, rules)
     return replace(
         spec,
         # The path mapping determines where outputs go.
         roots=spec.roots if mapped_output == output else (),
-        inputs=tuple(mapped_path(text, rules) for text in spec.inputs),
-        exclude=tuple(mapped_path(text, rules) for text in spec.exclude),
+        inputs=tuple(map_path(text, rules) for text in spec.inputs),
+        exclude=tuple(map_path(text, rules) for text in spec.exclude),
         overrides=tuple(
             replace(
                 override,
-                inputs=tuple(mapped_path(text, rules) for text in override.inputs),
+                inputs=tuple(map_path(text, rules) for text in override.inputs),
             )
             for override in spec.overrides
         ),
@@ -312,10 +312,12 @@ class ItemTask:
     options: BakeOptions = field(default_factory=BakeOptions)
     kinds: tuple[Path, ...] = ()  # one input of each kind
     # Options and their digest by suffix, on which alone they depend.
-    _fitting: dict[str, BakeOptions] = field(
+    _options_by_suffix: dict[str, BakeOptions] = field(
         default_factory=dict, compare=False, repr=False
     )
-    _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
+    _digest_by_suffix: dict[str, str] = field(
+        default_factory=dict, compare=False, repr=False
+    )
 
     def names(self, item: Item) -> dict[str, str]:
         """Return the values of the names in a scene."""
@@ -344,12 +346,12 @@ class ItemTask:
                 raise OptionError(output.location.fault("SCN052", message, hint))
         return scene
 
-    def named(self, item: Item) -> Item:
+    def with_scene_outputs(self, item: Item) -> Item:
         """Return an item with the outputs named by its scene."""
         scene = self.source(item)
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
-        if self._is_several(scene):
+        if self._names_outputs(scene):
             from animtool.scene.bake.outline import create_outline
 
             files = create_outline(scene, None, self._options(item.file.path)).files
@@ -357,7 +359,7 @@ class ItemTask:
 
     def refuse_several(self, source: Source) -> None:
         """Refuse outputs that both a scene and a pattern name."""
-        if self._is_several(source):
+        if self._names_outputs(source):
             message = "the scene names its outputs, but the batch names one too"
             hint = (
                 f"remove the batch's output ({argument('output')}), and use "
@@ -367,7 +369,7 @@ class ItemTask:
             raise OptionError(location.fault("SCN044", message, hint))
 
     @staticmethod
-    def _is_several(source: Source) -> bool:
+    def _names_outputs(source: Source) -> bool:
         if isinstance(source, Path | str | OpenTake):
             return False
         from animtool.scene.bake.outline import has_several_outputs
@@ -400,34 +402,38 @@ class ItemTask:
     def _options(self, path: Path) -> BakeOptions:
         """Return the options that apply to a file's format."""
         kind = path.suffix.lower()
-        if kind not in self._fitting:
+        if kind not in self._options_by_suffix:
             source_options = fitting_options(self.options.source, path, self.kinds)
             options = replace(self.options, source=source_options, overwrite=True)
-            self._fitting[kind] = options
-        return self._fitting[kind]
+            self._options_by_suffix[kind] = options
+        return self._options_by_suffix[kind]
 
-    def described(self, item: Item, root: Path) -> dict[str, object]:
-        """Return everything except files that affects how an item is built."""
-        description: dict[str, object] = {"input": relative_name(item.file.path, root)}
+    def description(self, item: Item, root: Path) -> dict[str, object]:
+        """Return all settings, except files, that affect how an item is built."""
+        result: dict[str, object] = {"input": relative_name(item.file.path, root)}
         if self.scene is not None or has_kind_suffix(item.file.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
                 names[key] = relative_name(Path(names[key]), root)
-            description["variables"] = names
+            result["variables"] = names
         if item.shot is not None:
-            description["shot"] = {k: str(v) for k, v in plain_value(item.shot).items()}
+            result["shot"] = {
+                name: str(value) for name, value in plain_value(item.shot).items()
+            }
         if self.scene is not None:
-            description["scene"] = relative_name(self.scene, root)
-            description["strict"] = self.options.strict
+            result["scene"] = relative_name(self.scene, root)
+            result["strict"] = self.options.strict
         else:
-            description["options"] = self._digest(item.file.path, root)
-        return description
+            result["options"] = self._digest(item.file.path, root)
+        return result
 
     def _digest(self, path: Path, root: Path) -> str:
         kind = path.suffix.lower()
-        if kind not in self._digests:
-            self._digests[kind] = digest_of(_to_json(self._options(path), root))
-        return self._digests[kind]
+        if kind not in self._digest_by_suffix:
+            self._digest_by_suffix[kind] = digest_of(
+                _to_json(self._options(path), root)
+            )
+        return self._digest_by_suffix[kind]
 
 
 def _to_json(value: object, root: Path) -> object:
@@ -438,7 +444,7 @@ def _to_json(value: object, root: Path) -> object:
             for entry in fields(value)
         }
     if isinstance(value, tuple):
-        return [_to_json(part, root) for part in value]
+        return [_to_json(element, root) for element in value]
     if isinstance(value, Path):
         return relative_name(value, root)
     if value is None or isinstance(value, bool | int | float | str):

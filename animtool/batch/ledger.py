@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from filelock import FileLock
 
 
-HEAD = {"failures": "animtool/1"}
+FAILURES_HEADER = {"failures": "animtool/1"}
 # Maximum length of a failure message.
 MAX_MESSAGE = 10_000
 
@@ -53,14 +53,16 @@ MAX_MESSAGE = 10_000
 class Failures:
     """Failed items."""
 
-    why: dict[str, str] = field(default_factory=dict)  # failure of each item, by key
+    reasons: dict[str, str] = field(
+        default_factory=dict
+    )  # failure of each item, by key
     length: int = 0  # length of the readable part [bytes]
     damaged: tuple[Fault, ...] = ()  # warnings about unusable lines
 
 
 def read_failures(path: Path) -> Failures:
-    """Return the failed items; none without a file."""
-    reader, messages = LineReader(path, HEAD), dict[str, str]()
+    """Return the failed items of a file; none if it is missing."""
+    reader, messages = LineReader(path, FAILURES_HEADER), dict[str, str]()
     for line in reader.lines():
         try:
             messages[text_in(line, "item")] = text_in(line, "why")
@@ -70,13 +72,13 @@ def read_failures(path: Path) -> Failures:
     return Failures(messages, reader.length, () if notice is None else (notice,))
 
 
-def add_failure(path: Path, key: str, why: str, length: int) -> int:
-    """Add a failed item; return the new length of the file [bytes].
+def add_failure(path: Path, key: str, reason: str, length: int) -> int:
+    """Append a failed item; return the new length of the file [bytes].
 
-    ``length`` [bytes].
+    ``length`` is the readable length of the file [bytes].
     """
-    with LineWriter(path, HEAD, length) as writer:
-        writer.write([_line(key, why)])
+    with LineWriter(path, FAILURES_HEADER, length) as writer:
+        writer.write([_failure_line(key, reason)])
         return writer.length
 
 
@@ -85,19 +87,22 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
     if not failures:
         path.unlink(missing_ok=True)
         return
-    with replacement_path(path) as temporary, LineWriter(temporary, HEAD) as writer:
-        writer.write(_line(key, why) for key, why in failures.items())
+    with (
+        replacement_path(path) as temporary,
+        LineWriter(temporary, FAILURES_HEADER) as writer,
+    ):
+        writer.write(_failure_line(key, why) for key, why in failures.items())
 
 
-def _line(key: str, reason: str) -> dict[str, str]:
+def _failure_line(key: str, reason: str) -> dict[str, str]:
     return {"item": key, "why": reason.replace("\0", "\\0")[:MAX_MESSAGE]}
 
 
 # A run of some items briefly takes the batch's lock to check that it is free.
 LOCK_TIMEOUT = 5.0
 # Item numbers that identify a part of a batch.
-_PART = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
-MAX_OWNER = 4096
+_PART_NAME = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
+MAX_OWNER_BYTES = 4096
 
 
 @dataclass(slots=True)
@@ -112,7 +117,7 @@ class History:
 
 
 @dataclass(frozen=True, slots=True)
-class _Files:
+class _RecordFiles:
     """Record files: of the full batch, or of some items."""
 
     folder: Path
@@ -123,36 +128,38 @@ class _Files:
     def parts(self) -> Path:
         return self.folder / f"batch-{self.name}.d"
 
-    def named(self, suffix: str) -> Path:
+    def record_path(self, suffix: str) -> Path:
         if self.part:
             return self.parts / f"{self.part}{suffix}"
         return self.folder / f"batch-{self.name}{suffix}"
 
-    def holds(self) -> bool:
+    def has_records(self) -> bool:
         """Return whether there are records."""
-        paths = self.named(".jsonl"), self.named(".failed.jsonl")
+        paths = self.record_path(".jsonl"), self.record_path(".failed.jsonl")
         return any(path.exists() for path in paths)
 
-    def of_batch(self) -> _Files:
-        return _Files(self.folder, self.name)
+    def batch_files(self) -> _RecordFiles:
+        return _RecordFiles(self.folder, self.name)
 
-    def others(self) -> list[_Files]:
+    def part_files(self) -> list[_RecordFiles]:
         """Return the record files of every part."""
         stems = sorted(path.stem for path in self.parts.glob("*.lock"))
-        return [_Files(self.folder, self.name, part) for part in stems]
+        return [_RecordFiles(self.folder, self.name, part) for part in stems]
 
-    def overlaps(self, other: _Files) -> bool:
+    def overlaps(self, other: _RecordFiles) -> bool:
         """Return whether two parts have items in common."""
-        ranges = [_PART.fullmatch(files.part) for files in (self, other)]
+        ranges = [_PART_NAME.fullmatch(files.part) for files in (self, other)]
         if not all(ranges):
             return False
-        (a, b), (c, d) = (map(int, bounds.groups()) for bounds in ranges if bounds)
-        return a <= d and c <= b
+        (first, last), (other_first, other_last) = (
+            map(int, bounds.groups()) for bounds in ranges if bounds
+        )
+        return first <= other_last and other_first <= last
 
 
 def read_history(folder: Path, name: str) -> History:
     """Return the results of earlier runs of a batch and of its parts."""
-    return _read(_Files(folder, name))[0]
+    return _read(_RecordFiles(folder, name))[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,19 +170,19 @@ class _LocalRecords:
     failures: int = 0
 
 
-def _read(files: _Files) -> tuple[History, _LocalRecords]:
-    """Return the results of earlier runs, and the records in the run's own files."""
-    history, local = History(), _LocalRecords()
-    batch_files = files.of_batch()
-    for source in (batch_files, *batch_files.others()):
-        manifest = read_manifest(source.named(".jsonl"))
-        failures = read_failures(source.named(".failed.jsonl"))
-        history.manifest.join(manifest)
-        history.failed |= failures.why
+def _read(files: _RecordFiles) -> tuple[History, _LocalRecords]:
+    """Return the results of earlier runs, and the records in this run's files."""
+    history, local_records = History(), _LocalRecords()
+    full_files = files.batch_files()
+    for source in (full_files, *full_files.part_files()):
+        manifest = read_manifest(source.record_path(".jsonl"))
+        failures = read_failures(source.record_path(".failed.jsonl"))
+        history.manifest.merge(manifest)
+        history.failed |= failures.reasons
         history.damaged += [*manifest.damaged, *failures.damaged]
         if source == files:
-            local = _LocalRecords(manifest, failures.length)
-    return history, local
+            local_records = _LocalRecords(manifest, failures.length)
+    return history, local_records
 
 
 class Ledger:
@@ -186,47 +193,49 @@ class Ledger:
         now: Start of the run, by the disk's clock [ns].
     """
 
-    def __init__(self, files: _Files, now: int) -> None:
-        self.now, self._files = now, files
-        self.history, local = _read(files)
+    def __init__(self, files: _RecordFiles, start_time_ns: int) -> None:
+        self.start_time_ns, self._files = start_time_ns, files
+        self.history, local_records = _read(files)
         # Damaged lines are reported once.
-        self._grown = bool(self.history.damaged)
-        self._closing = ExitStack()
-        writer = ManifestWriter(files.named(".jsonl"), local.manifest)
-        self._writer = self._closing.enter_context(writer)
-        self._failed_length = local.failures
+        self._has_changes = bool(self.history.damaged)
+        self._exit_stack = ExitStack()
+        writer = ManifestWriter(files.record_path(".jsonl"), local_records.manifest)
+        self._writer = self._exit_stack.enter_context(writer)
+        self._failed_length = local_records.failures
 
     def claim(self, names: Iterable[str]) -> None:
         """Record the files that are about to be written."""
-        new = [name for name in names if name not in self.history.manifest.known]
-        if new:
-            self._writer.claim(new)
-            self._grown = True
-            self.history.manifest.known.update(new)
+        new_names = [name for name in names if name not in self.history.manifest.known]
+        if new_names:
+            self._writer.claim(new_names)
+            self._has_changes = True
+            self.history.manifest.known.update(new_names)
 
     def add(self, record: ItemRecord) -> None:
         """Record a built item."""
         self._writer.add(record)
-        self._grown = True
+        self._has_changes = True
         self.history.manifest.add(record)
         self.history.failed.pop(record.key, None)
 
-    def failed(self, key: str, why: str) -> None:
+    def failed(self, key: str, reason: str) -> None:
         """Record a failed item."""
-        path = self._files.named(".failed.jsonl")
-        self._grown = True
-        self._failed_length = add_failure(path, key, why, self._failed_length)
-        self.history.failed[key] = why
+        path = self._files.record_path(".failed.jsonl")
+        self._has_changes = True
+        self._failed_length = add_failure(path, key, reason, self._failed_length)
+        self.history.failed[key] = reason
 
     def close(self) -> None:
         """Close the files without rewriting them."""
-        self._closing.close()
+        self._exit_stack.close()
 
-    def settle(self, keep: Callable[[ItemRecord], bool]) -> None:
-        """Rewrite the records of the batch, merged with those of its parts."""
+    def merge_records(self, keep: Callable[[ItemRecord], bool]) -> None:
+        """Rewrite the records of the batch, merged with those of partial runs."""
         self.close()
-        part_files = [] if self._files.part else self._files.others()
-        if self._files.part or not (self._grown or any(o.holds() for o in part_files)):
+        merged_files = [] if self._files.part else self._files.part_files()
+        if self._files.part or not (
+            self._has_changes or any(files.has_records() for files in merged_files)
+        ):
             return
         manifest = self.history.manifest
         kept_records = [item for item in manifest.items.values() if keep(item)]
@@ -240,43 +249,43 @@ class Ledger:
             if name in recorded_names
             or FileState.of(path_of_name(name, root)) is not None
         ]
-        rewrite_manifest(self._files.named(".jsonl"), kept_records, known_names)
-        rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
-        for part in part_files:
-            part.named(".jsonl").unlink(missing_ok=True)
-            part.named(".failed.jsonl").unlink(missing_ok=True)
+        rewrite_manifest(self._files.record_path(".jsonl"), kept_records, known_names)
+        rewrite_failures(self._files.record_path(".failed.jsonl"), self.history.failed)
+        for part in merged_files:
+            part.record_path(".jsonl").unlink(missing_ok=True)
+            part.record_path(".failed.jsonl").unlink(missing_ok=True)
 
 
 @contextmanager
 def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
     """Provide the records of a batch, locked against other runs."""
-    files = _Files(folder, name, part)
+    files = _RecordFiles(folder, name, part)
     with ExitStack() as locks:
         if part:
             # Released immediately: no run of the full batch is active, and of parts
             # with common items only one can proceed.
             with ExitStack() as temporary_locks:
-                _lock(temporary_locks, files.of_batch(), LOCK_TIMEOUT)
+                _lock(temporary_locks, files.batch_files(), LOCK_TIMEOUT)
                 _lock(locks, files, 0.0)
-                for other in files.others():
-                    if other != files and files.overlaps(other):
-                        _lock(temporary_locks, other, 0.0)
+                for part_file_set in files.part_files():
+                    if part_file_set != files and files.overlaps(part_file_set):
+                        _lock(temporary_locks, part_file_set, 0.0)
         else:
             _lock(locks, files, 0.0)
-            for other in files.others():
-                _lock(locks, other, 0.0)
-        started = _sign(files)
-        ledger = Ledger(files, started)
+            for part_file_set in files.part_files():
+                _lock(locks, part_file_set, 0.0)
+        start_time_ns = _write_owner(files)
+        ledger = Ledger(files, start_time_ns)
         try:
             yield ledger
         finally:
             ledger.close()
 
 
-def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
+def _lock(locks: ExitStack, files: _RecordFiles, timeout: float) -> None:
     from filelock import FileLock, Timeout
 
-    path = files.named(".lock")
+    path = files.record_path(".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock: FileLock = FileLock(path)
@@ -291,11 +300,11 @@ def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 
 
-def _sign(files: _Files) -> int:
+def _write_owner(files: _RecordFiles) -> int:
     """Write the owner of a run; return the time by the disk's clock."""
     import platform
 
-    path = files.named(".owner")
+    path = files.record_path(".owner")
     owner = json.dumps({"process": os.getpid(), "host": platform.node()})
     # A link may lead to a foreign file, and a pipe to nothing.
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
@@ -313,17 +322,17 @@ def _sign(files: _Files) -> int:
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 
 
-def _owner(files: _Files) -> str:
+def _owner(files: _RecordFiles) -> str:
     """Return the owner of a run, if known."""
     import platform
 
-    unknown = "of an unknown process"
+    unknown_text = "of an unknown process"
     try:
-        owner = json_of_file(files.named(".owner"), MAX_OWNER)
+        owner = json_of_file(files.record_path(".owner"), MAX_OWNER_BYTES)
         process, host = integer_in(owner, "process", 1, 2**31), text_in(owner, "host")
     except RecordError:
-        return unknown
+        return unknown_text
     if host == platform.node() and not is_running(process):
         # An earlier process, or one in another process namespace.
-        return unknown
+        return unknown_text
     return f"process {process} on {excerpt(host)}"

@@ -60,19 +60,19 @@ class FileRecord:
         }
 
     @classmethod
-    def from_dict(cls, plain: Mapping[str, Any]) -> FileRecord:
+    def from_dict(cls, values: Mapping[str, Any]) -> FileRecord:
         """Return the record of `as_dict`."""
-        path = text_in(plain, "path")
-        if "absent" in plain:
-            if plain["absent"] is not True or "size" in plain:
+        path = text_in(values, "path")
+        if "absent" in values:
+            if values["absent"] is not True or "size" in values:
                 raise RecordError("'absent' is incomplete")
             return cls(path, None)
         state = FileState(
-            integer_in(plain, "size"),
-            integer_in(plain, "changed", -MAX_CLOCK, MAX_CLOCK),
-            integer_in(plain, "inode"),
+            integer_in(values, "size"),
+            integer_in(values, "changed", -MAX_CLOCK, MAX_CLOCK),
+            integer_in(values, "inode"),
         )
-        return cls(path, state, text_in(plain, "sha256", MAX_DIGEST))
+        return cls(path, state, text_in(values, "sha256", MAX_DIGEST))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class ItemRecord:
     """The record of a built item."""
 
     key: str  # its output, relative like file paths
-    how: str  # digest of all settings except files
+    settings_digest: str  # digest of all settings except files
     versions: str  # digest of the versions of its builders
     inputs: tuple[FileRecord, ...]  # accessed files
     outputs: tuple[FileRecord, ...]  # written files
@@ -93,7 +93,7 @@ class ItemRecord:
         """Return it as JSON values."""
         return {
             "item": self.key,
-            "how": self.how,
+            "how": self.settings_digest,
             "versions": self.versions,
             "inputs": [numbers[record] for record in self.inputs],
             "outputs": [record.as_dict() for record in self.outputs],
@@ -103,25 +103,25 @@ class ItemRecord:
 
     @classmethod
     def from_dict(
-        cls, plain: Mapping[str, Any], files: Mapping[int, FileRecord]
+        cls, values: Mapping[str, Any], files: Mapping[int, FileRecord]
     ) -> ItemRecord:
         """Return the record of `as_dict`."""
-        outputs = list_in(plain, "outputs")
+        outputs = list_in(values, "outputs")
         if not outputs:
             raise RecordError("'outputs' is empty")
         return cls(
-            text_in(plain, "item"),
-            text_in(plain, "how", MAX_DIGEST),
+            text_in(values, "item"),
+            text_in(values, "how", MAX_DIGEST),
             # Few are distinct, and every item has one.
-            sys.intern(text_in(plain, "versions", MAX_DIGEST)),
-            tuple(_numbered(list_in(plain, "inputs"), files)),
+            sys.intern(text_in(values, "versions", MAX_DIGEST)),
+            tuple(_number_files(list_in(values, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
-            integer_in(plain, "at", -MAX_CLOCK, MAX_CLOCK),
-            scores_in(plain, "scores"),
+            integer_in(values, "at", -MAX_CLOCK, MAX_CLOCK),
+            scores_in(values, "scores"),
         )
 
 
-def _numbered(
+def _number_files(
     numbers: Sequence[object], files: Mapping[int, FileRecord]
 ) -> Iterator[FileRecord]:
     """Yield files by number."""
@@ -160,7 +160,7 @@ def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
     return FileRecord(name, state, "" if state is None else file_digest(path))
 
 
-HEAD = {"manifest": "animtool/1"}
+MANIFEST_HEADER = {"manifest": "animtool/1"}
 MAX_FILES = 10**9
 # Number of names per line, so that a damaged line loses few.
 NAMES_PER_LINE = 100
@@ -171,11 +171,11 @@ class Manifest:
     """Records of built items."""
 
     items: dict[str, ItemRecord] = field(default_factory=dict)  # by key
-    # Names of files that were written, or started, by a run of the batch.
+    # Names of files that a run of the batch wrote or started to write.
     known: set[str] = field(default_factory=set)
     # Distinct files that items refer to, with their numbers.
     files: dict[FileRecord, int] = field(default_factory=dict)
-    next: int = 0  # next file number
+    next_number: int = 0  # next file number
     length: int = 0  # length of the readable part [bytes]
     # Warnings about unusable lines.
     damaged: list[Fault] = field(default_factory=list)
@@ -187,7 +187,7 @@ class Manifest:
             self.items[record.key] = record
         self.known.update(output.path for output in record.outputs)
 
-    def join(self, other: Manifest) -> None:
+    def merge(self, other: Manifest) -> None:
         """Add the records of another manifest."""
         for record in other.items.values():
             self.add(record)
@@ -200,11 +200,11 @@ def read_manifest(path: Path) -> Manifest:
 
     Unusable lines are skipped and listed in `Manifest.damaged`.
     """
-    manifest, reader = Manifest(), LineReader(path, HEAD)
-    parser = _Lines(manifest)
+    manifest, reader = Manifest(), LineReader(path, MANIFEST_HEADER)
+    parser = _LineParser(manifest)
     for line in reader.lines():
         try:
-            parser.take(line)
+            parser.add_line(line)
         except RecordError as error:
             reader.damaged[reader.number] = str(error)
     manifest.length = reader.length
@@ -213,19 +213,19 @@ def read_manifest(path: Path) -> Manifest:
     return manifest
 
 
-class _Lines:
+class _LineParser:
     """Parses the lines of a manifest."""
 
     def __init__(self, manifest: Manifest) -> None:
         self.manifest = manifest
         self.files: dict[int, FileRecord] = {}
 
-    def take(self, line: Mapping[str, Any]) -> None:
+    def add_line(self, line: Mapping[str, Any]) -> None:
         """Add the record of a line."""
         if "known" in line:
             self.manifest.known.update(texts_in(line, "known"))
         elif "file" in line:
-            self._file(
+            self._add_file(
                 integer_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line)
             )
         elif "item" in line:
@@ -233,9 +233,9 @@ class _Lines:
         else:
             raise RecordError("is not part of a manifest")
 
-    def _file(self, number: int, record: FileRecord) -> None:
+    def _add_file(self, number: int, record: FileRecord) -> None:
         manifest = self.manifest
-        manifest.next = max(manifest.next, number + 1)
+        manifest.next_number = max(manifest.next_number, number + 1)
         if self.files.setdefault(number, record) != record:
             # It is unknown which of the two an item means.
             manifest.files.pop(self.files.pop(number), None)
@@ -244,45 +244,47 @@ class _Lines:
 
 
 class ManifestWriter(LineWriter):
-    """A manifest that items are appended to."""
+    """Appends items to a manifest file."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
         """Open a manifest."""
-        self._files, self._next = dict(manifest.files), manifest.next
-        super().__init__(path, HEAD, manifest.length)
+        self._files, self._next_number = dict(manifest.files), manifest.next_number
+        super().__init__(path, MANIFEST_HEADER, manifest.length)
 
     def claim(self, names: Iterable[str]) -> None:
         """Record the files that are about to be written."""
         name_list = list(names)
-        chunks = (
+        name_chunks = (
             name_list[i : i + NAMES_PER_LINE]
             for i in range(0, len(name_list), NAMES_PER_LINE)
         )
-        self.write({"known": chunk} for chunk in chunks)
+        self.write({"known": chunk} for chunk in name_chunks)
 
     def add(self, record: ItemRecord) -> None:
         """Append an item."""
-        new = list(self._numbered(record.inputs))
-        self.write([*new, record.as_dict(self._files)])
+        new_files = list(self._number_files(record.inputs))
+        self.write([*new_files, record.as_dict(self._files)])
 
-    def _numbered(self, records: Iterable[FileRecord]) -> Iterator[dict[str, object]]:
+    def _number_files(
+        self, records: Iterable[FileRecord]
+    ) -> Iterator[dict[str, object]]:
         """Number files, and yield lines for new ones."""
         for record in records:
             if record not in self._files:
-                number = self._files[record] = self._next
-                self._next += 1
+                number = self._files[record] = self._next_number
+                self._next_number += 1
                 yield {"file": number, **record.as_dict()}
 
 
 def rewrite_manifest(
-    path: Path, items: Iterable[ItemRecord], known: Iterable[str]
+    path: Path, items: Iterable[ItemRecord], known_names: Iterable[str]
 ) -> None:
     """Rewrite a manifest atomically."""
     with (
         replacement_path(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,
     ):
-        writer.claim(known)
+        writer.claim(known_names)
         for record in items:
             writer.add(record)
 
@@ -291,7 +293,7 @@ def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
     """Return the scores of a record; none without the key."""
     if key not in record:
         return ()
-    return tuple(_pass_scores(object_of(one)) for one in list_in(record, key))
+    return tuple(_pass_scores(object_of(entry)) for entry in list_in(record, key))
 
 
 def _pass_scores(record: Mapping[str, Any]) -> PassScores:
@@ -318,9 +320,11 @@ def _score(record: Mapping[str, Any]) -> Score:
     unit = text_in(record, "unit")
     if unit not in {*ScoreUnit}:
         raise RecordError(f"unknown unit of a score: {unit!r}")
-    value, typical, ideal = (
+    value, typical_value, ideal_value = (
         number_in(record, key, -math.inf) for key in ("value", "usual", "ideal")
     )
-    if typical <= ideal:
+    if typical_value <= ideal_value:
         raise RecordError("'usual' is not above 'ideal'")
-    return Score(text_in(record, "name"), value, ScoreUnit(unit), typical, ideal)
+    return Score(
+        text_in(record, "name"), value, ScoreUnit(unit), typical_value, ideal_value
+    )

@@ -26,26 +26,28 @@ class Override:
 
     def without(self, names: Collection[str]) -> Override:
         """Return a copy without values of some names."""
-        remaining = {k: v for k, v in self.variables.items() if k not in names}
+        remaining = {
+            name: value for name, value in self.variables.items() if name not in names
+        }
         return replace(self, variables=remaining)
 
 
 @dataclass(frozen=True, slots=True)
-class Overridden:
+class OverriddenVariables:
     """Overridden variables of the inputs of a batch."""
 
     values: Mapping[Path, Mapping[str, str]]  # by file path
     notices: tuple[Fault, ...]  # warnings about overrides that match no input
 
 
-def overridden(
+def resolve_overrides(
     overrides: Sequence[Override],
     files: Sequence[MatchedFile],
     folder: Path,
     suffixes: Sequence[str],
     path: Path | None,
-) -> Overridden:
-    """Return the overridden variables of inputs; the last match counts.
+) -> OverriddenVariables:
+    """Return the overridden variables of inputs; the last match wins.
 
     Args:
         overrides: Overrides in order of precedence, last wins.
@@ -55,7 +57,7 @@ def overridden(
         path: The batch file.
     """
     resolve = PathResolver()
-    by_location = {resolve(file.path): file.path for file in files}
+    path_by_location = {resolve(file.path): file.path for file in files}
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for i, override in enumerate(overrides):
@@ -65,21 +67,21 @@ def overridden(
             for file in matching_files(os.fspath(folder / text), suffixes)
         }
         locations = [
-            by_location[resolved]
-            for resolved in matched_paths
-            if resolved in by_location
+            path_by_location[location]
+            for location in matched_paths
+            if location in path_by_location
         ]
         for input_path in locations:
             values.setdefault(input_path, {}).update(override.variables)
         if not locations:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"
-            file, resolved = (
+            file, location = (
                 None if path is None else str(path),
                 f"overrides[{i}].inputs",
             )
             warning = Severity.WARNING
             notices.append(
-                Fault("BAT066", message, file, (), hint, warning, where=resolved)
+                Fault("BAT066", message, file, (), hint, warning, where=location)
             )
-    return Overridden(values, tuple(notices))
+    return OverriddenVariables(values, tuple(notices))

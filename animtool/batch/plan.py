@@ -54,16 +54,16 @@ class Decision:
     scores: tuple[PassScores, ...] = ()  # scores of an up-to-date item, from its record
 
     @property
-    def due(self) -> bool:
+    def is_due(self) -> bool:
         """Whether to build the item."""
         return self.reason is not BuildReason.UP_TO_DATE
 
 
 class Planner:
-    """Decides by records of earlier runs and the current files.
+    """Decides which items to build, by records of earlier runs and current files.
 
-    A file is read only if its size, time or inode changed, or if it is as young as the
-    record, since it may then have changed without a different state.
+    A file is hashed only if its size, time or inode changed, or if it is as young as
+    the record, since it may then have changed without a different state.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Planner:
         verify: bool = False,
         force: bool = False,
     ) -> None:
-        """Take the records, and the current time ``now`` [ns]."""
+        """Store the records, and the current time ``now`` [ns]."""
         self._batch, self._history, self._now = batch, history, now
         self._verify, self._force = verify, force
         self._states: dict[str, FileState | None] = {}
@@ -85,9 +85,9 @@ class Planner:
         """Return the key of an item's record."""
         return relative_name(item.output, self._batch.root)
 
-    def how(self, item: Item) -> str:
+    def settings_digest(self, item: Item) -> str:
         """Return a digest of all settings that affect how an item is built."""
-        return digest_of(self._batch.item_task.described(item, self._batch.root))
+        return digest_of(self._batch.item_task.description(item, self._batch.root))
 
     @cached_property
     def versions(self) -> str:
@@ -103,20 +103,20 @@ class Planner:
         """Return the decision for an item."""
         key = self.key(item)
         record = self._history.manifest.items.get(key)
-        failed = self._history.failed.get(key)
+        failure = self._history.failed.get(key)
         if self._force:
             return Decision(item, BuildReason.FORCED)
         if record is None:
-            if failed is not None:
-                return Decision(item, BuildReason.FAILED, failed)
+            if failure is not None:
+                return Decision(item, BuildReason.FAILED, failure)
             return Decision(item, BuildReason.NEW)
         decision = self._decide(item, record)
-        if decision.due and failed is not None:
-            return Decision(item, BuildReason.FAILED, failed)
+        if decision.is_due and failure is not None:
+            return Decision(item, BuildReason.FAILED, failure)
         return decision
 
     def _decide(self, item: Item, record: ItemRecord) -> Decision:
-        if record.how != self.how(item):
+        if record.settings_digest != self.settings_digest(item):
             return Decision(item, BuildReason.OPTIONS)
         if record.versions != self.versions:
             return Decision(item, BuildReason.VERSION)
@@ -131,10 +131,10 @@ class Planner:
                 # different state.
                 state = file.state if reason is BuildReason.INPUT else None
                 is_young = state is not None and state.changed_at >= record.at
-                current = self._unchanged_record(file, young=is_young)
-                if current is None:
+                current_record = self._unchanged_record(file, is_young=is_young)
+                if current_record is None:
                     return Decision(item, reason, file.path)
-                current_records.append(current)
+                current_records.append(current_record)
         if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
             return Decision(item, BuildReason.UP_TO_DATE, scores=record.scores)
         refreshed = replace(
@@ -144,7 +144,9 @@ class Planner:
             item, BuildReason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
         )
 
-    def _unchanged_record(self, file: FileRecord, *, young: bool) -> FileRecord | None:
+    def _unchanged_record(
+        self, file: FileRecord, *, is_young: bool
+    ) -> FileRecord | None:
         """Return the current record of a file; None if its content differs."""
         if file.path not in self._states:
             self._states[file.path] = FileState.of(
@@ -153,7 +155,7 @@ class Planner:
         state = self._states[file.path]
         if state is None or file.state is None:
             return file if state is file.state else None
-        if state == file.state and not young and not self._verify:
+        if state == file.state and not is_young and not self._verify:
             return file
         if state.size != file.state.size or self._digest(file.path) != file.sha256:
             return None
@@ -173,21 +175,21 @@ MAX_FAULTS = 50
 
 
 def check_output_files(batch: Batch) -> None:
-    """Refuse outputs that are equal (OUT007), inputs, or not writable.
+    """Refuse outputs that are equal (OUT007), are inputs, or cannot be written.
 
     Names that differ only in case or in the encoding of accents are the same file on
     some disks.
     """
     resolve = PathResolver()
     inputs = {resolve(item.file.path) for item in batch.items}
-    inputs |= {resolve(path) for path in batch.named}
-    faults = list(_clashes(batch, resolve, inputs))
-    _refuse(faults, OptionError)
+    inputs |= {resolve(path) for path in batch.shared_inputs}
+    faults = list(_output_clashes(batch, resolve, inputs))
+    _raise_faults(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
-    _refuse(list(_unwritable_folders(folders)), OutputError)
+    _raise_faults(list(_unwritable_folders(folders)), OutputError)
 
 
-def _clashes(
+def _output_clashes(
     batch: Batch, resolve: Callable[[Path], Path], inputs: set[Path]
 ) -> Iterator[Fault]:
     writers: dict[str, list[tuple[Item, Path]]] = {}
@@ -206,13 +208,15 @@ def _clashes(
             else:
                 writers.setdefault(name, []).append((item, path))
             item_names.add(name)
-    for (first, _), *others in writers.values():
-        if others:
-            second, path = others[0]
-            message = f"would be written for both {first.label} and {second.label}"
-            if len(others) > 1:
-                message += f", and for {len(others) - 1} more"
-            hint = _separating_hint(second, first)
+    for (first_item, _), *other_writers in writers.values():
+        if other_writers:
+            second_item, path = other_writers[0]
+            message = (
+                f"would be written for both {first_item.label} and {second_item.label}"
+            )
+            if len(other_writers) > 1:
+                message += f", and for {len(other_writers) - 1} more"
+            hint = _separating_hint(second_item, first_item)
             yield Fault("OUT007", message, str(path), (), hint)
 
 
@@ -226,7 +230,9 @@ def _separating_hint(item: Item, other_item: Item) -> str:
             if names[name] != other_names[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"
     differing_values = [
-        k for k, v in item.values.items() if other_item.values.get(k) != v
+        name_
+        for name_, value in item.values.items()
+        if other_item.values.get(name_) != value
     ]
     if not differing_values:
         return "these values appear twice: remove one"
@@ -239,7 +245,12 @@ def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
     checked_folders: set[Path] = set()
     for folder in folders:
         existing_folder = next(
-            (f for f in (folder, *folder.parents) if f.exists()), Path()
+            (
+                parent_folder
+                for parent_folder in (folder, *folder.parents)
+                if parent_folder.exists()
+            ),
+            Path(),
         )
         if existing_folder in checked_folders:
             continue
@@ -257,7 +268,7 @@ def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
 
 
 def check_overwrites(
-    batch: Batch, items: Iterable[Item], known: Callable[[Path], bool]
+    batch: Batch, items: Iterable[Item], is_known: Callable[[Path], bool]
 ) -> None:
     """Refuse to overwrite files that no run of the batch wrote."""
     faults = [
@@ -270,11 +281,13 @@ def check_overwrites(
         )
         for item in items
         for path in batch.outputs(item)
-        if path.exists() and not known(path)
+        if path.exists() and not is_known(path)
     ]
-    _refuse(faults, OptionError)
+    _raise_faults(faults, OptionError)
 
 
-def _refuse(faults: list[Fault], kind: type[OptionError] | type[OutputError]) -> None:
+def _raise_faults(
+    faults: list[Fault], kind: type[OptionError] | type[OutputError]
+) -> None:
     if faults:
         raise kind(first_faults(faults, MAX_FAULTS))

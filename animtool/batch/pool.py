@@ -38,9 +38,8 @@ from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import CRASH_SIGNALS, crash_fault, without_main
 from animtool.core.record import dataclass
 
-# One thread each, since there are as many processes as processors; more threads would
-# only wait for each other.
-ENVIRONMENT = {
+# Environment variables of worker processes.
+WORKER_ENVIRONMENT = {
     # As many processes as processors: more threads would only wait for each other.
     **dict.fromkeys(
         (
@@ -78,24 +77,25 @@ class _Worker:
 
     process: BaseProcess
     connection: Connection
-    ready: bool = False
+    is_ready: bool = False
     item: Item | None = None
-    began: float = field(default_factory=time.perf_counter)
+    start_time: float = field(default_factory=time.perf_counter)
     path: str = ""
 
     def waits_for_item(self) -> bool:
-        return self.ready and self.item is None
+        return self.is_ready and self.item is None
 
-    def give(self, item: Item) -> None:
-        self.item, self.began = item, time.perf_counter()
+    def send_item(self, item: Item) -> None:
+        self.item, self.start_time = item, time.perf_counter()
         # If it has ended, its sentinel shows that.
         with contextlib.suppress(OSError):
             self.connection.send(item)
 
-    def received(self) -> object:
-        """Return a worker's message; None if it ended or sent an invalid one.
+    def receive(self) -> object:
+        """Return a message of the worker; None if it ended or the message is invalid.
 
-        What it reads is kept: where that ends it, nothing else is sent.
+        The file that it reads is stored: if the file crashes the worker, no other
+        message arrives.
         """
         message: object = None
         try:
@@ -131,32 +131,32 @@ class _Pool:
     limits: Limits  # limits of each item
     # Whether to send the next item before the last outcome is received.
     queue_next: bool
-    left: bool = True  # whether there may be more items
+    has_more_items: bool = True  # whether there may be more items
     workers: list[_Worker] = field(default_factory=list)  # live workers
     failed_starts: int = (
         0  # number of consecutive processes that ended before accepting an item
     )
 
     def start(self) -> None:
-        context = _context(self.builder.item_task)
+        context = _start_context(self.builder.item_task)
         connection, worker_end = context.Pipe()
         arguments = (worker_end, self.builder, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
         try:
-            with _environment():
+            with _worker_environment():
                 process.start()
         except (OSError, EOFError) as error:
             raise _start_error(str(error) or type(error).__name__) from error
         worker_end.close()
         self.workers.append(_Worker(process, connection))
 
-    def feed(self, worker: _Worker) -> None:
+    def send_next_item(self, worker: _Worker) -> None:
         """Give an idle process the next item."""
-        if self.left and worker.waits_for_item():
+        if self.has_more_items and worker.waits_for_item():
             item = next(self.items, None)
-            self.left = item is not None
+            self.has_more_items = item is not None
             if item is not None:
-                worker.give(item)
+                worker.send_item(item)
 
     def outcomes(self) -> Iterator[ItemOutcome]:
         """Wait for events; yield outcomes of items."""
@@ -165,28 +165,30 @@ class _Pool:
             for worker in self.workers
             for key in (worker.connection, worker.process.sentinel)
         }
-        ready = wait(list(workers_by_handle), self._time_left())
-        for worker in dict.fromkeys(workers_by_handle[cast(Any, key)] for key in ready):
+        ready_handles = wait(list(workers_by_handle), self._time_left())
+        for worker in dict.fromkeys(
+            workers_by_handle[cast(Any, key)] for key in ready_handles
+        ):
             yield from self._handle_message(worker)
         for worker in list(self.workers):
-            elapsed = time.perf_counter() - worker.began
-            if not worker.ready and elapsed > MAX_START:
+            elapsed = time.perf_counter() - worker.start_time
+            if not worker.is_ready and elapsed > MAX_START:
                 self._failed_to_start(worker)
             fault = self._exceeded_limit(worker)
             if fault is not None:
                 yield self._fail_item(worker, fault)
 
     def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
-        received_message = worker.received()
+        received_message = worker.receive()
         if received_message == READY:
-            worker.ready, self.failed_starts = True, 0
+            worker.is_ready, self.failed_starts = True, 0
         elif isinstance(received_message, FileBeingRead):
             pass
         elif isinstance(
             received_message, ItemOutcome
-        ) and received_message.number == _number(worker):
+        ) and received_message.number == _item_number(worker):
             yield from self._end_item(worker, received_message)
-        elif not worker.ready:
+        elif not worker.is_ready:
             self._failed_to_start(worker)
         elif worker.item is None:
             self.workers.remove(worker)
@@ -198,7 +200,7 @@ class _Pool:
             if worker.path and -code in CRASH_SIGNALS and code != -9:
                 yield self._fail_item(worker, crash_fault(worker.path, -code))
                 return
-            message = f"the process that built it {_how_it_ended(worker.process)}"
+            message = f"the process that built it {_exit_text(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
                 hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
@@ -209,7 +211,7 @@ class _Pool:
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
-        reason = _how_it_ended(worker.process)
+        reason = _exit_text(worker.process)
         worker.end(kill=True)
         self.failed_starts += 1
         if self.failed_starts == MAX_FAILED_STARTS:
@@ -217,13 +219,13 @@ class _Pool:
 
     def _end_item(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
-        retired = outcome.retired or self._leaks_memory(worker)
+        is_retired = outcome.retired or self._leaks_memory(worker)
         # The failure may be the last allowed one, which is known only after reporting
         # it.
-        if self.queue_next and outcome.status is ItemStatus.DONE and not retired:
-            self.feed(worker)
+        if self.queue_next and outcome.status is ItemStatus.DONE and not is_retired:
+            self.send_next_item(worker)
         yield outcome
-        if retired:
+        if is_retired:
             self.workers.remove(worker)
             worker.end(kill=False)
 
@@ -232,7 +234,7 @@ class _Pool:
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None
-        elapsed = time.perf_counter() - worker.began
+        elapsed = time.perf_counter() - worker.start_time
         if limits.seconds is not None and elapsed > limits.seconds:
             message = f"took more than its {limits.seconds:g} s"
             return Fault(
@@ -249,13 +251,13 @@ class _Pool:
     def _fail_item(self, worker: _Worker, fault: Fault) -> ItemOutcome:
         """End a process, and return the failure of its item."""
         assert worker.item is not None
-        item, seconds = worker.item, time.perf_counter() - worker.began
-        self.drop(worker)
+        item, seconds = worker.item, time.perf_counter() - worker.start_time
+        self.kill_worker(worker)
         path = fault.path or str(item.file.path)
         located_fault = Fault(fault.code, fault.message, path, hint=fault.hint)
         return ItemOutcome.failed(item, located_fault, seconds=seconds)
 
-    def drop(self, worker: _Worker) -> None:
+    def kill_worker(self, worker: _Worker) -> None:
         """Kill a process, and remove its temporary files."""
         self.workers.remove(worker)
         worker.end(kill=True)
@@ -273,9 +275,9 @@ class _Pool:
         busy = [worker for worker in self.workers if worker.item is not None]
         if busy and self.limits.memory is not None:
             return POLL_INTERVAL
-        deadlines = [w.began + MAX_START for w in self.workers if not w.ready]
+        deadlines = [w.start_time + MAX_START for w in self.workers if not w.is_ready]
         if self.limits.seconds is not None:
-            deadlines += [worker.began + self.limits.seconds for worker in busy]
+            deadlines += [worker.start_time + self.limits.seconds for worker in busy]
         if not deadlines:
             return None
         # Systems limit a wait to a few weeks.
@@ -285,7 +287,7 @@ class _Pool:
     def end(self, *, kill: bool) -> None:
         for worker in list(self.workers):
             if kill:
-                self.drop(worker)
+                self.kill_worker(worker)
             else:
                 self.workers.remove(worker)
                 worker.end(kill=False)
@@ -293,12 +295,12 @@ class _Pool:
 
 def preload(item_task: ItemTask) -> None:
     """Start importing modules for worker processes in the background."""
-    context = _context(item_task)
+    context = _start_context(item_task)
     if isinstance(context, SpawnContext):
         return
     from multiprocessing.forkserver import ensure_running
 
-    with _environment():
+    with _worker_environment():
         ensure_running()
 
 
@@ -318,11 +320,13 @@ def run_processes(
     pool, succeeded = _Pool(builder, items, limits, queue_next), False
     try:
         while True:
-            while pool.left and len(pool.workers) < jobs:
+            while pool.has_more_items and len(pool.workers) < jobs:
                 pool.start()
             for worker in pool.workers:
-                pool.feed(worker)
-            if not pool.left and not any(worker.item for worker in pool.workers):
+                pool.send_next_item(worker)
+            if not pool.has_more_items and not any(
+                worker.item for worker in pool.workers
+            ):
                 break
             yield from pool.outcomes()
         succeeded = True
@@ -330,8 +334,8 @@ def run_processes(
         pool.end(kill=not succeeded)
 
 
-def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
-    """Return the start method: forked from a preloaded process if safe.
+def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
+    """Return the start method of workers: forked from a preloaded process if safe.
 
     If another batch of this process has already preloaded it, workers import the
     remaining modules themselves.
@@ -344,10 +348,10 @@ def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 
 
 @contextlib.contextmanager
-def _environment() -> Iterator[None]:
+def _worker_environment() -> Iterator[None]:
     """Set `ENVIRONMENT` for processes that start now."""
-    previous_values = {name: os.environ.get(name) for name in ENVIRONMENT}
-    os.environ.update(ENVIRONMENT)
+    previous_values = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
+    os.environ.update(WORKER_ENVIRONMENT)
     try:
         with without_interrupts(), without_main():
             yield
@@ -359,7 +363,7 @@ def _environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _number(worker: _Worker) -> int | None:
+def _item_number(worker: _Worker) -> int | None:
     return None if worker.item is None else worker.item.number
 
 
@@ -372,7 +376,7 @@ def _start_error(reason: str) -> OutputError:
     return OutputError(Fault("BAT071", message, hint=hint))
 
 
-def _how_it_ended(process: BaseProcess) -> str:
+def _exit_text(process: BaseProcess) -> str:
     code = process.exitcode
     if code is None:
         return "does not respond"

@@ -34,14 +34,14 @@ MAX_INTEGER = 2**64
 
 
 class RecordError(ValueError):
-    """A plain value has the wrong type or range; the message says which."""
+    """A plain value has the wrong type or range; the message names it."""
 
 
 def _refuse_constant(name: str) -> NoReturn:
     raise RecordError(f"{name} is not a number")
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _refuse_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
         raise RecordError("a key appears twice")
@@ -49,12 +49,14 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 _STRICT_DECODER = json.JSONDecoder(parse_constant=_refuse_constant)
-_UNIQUE = json.JSONDecoder(parse_constant=_refuse_constant, object_pairs_hook=_unique)
+_UNIQUE_KEYS_DECODER = json.JSONDecoder(
+    parse_constant=_refuse_constant, object_pairs_hook=_refuse_duplicate_keys
+)
 
 
-def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
+def json_object(data: bytes, *, refuses_duplicates: bool = True) -> dict[str, Any]:
     """Return the JSON object in some data."""
-    decoder = _UNIQUE if unique else _STRICT_DECODER
+    decoder = _UNIQUE_KEYS_DECODER if refuses_duplicates else _STRICT_DECODER
     try:
         return object_of(decoder.decode(data.decode("utf-8")))
     except RecordError:
@@ -113,7 +115,7 @@ def integer_in(
     return value
 
 
-def number_in(record: Mapping[str, Any], key: str, low: float = 0.0) -> float:
+def number_in(record: Mapping[str, Any], key: str, minimum: float = 0.0) -> float:
     """Return the finite number of a key."""
     value = record.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -122,8 +124,8 @@ def number_in(record: Mapping[str, Any], key: str, low: float = 0.0) -> float:
         number = float(value)
     except OverflowError:
         number = math.inf
-    if not (math.isfinite(number) and number >= low):
-        raise RecordError(f"{key!r} is not a number of at least {low:g}")
+    if not (math.isfinite(number) and number >= minimum):
+        raise RecordError(f"{key!r} is not a number of at least {minimum:g}")
     return number
 
 
@@ -135,12 +137,12 @@ def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
     return value
 
 
-Line = Mapping[str, Any]
+JsonLine = Mapping[str, Any]
 
 # Enough for an item of 50,000 outputs [bytes].
-MAX_LINE = 1 << 24
-_SUM = ',"crc":"'
-_SUM_LENGTH = len(_SUM) + len('01234567"}\n')
+MAX_LINE_BYTES = 1 << 24
+_CHECKSUM_KEY = ',"crc":"'
+_CHECKSUM_LENGTH = len(_CHECKSUM_KEY) + len('01234567"}\n')
 
 
 class LineReader:
@@ -152,9 +154,9 @@ class LineReader:
         damaged: Unusable lines by number, with the reason.
     """
 
-    def __init__(self, path: Path, head: Line) -> None:
+    def __init__(self, path: Path, header: JsonLine) -> None:
         """Prepare to read a file that may be missing."""
-        self.path, self.head = path, head
+        self.path, self.header = path, header
         self.length = self.number = 0
         self.damaged: dict[int, str] = {}
         self._summed = False
@@ -166,24 +168,24 @@ class LineReader:
         lines with invalid content.
         """
         try:
-            raw = open_input(self.path, None, recorded=False)
+            raw_file = open_input(self.path, None, recorded=False)
         except FormatError as error:
             if isinstance(error.__cause__, FileNotFoundError):
                 return
             raise FormatError(replace(error.faults[0], code="BAT011")) from error
         try:
-            with BufferedReader(raw) as file:
+            with BufferedReader(raw_file) as file:
                 yield from self._lines(file)
         except OSError as error:
             raise self._read_error(error.strerror or str(error)) from error
 
     def _lines(self, file: IO[bytes]) -> Iterator[dict[str, Any]]:
-        self._head(file)
+        self._read_header(file)
         while self.number:
-            line = file.readline(MAX_LINE + 1)
+            line = file.readline(MAX_LINE_BYTES + 1)
             length = len(line)
-            while length > MAX_LINE and line and not line.endswith(b"\n"):
-                line = file.readline(MAX_LINE)
+            while length > MAX_LINE_BYTES and line and not line.endswith(b"\n"):
+                line = file.readline(MAX_LINE_BYTES)
                 length += len(line)
             if not line.endswith(b"\n"):
                 return
@@ -196,29 +198,29 @@ class LineReader:
             else:
                 yield record
 
-    def _head(self, file: IO[bytes]) -> None:
+    def _read_header(self, file: IO[bytes]) -> None:
         """Read the first line, if the file has one."""
-        expected = _line_text(self.head).encode()
-        line = file.readline(MAX_LINE)
+        expected = _line_text(self.header).encode()
+        line = file.readline(MAX_LINE_BYTES)
         # The first line may be incomplete after a kill; other files are not
         # overwritten.
         if len(line) < len(expected) and expected.startswith(line):
             return
         try:
-            head = json_object(line)
+            header = json_object(line)
         except RecordError:
-            head = {}
-        if head != self.head or not line.endswith(b"\n"):
-            raise self._foreign(head)
+            header = {}
+        if header != self.header or not line.endswith(b"\n"):
+            raise self._foreign_error(header)
         self.length, self.number = len(line), 1
 
     def _parse_line(self, line: bytes, length: int) -> dict[str, Any]:
         """Return a parsed line of a length, without its checksum."""
-        if length > MAX_LINE:
-            raise RecordError(f"is longer than {MAX_LINE} bytes")
-        content, checksum_text = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
+        if length > MAX_LINE_BYTES:
+            raise RecordError(f"is longer than {MAX_LINE_BYTES} bytes")
+        content, checksum_text = line[:-_CHECKSUM_LENGTH], line[-_CHECKSUM_LENGTH:]
         is_valid = checksum_text == _checksum_end(content)
-        record = json_object(line, unique=not is_valid)
+        record = json_object(line, refuses_duplicates=not is_valid)
         self._summed |= is_valid
         if not is_valid and (self._summed or "crc" in record):
             raise RecordError("differs from what was written")
@@ -239,8 +241,8 @@ class LineReader:
     def _read_error(self, reason: str) -> FormatError:
         return FormatError(Fault("BAT011", f"cannot be read: {reason}", str(self.path)))
 
-    def _foreign(self, line: Line) -> FormatError:
-        (kind, version), *_ = self.head.items()
+    def _foreign_error(self, line: JsonLine) -> FormatError:
+        (kind, version), *_ = self.header.items()
         message = f"is not a {kind} file of {version}"
         file_version = line.get(kind)
         if isinstance(file_version, str) and file_version != version:
@@ -250,14 +252,14 @@ class LineReader:
 
 
 def _checksum_end(body: bytes) -> bytes:
-    return f'{_SUM}{zlib.crc32(body):08x}"}}\n'.encode()
+    return f'{_CHECKSUM_KEY}{zlib.crc32(body):08x}"}}\n'.encode()
 
 
-def _line_text(line: Line) -> str:
+def _line_text(line: JsonLine) -> str:
     return json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n"
 
 
-def _summed(line: Line) -> bytes:
+def _summed(line: JsonLine) -> bytes:
     body = _line_text(line).encode()[:-2]
     return body + _checksum_end(body)
 
@@ -270,7 +272,7 @@ class LineWriter:
         length: Length of the file [bytes].
     """
 
-    def __init__(self, path: Path, head: Line, length: int = 0) -> None:
+    def __init__(self, path: Path, header: JsonLine, length: int = 0) -> None:
         """Open a file of ``length`` [bytes], creating it if missing."""
         self.path, self.length = path, length
         try:
@@ -282,7 +284,7 @@ class LineWriter:
         except OSError as error:
             raise self._write_error(error) from error
         if not length:
-            self._write(_line_text(head).encode())
+            self._write(_line_text(header).encode())
 
     def __enter__(self) -> Self:
         """Return the writer."""
@@ -297,7 +299,7 @@ class LineWriter:
         """Close the file."""
         os.close(self._handle)
 
-    def write(self, lines: Iterable[Line]) -> None:
+    def write(self, lines: Iterable[JsonLine]) -> None:
         """Add lines."""
         self._write(b"".join(map(_summed, lines)))
 

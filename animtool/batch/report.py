@@ -10,7 +10,7 @@ from typing import ClassVar
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.plan import BuildReason
-from animtool.batch.work import ItemOutcome, ItemStatus, Measured
+from animtool.batch.work import BakeMeasurements, ItemOutcome, ItemStatus
 from animtool.core.arguments import ArgumentNamer
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
@@ -34,7 +34,7 @@ class ItemReport:
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
     # Measurements of the bake; None if it was not built.
-    measured: Measured | None = None
+    measured: BakeMeasurements | None = None
     # Scores of its passes, also from an earlier run.
     scores: tuple[PassScores, ...] = ()
     again: str = ""  # the command that repeats it, where it failed
@@ -62,11 +62,11 @@ class ItemReport:
             outcome.scores,
         )
 
-    def worded(self, calling: ArgumentNamer) -> ItemReport:
+    def worded(self, namer: ArgumentNamer) -> ItemReport:
         """Return a copy whose texts name arguments for an interface."""
         faults, notices = (
-            tuple(fault.worded(calling) for fault in texts)
-            for texts in (self.faults, self.notices)
+            tuple(fault.worded(namer) for fault in fault_list)
+            for fault_list in (self.faults, self.notices)
         )
         return replace(self, faults=faults, notices=notices)
 
@@ -115,7 +115,9 @@ class BatchReport:
     @property
     def counts(self) -> dict[str, int]:
         """Number of items by status."""
-        return {str(s).replace(" ", "_"): self.count(s) for s in ItemStatus}
+        return {
+            str(status).replace(" ", "_"): self.count(status) for status in ItemStatus
+        }
 
     def count(self, status: ItemStatus) -> int:
         """Return the number of items with a status."""
@@ -165,7 +167,7 @@ class BatchReport:
         return [
             report
             for report in self.items
-            if any(n.severity is Severity.WARNING for n in report.notices)
+            if any(notice.severity is Severity.WARNING for notice in report.notices)
         ]
 
     @property
@@ -185,8 +187,10 @@ def junit_report(reports: Sequence[ItemReport]) -> str:
 
 def _case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
-    warnings = [n for n in report.notices if n.severity is not Severity.NOTE]
-    listed_faults = "\n".join(map(str, warnings))
+    warnings = [
+        notice for notice in report.notices if notice.severity is not Severity.NOTE
+    ]
+    warnings_text = "\n".join(map(str, warnings))
     if report.status is ItemStatus.FAILED:
         first_fault = report.faults[0]
         text = "\n".join(map(str, report.faults))
@@ -196,9 +200,9 @@ def _case(report: ItemReport) -> JunitCase:
             first_fault.code,
             first_fault.message,
             text,
-            listed_faults,
+            warnings_text,
             report.seconds,
         )
     if report.status is ItemStatus.DONE:
-        return JunitCase(name, output=listed_faults, seconds=report.seconds)
+        return JunitCase(name, output=warnings_text, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

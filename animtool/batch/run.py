@@ -62,19 +62,19 @@ class Listener:
         shown: Warnings that were already displayed.
     """
 
-    shown: tuple[Fault, ...] = ()
+    shown_warnings: tuple[Fault, ...] = ()
 
-    def planned(self, due: int, total: int) -> None:
-        """Receive the number of items to build, and of all items."""
+    def on_plan(self, due_count: int, total_count: int) -> None:
+        """Handle the plan: the number of items to build, and of all items."""
 
-    def began(self, item: Item) -> None:
-        """Receive the start of an item."""
+    def on_start(self, item: Item) -> None:
+        """Handle the start of an item."""
 
-    def ended(self, report: ItemReport) -> None:
-        """Receive the outcome of an item."""
+    def on_end(self, report: ItemReport) -> None:
+        """Handle the outcome of an item."""
 
-    def warned(self, notice: Fault) -> None:
-        """Receive a warning about an executor."""
+    def on_warning(self, notice: Fault) -> None:
+        """Handle a warning about an executor."""
 
 
 def run_batch(
@@ -91,9 +91,9 @@ def run_batch(
 
     Raises:
         FormatError: A scene, or a record of an earlier run, is malformed.
-        NothingFoundError: There is no input (BAT005).
-        OptionError: Outputs clash (OUT007), are inputs (OUT003), or exist without a
-            record of the batch (OUT001); or an option is invalid.
+        NoMatchError: There is no input (BAT005).
+        OptionError: Outputs are equal (OUT007), are inputs (OUT003), or exist without
+            a record of the batch (OUT001); or an option is invalid.
         LockedError: Another run is active (BAT010).
         OutputError: A folder cannot be written to (OUT002, BAT012).
     """
@@ -117,8 +117,8 @@ def run_batch(
     with locked_ledger(batch.records, batch.name, part) as ledger:
         run = _BatchRun(batch, options, listener, ledger)
         run.plan(items)
-        run.make()
-        ledger.settle(run.keeps)
+        run.build_due_items()
+        ledger.merge_records(run.should_keep)
     seconds = time.perf_counter() - start_time
     notices = (*ledger.history.damaged, *run.notices)
     return BatchReport(batch, tuple(run.reports()), seconds, notices)
@@ -147,7 +147,7 @@ def _items_to_consider(
 
 
 def _planned_report(decision: Decision) -> ItemReport:
-    status = ItemStatus.NOT_RUN if decision.due else ItemStatus.SKIPPED
+    status = ItemStatus.NOT_RUN if decision.is_due else ItemStatus.SKIPPED
     return ItemReport(
         decision.item,
         status,
@@ -158,7 +158,7 @@ def _planned_report(decision: Decision) -> ItemReport:
 
 
 class _BatchRun:
-    """A run, while its records are locked."""
+    """A run of a batch whose records are locked."""
 
     def __init__(
         self, batch: Batch, options: RunOptions, listener: Listener, ledger: Ledger
@@ -168,35 +168,35 @@ class _BatchRun:
         self.planner = Planner(
             batch,
             ledger.history,
-            now=ledger.now,
+            now=ledger.start_time_ns,
             verify=options.verify,
             force=options.force,
         )
         self.decisions: dict[int, Decision] = {}
-        self.ended: dict[int, ItemReport] = {}
-        self.begun: set[int] = set()
+        self.reports_by_number: dict[int, ItemReport] = {}
+        self.started_numbers: set[int] = set()
         self.failures = 0
         self.notices: list[Fault] = []  # warnings about workers
 
     def plan(self, items: Sequence[Item]) -> None:
         """Decide which items to build, and check their outputs."""
-        due: list[Item] = []
-        selected = _items_to_consider(
+        due_items: list[Item] = []
+        considered_items = _items_to_consider(
             items, self.options, self.planner, self.ledger.history
         )
-        for decision in self.planner.decisions(selected):
+        for decision in self.planner.decisions(considered_items):
             item = decision.item
             self.decisions[item.number] = decision
-            if decision.due:
-                if not due:
+            if decision.is_due:
+                if not due_items:
                     self._executor()[0].prepare(self.batch.item_task)
-                due.append(item)
+                due_items.append(item)
             if decision.refreshed is not None:
                 self.ledger.add(decision.refreshed)
-        self._tidy()
+        self._remove_temporary_files()
         if not self.options.overwrite:
-            check_overwrites(self.batch, due, self._is_known)
-        self.listener.planned(len(due), len(self.decisions))
+            check_overwrites(self.batch, due_items, self._is_known)
+        self.listener.on_plan(len(due_items), len(self.decisions))
 
     def _is_known(self, path: Path) -> bool:
         """Return whether a run of the batch wrote a file, or started to."""
@@ -205,28 +205,30 @@ class _BatchRun:
         )
 
     def _executor(self) -> tuple[Executor, str]:
-        """Return the executor of items, and its work."""
+        """Return the executor and its argument."""
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 
-    def _tidy(self) -> None:
+    def _remove_temporary_files(self) -> None:
         """Remove temporary files of killed runs, also for intact items."""
         items = [decision.item for decision in self.decisions.values()]
         folders = dict.fromkeys(folder for item in items for folder in item.folders)
         folders[self.batch.records] = None
         remove_leftovers(folder.resolve() for folder in folders)
 
-    def make(self) -> None:
+    def build_due_items(self) -> None:
         """Build the items that are due."""
-        due = [d.item for d in self.decisions.values() if d.due]
-        if not due:
+        due_items = [
+            decision.item for decision in self.decisions.values() if decision.is_due
+        ]
+        if not due_items:
             return
         executor, argument = self._executor()
         run_executor = executor.load()
         builder = ItemBuilder(self.batch.item_task, self.batch.root)
         requested_jobs = self.options.jobs or self.batch.jobs
-        jobs = min(requested_jobs or _processors(), len(due))
-        items = self._start_items(due)
+        jobs = min(requested_jobs or _processor_count(), len(due_items))
+        items = self._start_items(due_items)
         work = Work(
             builder,
             items,
@@ -234,12 +236,17 @@ class _BatchRun:
             jobs,
             argument,
             requested_jobs,
-            (*self.batch.named, *(item.file.path for item in due)),
-            (self.batch.records, *dict.fromkeys(f for i in due for f in i.folders)),
+            (*self.batch.shared_inputs, *(item.file.path for item in due_items)),
+            (
+                self.batch.records,
+                *dict.fromkeys(
+                    folder for due_item in due_items for folder in due_item.folders
+                ),
+            ),
             self.options.max_failures is None,
         )
         outcomes = run_executor(work)
-        close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
+        close_outcomes: Callable[[], None] = getattr(outcomes, "close", lambda: None)
         try:
             for outcome in outcomes:
                 # Executors of plug-ins may yield anything.
@@ -247,24 +254,24 @@ class _BatchRun:
                     self._record_outcome(outcome)
                 elif isinstance(outcome, Fault):
                     self.notices.append(outcome)
-                    self.listener.warned(outcome)
+                    self.listener.on_warning(outcome)
         finally:
-            close()
-        for number in sorted(self.begun - self.ended.keys()):
+            close_outcomes()
+        for number in sorted(self.started_numbers - self.reports_by_number.keys()):
             item = self.decisions[number].item
             message = "the process that built it did not report a result"
             fault = Fault("BAT020", message, str(item.file.path))
             self._record_outcome(ItemOutcome.failed(item, fault))
         # A process of a killed run may have lived a moment longer.
-        self._tidy()
+        self._remove_temporary_files()
 
-    def _start_items(self, due: Sequence[Item]) -> Iterator[Item]:
+    def _start_items(self, due_items: Sequence[Item]) -> Iterator[Item]:
         """Yield items as they are started, until too many have failed."""
         max_failures = self.options.max_failures
-        for item in due:
+        for item in due_items:
             if max_failures is not None and self.failures >= max_failures:
                 return
-            self.begun.add(item.number)
+            self.started_numbers.add(item.number)
             paths = self.batch.outputs(item)
             if not self.options.overwrite:
                 # Another batch, or a person, may have written it since planning.
@@ -274,11 +281,14 @@ class _BatchRun:
                     self._record_outcome(ItemOutcome.failed(item, *error.faults))
                     continue
             self.ledger.claim([relative_name(path, self.batch.root) for path in paths])
-            self.listener.began(item)
+            self.listener.on_start(item)
             yield item
 
     def _record_outcome(self, outcome: ItemOutcome) -> None:
-        if outcome.number not in self.begun or outcome.number in self.ended:
+        if (
+            outcome.number not in self.started_numbers
+            or outcome.number in self.reports_by_number
+        ):
             # A plug-in's executor reported it twice, or reported an unknown item.
             return
         decision = self.decisions[outcome.number]
@@ -289,7 +299,7 @@ class _BatchRun:
             self.ledger.add(
                 ItemRecord(
                     key,
-                    self.planner.how(item),
+                    self.planner.settings_digest(item),
                     self.planner.versions,
                     outcome.inputs,
                     outcome.outputs,
@@ -300,11 +310,11 @@ class _BatchRun:
         else:
             self.failures += 1
             self.ledger.failed(key, report.why)
-        self.ended[item.number] = report
-        self.listener.ended(report)
+        self.reports_by_number[item.number] = report
+        self.listener.on_end(report)
 
-    def keeps(self, record: ItemRecord) -> bool:
-        """Return whether to keep a record: its output exists, or is planned."""
+    def should_keep(self, record: ItemRecord) -> bool:
+        """Return whether to keep a record: an output exists or is planned."""
         return any(
             path_of_name(file.path, self.batch.root).exists() for file in record.outputs
         )
@@ -312,10 +322,10 @@ class _BatchRun:
     def reports(self) -> Iterator[ItemReport]:
         """Yield the report of every considered item, in order."""
         for number, decision in self.decisions.items():
-            yield self.ended.get(number) or _planned_report(decision)
+            yield self.reports_by_number.get(number) or _planned_report(decision)
 
 
-def _processors() -> int:
+def _processor_count() -> int:
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:

@@ -19,7 +19,9 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 
 # Names of effects that change times although they are not a `TimeEffect`.
-_OF_TIME = re.compile(r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE)
+_TIME_EFFECT_NAME = re.compile(
+    r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE
+)
 # Begin and end [s]; None for the full range.
 Window: TypeAlias = tuple[Fraction, Fraction] | None
 
@@ -43,8 +45,8 @@ class ShownClip:
 
     clip: Any
     track: str
-    named: str
-    part: Window = None
+    clip_text: str
+    visible_range: Window = None
     speed: Fraction = Fraction(1)
     name: str = ""
 
@@ -66,29 +68,31 @@ class Span:
     seconds: Fraction
     speed: Fraction
     rate: Fraction
-    head: bool = True
-    tail: bool = True
+    shows_begin: bool = True
+    shows_end: bool = True
 
 
-def span_of(shown: ShownClip) -> Span:
+def span_of(shown_clip: ShownClip) -> Span:
     """Return the media range that a clip shows.
 
     Backwards, a clip plays its range from the last frame to the first.
     """
-    trimmed_range = shown.clip.trimmed_range()
+    trimmed_range = shown_clip.clip.trimmed_range()
     start, length = (
         seconds_of(trimmed_range.start_time),
         seconds_of(trimmed_range.duration),
     )
-    rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown.clip)
+    rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown_clip.clip)
     visible_begin, visible_end = (
-        (Fraction(0), length) if shown.part is None else shown.part
+        (Fraction(0), length)
+        if shown_clip.visible_range is None
+        else shown_clip.visible_range
     )
     hidden_before = length - visible_end if speed < 0 else visible_begin
     return Span(
         start + hidden_before * abs(speed),
-        (visible_end - visible_begin) / shown.speed,
-        speed * shown.speed,
+        (visible_end - visible_begin) / shown_clip.speed,
+        speed * shown_clip.speed,
         rate,
         visible_begin <= 0,
         visible_end >= length,
@@ -120,7 +124,7 @@ def is_time_effect(effect: Any) -> bool:
 
     if isinstance(effect, otio.schema.TimeEffect):
         return True
-    return _OF_TIME.search(str(effect.effect_name or "")) is not None
+    return _TIME_EFFECT_NAME.search(str(effect.effect_name or "")) is not None
 
 
 def _effect_name(effect: Any) -> str:
@@ -128,67 +132,69 @@ def _effect_name(effect: Any) -> str:
     return f"effect {excerpt(str(name))}"
 
 
-def transition_sides(shown: ShownClip) -> tuple[Any, Any]:
-    """Return how far transitions extend a clip; None without any."""
+def transition_sides(shown_clip: ShownClip) -> tuple[Any, Any]:
+    """Return the offsets by which transitions extend a clip; None without any."""
     import opentimelineio as otio
 
     kind = otio.schema.Transition
-    track = shown.clip.parent()
+    track = shown_clip.clip.parent()
     if not isinstance(track, otio.schema.Track):
         return None, None
-    in_transition, out_transition = track.neighbors_of(shown.clip)
+    in_transition, out_transition = track.neighbors_of(shown_clip.clip)
     return (
         in_transition.in_offset if isinstance(in_transition, kind) else None,
         out_transition.out_offset if isinstance(out_transition, kind) else None,
     )
 
 
-Noter: TypeAlias = Callable[[str, str, bool], None]
+NoticeCallback: TypeAlias = Callable[[str, str, bool], None]
 
 
 @dataclass(slots=True)
-class Walk:
+class ClipVisitor:
     """Visits the clips on video tracks and their visible parts."""
 
-    note: Noter  # called with a code, a message, and whether it is a warning
+    notify: NoticeCallback  # called with a code, a message, and whether it is a warning
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
     gaps: int = 0
     # Why clips are not shots, by their names.
-    skipped: dict[str, str] = field(default_factory=dict)
+    skip_reasons: dict[str, str] = field(default_factory=dict)
 
-    def timeline(self, tracks: Any) -> None:
+    def visit_timeline(self, tracks: Any) -> None:
         """Visit the clips of a timeline's tracks."""
         if self._is_disabled(tracks, "the timeline's stack"):
             return
         try:
-            window, speed_and_window = _content_window(tracks, None)
+            window, tracks_speed = _content_window(tracks, None)
         except UnsupportedTimeError as error:
-            self.leave_out(tracks, "BAT044", f"the timeline's stack: {error}")
+            self.skip_item(tracks, "BAT044", f"the timeline's stack: {error}")
             return
         for number, track in enumerate(tracks, 1):
             name = track.name or f"track {number}"
             kind = getattr(track, "kind", "Video")
             if kind != "Video":
-                self.note("BAT043", f"{name}, of type {kind}, is skipped", False)
+                self.notify("BAT043", f"{name}, of type {kind}, is skipped", False)
             elif not self._is_disabled(track, name):
-                self._item(track, name, name, window, Fraction(0), speed_and_window)
+                self._visit_item(track, name, name, window, Fraction(0), tracks_speed)
 
-    def _is_disabled(self, item: Any, named: str) -> bool:
+    def _is_disabled(self, item: Any, item_text: str) -> bool:
         if getattr(item, "enabled", True):
             return False
-        self.leave_out(item, "BAT043", f"{named} is disabled", warn=False)
+        self.skip_item(item, "BAT043", f"{item_text} is disabled", is_warning=False)
         return True
 
-    def leave_out(self, item: Any, code: str, why: str, *, warn: bool = True) -> None:
+    def skip_item(
+        self, item: Any, code: str, reason: str, *, is_warning: bool = True
+    ) -> None:
         """Report why an item and its content are not shots."""
         for name in _clip_names(item):
-            self.skipped.setdefault(name, why)
-        self.note(code, f"{why}; it is skipped", warn)
+            self.skip_reasons.setdefault(name, reason)
+        self.notify(code, f"{reason}; it is skipped", is_warning)
 
-    def _item(
+    def _visit_item(
         self,
         item: Any,
-        named: str,
+        item_text: str,
         path: str,
         window: Window,
         begin: Fraction,
@@ -203,72 +209,86 @@ class Walk:
         if window is not None:
             item_end = begin + duration_of(item)
             if not max(begin, window[0]) < min(item_end, window[1]):
-                self.leave_out(item, "BAT043", f"{named} is trimmed away", warn=False)
+                self.skip_item(
+                    item, "BAT043", f"{item_text} is trimmed away", is_warning=False
+                )
                 return
             visible_part = (
                 max(begin, window[0]) - begin,
                 min(item_end, window[1]) - begin,
             )
         if not hasattr(item, "find_children"):
-            self.clips.append(ShownClip(item, path, named, visible_part, speed))
+            self.clips.append(ShownClip(item, path, item_text, visible_part, speed))
             return
         try:
             inner_window, inner_speed = _content_window(item, visible_part)
         except UnsupportedTimeError as error:
-            self.leave_out(item, "BAT044", f"{named}: {error}")
+            self.skip_item(item, "BAT044", f"{item_text}: {error}")
             return
-        self._children(item, path, inner_window, speed * inner_speed)
+        self._visit_children(item, path, inner_window, speed * inner_speed)
 
-    def _children(
-        self, parent: Any, where: str, window: Window, speed: Fraction
+    def _visit_children(
+        self, parent: Any, parent_text: str, window: Window, speed: Fraction
     ) -> None:
         import opentimelineio as otio
 
         schema, begin = otio.schema, Fraction(0)
-        in_row = isinstance(parent, schema.Track)
+        is_track = isinstance(parent, schema.Track)
         for child in parent:
             if isinstance(child, schema.Transition):
                 continue
-            begun = begin
-            if in_row and window is not None:
+            child_begin = begin
+            if is_track and window is not None:
                 begin += duration_of(child)
             if isinstance(child, schema.Gap):
                 self.gaps += 1
             elif isinstance(child, schema.Clip):
-                named = f"clip {excerpt(child.name or '')} of {where}"
-                if not self._is_disabled(child, named):
-                    self._item(child, named, where, window, begun, speed)
+                child_text = f"clip {excerpt(child.name or '')} of {parent_text}"
+                if not self._is_disabled(child, child_text):
+                    self._visit_item(
+                        child, child_text, parent_text, window, child_begin, speed
+                    )
             elif isinstance(child, otio.core.Composition):
-                inner = f"{where}/{child.name}" if child.name else where
+                child_path = (
+                    f"{parent_text}/{child.name}" if child.name else parent_text
+                )
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
-                    self.note("BAT043", f"{inner}, of type {kind}, is skipped", False)
-                elif not self._is_disabled(child, inner):
-                    self.note(
-                        "BAT043", f"{inner} is nested; its clips become shots", False
+                    self.notify(
+                        "BAT043", f"{child_path}, of type {kind}, is skipped", False
                     )
-                    self._item(child, inner, inner, window, begun, speed)
+                elif not self._is_disabled(child, child_path):
+                    self.notify(
+                        "BAT043",
+                        f"{child_path} is nested; its clips become shots",
+                        False,
+                    )
+                    self._visit_item(
+                        child, child_path, child_path, window, child_begin, speed
+                    )
 
 
-def _content_window(item: Any, part: Window) -> tuple[Window, Fraction]:
+def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]:
     """Return the content time that a track or stack shows, and its speed.
 
-    part: visible range since its begin; None for all.
+    visible_range: visible range since its begin; None for all.
     """
-    speed_and_range, trim = speed_of(item), item.source_range
-    if speed_and_range <= 0:
-        problem = "plays backwards" if speed_and_range else "holds a frame"
+    speed, source_range = speed_of(item), item.source_range
+    if speed <= 0:
+        problem = "plays backwards" if speed else "holds a frame"
         raise UnsupportedTimeError(f"it {problem}, which only clips can")
-    if trim is None and part is None and speed_and_range == 1:
-        return None, speed_and_range
+    if source_range is None and visible_range is None and speed == 1:
+        return None, speed
     first_time, length = Fraction(0), duration_of(item)
-    if trim is not None:
-        first_time = seconds_of(trim.start_time)
-    part_begin, part_end = (Fraction(0), length) if part is None else part
+    if source_range is not None:
+        first_time = seconds_of(source_range.start_time)
+    part_begin, part_end = (
+        (Fraction(0), length) if visible_range is None else visible_range
+    )
     return (
-        first_time + part_begin * speed_and_range,
-        first_time + part_end * speed_and_range,
-    ), speed_and_range
+        first_time + part_begin * speed,
+        first_time + part_end * speed,
+    ), speed
 
 
 def duration_of(item: Any) -> Fraction:

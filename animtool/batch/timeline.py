@@ -25,19 +25,19 @@ from animtool.core.rates import rate_from_float
 MAX_BYTES = 100_000_000
 # Nested stacks use three levels each.
 MAX_NESTING = 300
-CONTENT = "content.otio"
+OTIOZ_CONTENT = "content.otio"
 
 _JSON_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
 # Non-finite numbers, which the library writes and reads.
-_INFINITE = re.compile(_JSON_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
-_BRACKETS = b"[]{}"
-_NO_BRACKETS = bytes(set(range(256)) - set(_BRACKETS))
+_NON_FINITE_NUMBER = re.compile(_JSON_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
+_BRACKET_BYTES = b"[]{}"
+_NO_BRACKETS = bytes(set(range(256)) - set(_BRACKET_BYTES))
 
 
 def check_text(path: Path) -> None:
     """Refuse a timeline that is too large, too deeply nested, or not a file."""
     try:
-        problem = _problem(path)
+        problem = _text_problem(path)
     except FormatError as error:
         raise FormatError(replace(error.faults[0], code="BAT041")) from error
     except (OSError, ValueError) as error:
@@ -47,17 +47,17 @@ def check_text(path: Path) -> None:
         raise FormatError(Fault("BAT041", problem, str(path)))
 
 
-def _problem(path: Path) -> str | None:
+def _text_problem(path: Path) -> str | None:
     kind = path.suffix.lower()
     if kind == ".otiod":
-        path = path / CONTENT
+        path = path / OTIOZ_CONTENT
     text = b"null"
     with open_input(path, None if kind == ".otioz" else MAX_BYTES) as file:
         if kind in {".otio", ".otiod"}:
             text = file.read_all()
         elif kind == ".otioz":
             try:
-                with ZipFile(file) as archive, archive.open(CONTENT) as content:
+                with ZipFile(file) as archive, archive.open(OTIOZ_CONTENT) as content:
                     text = content.read(MAX_BYTES + 1)
             except MemoryError:
                 raise
@@ -69,7 +69,9 @@ def _problem(path: Path) -> str | None:
     if nesting(text) > MAX_NESTING:
         return f"is nested more than {MAX_NESTING} levels deep"
     if b"Inf" in text or b"-NaN" in text:
-        text = _INFINITE.sub(lambda m: m[0] if m[0].startswith(b'"') else b"0", text)
+        text = _NON_FINITE_NUMBER.sub(
+            lambda match: match[0] if match[0].startswith(b'"') else b"0", text
+        )
     json.loads(text.decode("utf-8"))
     return None
 
@@ -81,7 +83,9 @@ def nesting(text: bytes) -> int:
     3
     """
     brackets = _JSON_STRING.sub(b"", text).translate(None, _NO_BRACKETS)
-    return max(accumulate(1 if b in b"[{" else -1 for b in brackets), default=0)
+    return max(
+        accumulate(1 if bracket in b"[{" else -1 for bracket in brackets), default=0
+    )
 
 
 # Times in timelines are floats: a time this near to a frame is that frame [frame].
@@ -90,14 +94,14 @@ FRAME_TOLERANCE = Fraction(1, 1_000_000)
 MAX_DENOMINATOR = 100_000
 # Generous limits of media: frames per second, and seconds since 1970.
 LOWEST_RATE, HIGHEST_RATE = 0.001, 1e6
-MAX_SECONDS = 10**12
+MAX_MEDIA_SECONDS = 10**12
 MAX_SPEED = 10**6
 # Hosts of URLs that mean this machine.
 LOCAL_HOSTS = ("", "localhost")
 
 
-def library() -> Any:
-    """Return OpenTimelineIO (IO005 where it is not installed)."""
+def import_otio() -> Any:
+    """Import and return OpenTimelineIO (IO005 if it is not installed)."""
     try:
         import opentimelineio as otio
     except ModuleNotFoundError as error:
@@ -114,7 +118,7 @@ def is_edl(path: Path) -> bool:
 
 def read_timeline(path: Path) -> Any:
     """Return an OpenTimelineIO timeline; an EDL is read by `read_edl`."""
-    otio = library()
+    otio = import_otio()
     check_text(path)
     try:
         timeline = otio.adapters.read_from_file(str(path))
@@ -180,7 +184,7 @@ def exact_rate(rate: float) -> Fraction:
 def seconds_of(time: Any) -> Fraction:
     """Return a time of a timeline, exact at its own rate [s]."""
     rate = exact_rate(time.rate)
-    if not abs(time.value) <= MAX_SECONDS * rate:
+    if not abs(time.value) <= MAX_MEDIA_SECONDS * rate:
         raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")
     exact_value = Fraction(time.value)
     frames = Fraction(round(exact_value))

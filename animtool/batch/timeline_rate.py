@@ -22,52 +22,56 @@ SET_RATE_HINT = (
 COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
 
 
-def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
+def edl_rate(edl: Edl, requested_fps: Fraction | None) -> Fraction:
     """Return the frame rate of an EDL's time codes.
 
-    It is that of a comment (``* FPS: 25``), else the one asked for, else the project's.
+    It is that of a comment (``* FPS: 25``), else the requested one, else the project's.
     """
     path = str(edl.path)
     if edl.fps is not None:
-        return _checked_rate(edl.fps, asked, path)
-    configured = asked or find_config(edl.path).timeline.fps
+        return _checked_rate(edl.fps, requested_fps, path)
+    configured = requested_fps or find_config(edl.path).timeline.fps
     if configured is not None:
         return configured
     message = "states no frame rate, which its time codes need"
-    how = COMMON_RATES_HINT
-    if edl.drop:
+    hint = COMMON_RATES_HINT
+    if edl.has_drop_frame:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
-        how = SET_RATE_HINT.format("30000/1001", "60000/1001")
-    elif edl.last_label > 0:
-        message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
-        message += f"above {edl.last_label} fps"
-    raise OptionError(Fault("BAT054", message, path, (), how))
+        hint = SET_RATE_HINT.format("30000/1001", "60000/1001")
+    elif edl.max_frame_label > 0:
+        message += (
+            f"; the highest frame label is {edl.max_frame_label:02d}, so the rate is "
+        )
+        message += f"above {edl.max_frame_label} fps"
+    raise OptionError(Fault("BAT054", message, path, (), hint))
 
 
 def timeline_rate(
-    timeline: Any, path: Path, stated: Fraction | None, requested_fps: Fraction | None
+    timeline: Any,
+    path: Path,
+    stated_rate: Fraction | None,
+    requested_fps: Fraction | None,
 ) -> tuple[Fraction, list[Fault]]:
     """Return the rate of a timeline's shots, and a warning for mixed rates.
 
-    It is the stated one, else that of the global start time, else the one asked for,
-    else the project's, else the one that all clips and gaps count at, or more than half
-    of them.
+    It is the stated one, else that of the global start time, else the requested one,
+    else the project's, else the rate of all, or more than half, of its clips and gaps.
 
     Args:
-        timeline: As OpenTimelineIO has it.
+        timeline: The OpenTimelineIO timeline.
         path: Its file.
-        stated: What its metadata states.
-        requested_fps: What options ask for.
+        stated_rate: Rate that its metadata states.
+        requested_fps: Rate that options request.
     """
-    path_text, begin = str(path), timeline.global_start_time
-    if stated is None and begin is not None and begin.rate > 0:
+    path_text, global_start = str(path), timeline.global_start_time
+    if stated_rate is None and global_start is not None and global_start.rate > 0:
         try:
-            stated = exact_rate(begin.rate)
+            stated_rate = exact_rate(global_start.rate)
         except ValueError as error:
             message = f"invalid global start time: {error}"
             raise FormatError(Fault("BAT041", message, path_text)) from error
-    if stated is not None:
-        return _checked_rate(stated, requested_fps, path_text), []
+    if stated_rate is not None:
+        return _checked_rate(stated_rate, requested_fps, path_text), []
     configured = requested_fps or find_config(path).timeline.fps
     if configured is not None:
         return configured, []
@@ -76,15 +80,17 @@ def timeline_rate(
     if not total:
         # No clip has a visible range; each clip is reported.
         return Fraction(1), []
-    chosen, count = rates.most_common(1)[0]
+    common_rate, count = rates.most_common(1)[0]
     if len(rates) == 1:
-        return chosen, []
-    each = ", ".join(f"{n} at {rate_label(rate)}" for rate, n in rates.most_common())
-    message = f"states no rate, and its clips and gaps use several: {each}"
+        return common_rate, []
+    rate_list = ", ".join(
+        f"{n} at {rate_label(rate)}" for rate, n in rates.most_common()
+    )
+    message = f"states no rate, and its clips and gaps use several: {rate_list}"
     if 2 * count <= total:
         raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
-    message += f"; using {rate_label(chosen)}"
-    return chosen, [
+    message += f"; using {rate_label(common_rate)}"
+    return common_rate, [
         Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
     ]
 

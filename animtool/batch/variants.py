@@ -24,7 +24,7 @@ from animtool.core.names import is_variable_name
 from animtool.core.record import dataclass
 from animtool.documents.document import read_text
 
-# More items than intended; a wrong step requests millions.
+# Maximum number of variants; a wrong step requests millions.
 MAX_VARIANTS = 10_000
 # Limits of a table; a file without line ends has one line of millions of characters.
 MAX_COLUMNS = 1000
@@ -82,12 +82,15 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     problems = dict(name_problems(names))
     for i, (name, text) in enumerate(zip(names, texts, strict=True)):
         marker = argument("vary", text)
-        range_meant = _range_meant(text.partition("=")[2])
+        suggested_range = _translate_range(text.partition("=")[2])
         hint = "write NAME=1,2,5 or NAME=1..20"
-        hint = f"write {name}={range_meant}" if range_meant else hint
+        hint = f"write {name}={suggested_range}" if suggested_range else hint
         if "=" not in text:
-            message, form = f"{marker}: the sign = is missing", _assignment_hint(text)
-            faults.append(Fault("BAT064", message, hint=form))
+            message, assignment_hint = (
+                f"{marker}: the sign = is missing",
+                _assignment_hint(text),
+            )
+            faults.append(Fault("BAT064", message, hint=assignment_hint))
         elif i in problems:
             faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
         else:
@@ -109,8 +112,8 @@ def _assignment_hint(text: str) -> str:
     >>> _assignment_hint("wind 1 2"), _assignment_hint("wind")
     ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')
     """
-    if range_meant := _range_meant(text.strip()):
-        return f"write NAME={range_meant}"
+    if suggested_range := _translate_range(text.strip()):
+        return f"write NAME={suggested_range}"
     name, *values = re.split(r"[\s:,]+", text.strip())
     if not is_variable_name(name):
         name = "NAME"
@@ -119,8 +122,8 @@ def _assignment_hint(text: str) -> str:
     return f"write {name}=1,2,5 or {name}=1..20"
 
 
-def _range_meant(text: str) -> str | None:
-    """Return a range of another notation in ours; None if the text is none.
+def _translate_range(text: str) -> str | None:
+    """Return a range in another notation in animtool's; None if it is not a range.
 
     >>> _range_meant("50:200:50"), _range_meant("50:50:200"), _range_meant("01:00:00")
     ('50..200/50', '50..200/50', None)
@@ -135,21 +138,21 @@ def _range_meant(text: str) -> str | None:
 
 
 def values_of_text(text: str) -> list[str]:
-    """Return the values of a list with commas, in which ranges may be.
+    """Return the values of a comma-separated list, with ranges expanded.
 
     >>> values_of_text("1..3,10"), values_of_text("0..1/0.25")
     (['1', '2', '3', '10'], ['0', '0.25', '0.5', '0.75', '1'])
     """
     values: list[str] = []
-    for part in (part.strip() for part in text.split(",")):
-        match = _RANGE.fullmatch(part)
+    for item in (item.strip() for item in text.split(",")):
+        match = _RANGE.fullmatch(item)
         if match is None:
-            problem = value_problem(part)
-            if problem is None and _range_meant(part) is not None:
-                problem = f"{excerpt(part)} is neither a value nor a range"
+            problem = value_problem(item)
+            if problem is None and _translate_range(item) is not None:
+                problem = f"{excerpt(item)} is neither a value nor a range"
             if problem is not None:
                 raise ValueError(problem)
-            values.append(part)
+            values.append(item)
         else:
             values += range_values(match["first"], match["last"], match["step"] or "1")
         if len(values) > MAX_VARIANTS:
@@ -158,21 +161,21 @@ def values_of_text(text: str) -> list[str]:
 
 
 def range_values(first: str, last: str, step: str = "1") -> list[str]:
-    """Return the numbers of a range, both ends included where steps allow.
+    """Return the numbers of a range; the last is included if the steps reach it.
 
     >>> range_values("0", "0.3", "0.1"), range_values("3", "1", "-1")
     (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
     """
-    start, stop, increment = map(_decimal, (first, last, step))
-    if increment == 0 or (stop - start) / increment < 0:
+    first_value, last_value, step_value = map(_parse_decimal, (first, last, step))
+    if step_value == 0 or (last_value - first_value) / step_value < 0:
         raise ValueError(f"steps of {step} do not lead from {first} to {last}")
-    count = int((stop - start) / increment) + 1
+    count = int((last_value - first_value) / step_value) + 1
     if count > MAX_VARIANTS:
         raise ValueError(f"a range of {counted(count, 'value')}: {TOO_MANY_TEXT}")
-    return [_text(start + i * increment) for i in range(count)]
+    return [_decimal_text(first_value + i * step_value) for i in range(count)]
 
 
-def _decimal(text: str) -> Decimal:
+def _parse_decimal(text: str) -> Decimal:
     try:
         value = Decimal(text.strip())
     except InvalidOperation:
@@ -183,7 +186,7 @@ def _decimal(text: str) -> Decimal:
     return value
 
 
-def _text(value: Decimal) -> str:
+def _decimal_text(value: Decimal) -> str:
     text = format(value, "f")
     return text.rstrip("0").rstrip(".") if "." in text else text
 
@@ -204,20 +207,20 @@ def value_problem(text: str) -> str | None:
 
 
 def name_problems(
-    names: Sequence[str], taken: Collection[str] = ()
+    names: Sequence[str], reserved_names: Collection[str] = ()
 ) -> Iterator[tuple[int, str]]:
-    """Yield the columns with unusable names, and why."""
-    previous: set[str] = set()
+    """Yield the index and fault of each invalid column name."""
+    previous_names: set[str] = set()
     for i, name in enumerate(names):
-        is_duplicate = name in previous
-        previous.add(name)
+        is_duplicate = name in previous_names
+        previous_names.add(name)
         if not is_variable_name(name):
             valid_names = "a name of letters, digits and _"
             problem = (
                 f"{excerpt(name)} is not {valid_names}" if name else "a name is missing"
             )
             yield i, problem
-        elif name in taken:
+        elif name in reserved_names:
             yield i, f"{name!r} is reserved here"
         elif is_duplicate:
             yield i, f"there are two columns {name!r}"
@@ -250,32 +253,41 @@ def read_variants(path: Path) -> Variants:
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
     # One line more than allowed is enough to detect the excess.
     max_lines = MAX_VARIANTS + 2
-    lines = list(itertools.islice(_lines(read_text(path), separator, path), max_lines))
+    lines = list(
+        itertools.islice(_parse_lines(read_text(path), separator, path), max_lines)
+    )
     if len(lines) < 2:
         message = "has no rows" if lines else "is empty"
         hint = "the first line names the columns; every other line is a variant"
         raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
     (_, names, columns), *rows = lines
-    separate = None
+    separator_hint = None
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
-        separate = "separate columns by commas, or by tabs in a .tsv file"
+        separator_hint = "separate columns by commas, or by tabs in a .tsv file"
     faults = [
-        Fault("BAT063", message, str(path), (lines[0][0],), separate, column=columns[i])
+        Fault(
+            "BAT063",
+            message,
+            str(path),
+            (lines[0][0],),
+            separator_hint,
+            column=columns[i],
+        )
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:
         message = f"more rows: {TOO_MANY_TEXT}"
         faults.append(Fault("BAT065", message, str(path), (rows[MAX_VARIANTS][0],)))
         raise FormatError(faults)
-    for line, values, columns_of_values in rows:
+    for line, values, value_columns in rows:
         if len(values) != len(names):
             message = f"{counted(len(values), 'value')} for {len(names)} columns"
-            column = columns_of_values[min(len(values) - 1, len(names))]
+            column = value_columns[min(len(values) - 1, len(names))]
             hint = f"columns: {', '.join(names)}"
             fault = Fault("BAT062", message, str(path), (line,), hint, column=column)
             faults.append(fault)
             continue
-        for name, value, column in zip(names, values, columns_of_values, strict=True):
+        for name, value, column in zip(names, values, value_columns, strict=True):
             problem = value_problem(value)
             if problem is not None:
                 text = f"column {name!r}: {problem}"
@@ -286,29 +298,29 @@ def read_variants(path: Path) -> Variants:
     return Variants(tuple(table), path)
 
 
-def _lines(
+def _parse_lines(
     text: str, separator: str, path: Path
 ) -> Iterator[tuple[int, list[str], list[int]]]:
     """Yield the lines of a table that are not blank: number, values, and columns."""
-    for number, line_with_end in enumerate(io.StringIO(text), 1):
-        line = line_with_end.removesuffix("\n").removesuffix("\r")
+    for number, raw_line in enumerate(io.StringIO(text), 1):
+        line = raw_line.removesuffix("\n").removesuffix("\r")
         if not line.strip(f" {separator}"):
             continue
         try:
-            values = _values(line, separator)
+            values = _parse_line(line, separator)
         except (csv.Error, ValueError) as error:
             message = f"cannot be read as a table: {error}"
             hint = "inside quotes, double a quote; values cannot contain line ends"
             raise FormatError(
                 Fault("BAT061", message, str(path), (number,), hint, column=1)
             ) from error
-        value_columns = _spots(line, separator)
+        columns = _value_columns(line, separator)
         # Readers disagree on quotes inside a value.
-        value_columns += value_columns[-1:] * (len(values) - len(value_columns))
-        yield number, [value.strip() for value in values], value_columns
+        columns += columns[-1:] * (len(values) - len(columns))
+        yield number, [value.strip() for value in values], columns
 
 
-def _values(line: str, separator: str) -> list[str]:
+def _parse_line(line: str, separator: str) -> list[str]:
     """Return the values of a line."""
     if len(line) > MAX_LINE:
         raise ValueError(f"a line can have up to {MAX_LINE} characters")
@@ -320,7 +332,7 @@ def _values(line: str, separator: str) -> list[str]:
     return values
 
 
-def _spots(line: str, separator: str) -> list[int]:
+def _value_columns(line: str, separator: str) -> list[int]:
     """Return the 1-based columns where the values of a line begin."""
     columns, in_quotes = [1], False
     for column, letter in enumerate(line, 2):

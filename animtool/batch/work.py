@@ -41,7 +41,7 @@ class ItemStatus(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class BakeMeasurements:
     """Measurements of a bake."""
 
     samples: int  # number of written samples
@@ -51,14 +51,14 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class ItemOutcome:
-    """Outcome of an item that was due."""
+    """Outcome of building an item."""
 
     number: int  # number of the item
     status: ItemStatus  # done or failed
     seconds: float  # wall time
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
-    measured: Measured | None = None  # measurements of the bake
+    measured: BakeMeasurements | None = None  # measurements of the bake
     scores: tuple[PassScores, ...] = ()  # scores of its passes
     inputs: tuple[FileRecord, ...] = ()  # accessed files
     outputs: tuple[FileRecord, ...] = ()  # written files
@@ -108,7 +108,7 @@ class ItemBuilder:
             item.number, ItemStatus.FAILED, seconds, faults, retired=is_retired
         )
 
-    def _build(self, item: Item, began: float) -> ItemOutcome:
+    def _build(self, item: Item, start_time: float) -> ItemOutcome:
         from animtool.scene.bake.prims import raise_stopped
 
         with recorded_inputs() as inputs:
@@ -121,64 +121,68 @@ class ItemBuilder:
             reports = self.item_task.bake(item)
             raise_stopped(reports)
         paths = dict.fromkeys(path for report in reports for path in report.files)
-        outputs = tuple(self._output(path) for path in paths)
+        outputs = tuple(self._output_record(path) for path in paths)
         written_at = max(
             file.state.changed_at for file in outputs if file.state is not None
         )
         return ItemOutcome(
             item.number,
             ItemStatus.DONE,
-            time.perf_counter() - began,
+            time.perf_counter() - start_time,
             (),
-            tuple(dict.fromkeys(n for report in reports for n in report.notices)),
+            tuple(
+                dict.fromkeys(notice for report in reports for notice in report.notices)
+            ),
             _measurements(reports),
             tuple(reports[0].scores),
-            self._inputs(inputs, written_at),
+            self._input_records(inputs, written_at),
             outputs,
             written_at,
         )
 
-    def _inputs(self, inputs: Inputs, written_at: int) -> tuple[FileRecord, ...]:
+    def _input_records(self, inputs: Inputs, written_at: int) -> tuple[FileRecord, ...]:
         """Return records of the files that were read, sorted by name."""
         records = []
         for path, state in sorted(inputs.states.items()):
-            cached = None if state is None else self._digests.get(state)
+            cached_record = None if state is None else self._digests.get(state)
             name = relative_name(path, self.root)
-            if cached is None or cached.path != name:
-                cached = record_of(path, name, state)
+            if cached_record is None or cached_record.path != name:
+                cached_record = record_of(path, name, state)
                 # A younger file may later have the same state with another content.
                 if state is not None and state.changed_at < written_at:
-                    self._digests[state] = cached
-            records.append(cached)
+                    self._digests[state] = cached_record
+            records.append(cached_record)
         # The file is unchanged after reading it again for its digest.
         inputs.check()
         return tuple(records)
 
-    def _output(self, path: Path) -> FileRecord:
+    def _output_record(self, path: Path) -> FileRecord:
         return record_of(path, relative_name(path, self.root), FileState.of(path))
 
 
-def _measurements(reports: Sequence[OutputReport]) -> Measured:
+def _measurements(reports: Sequence[OutputReport]) -> BakeMeasurements:
     """Return the measurements of all outputs: total samples, largest error."""
-    measurements = [_one_measured(report) for report in reports]
+    measurements = [_output_measurements(report) for report in reports]
     largest = max(measurements, key=lambda measurement: measurement.error)
-    return Measured(
+    return BakeMeasurements(
         sum(measurement.samples for measurement in measurements),
         largest.error,
         largest.joint,
     )
 
 
-def _one_measured(report: OutputReport) -> Measured:
+def _output_measurements(report: OutputReport) -> BakeMeasurements:
     from animtool.scene.bake.prims import BakeReport
 
     if isinstance(report, BakeReport):
         worst_take = report.worst
         error = worst_take.written.rounding.error
-        return Measured(report.result.samples, error, worst_take.error_joint)
+        return BakeMeasurements(report.result.samples, error, worst_take.error_joint)
     if report.reduction is None:
-        return Measured(report.frames, 0.0, "")
-    return Measured(report.frames, report.reduction.error, report.reduction.joint)
+        return BakeMeasurements(report.frames, 0.0, "")
+    return BakeMeasurements(
+        report.frames, report.reduction.error, report.reduction.joint
+    )
 
 
 def _item_path(item: Item) -> str:
@@ -193,7 +197,7 @@ def _forget_layers() -> None:
         forget_layers()
 
 
-# The last one freezes the imported objects.
+# Module that is imported last and freezes the imported objects.
 PRELOAD = "animtool.batch.preload"
 ALWAYS_MODULES = (
     "animtool.batch.work",
@@ -231,10 +235,10 @@ def needed_modules(item_task: ItemTask) -> list[str]:
     >>> needed_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
     ['animtool.formats.bvh.read', 'animtool.batch.preload']
     """
-    return [*dict.fromkeys([*ALWAYS_MODULES, *_by_kind(item_task), PRELOAD])]
+    return [*dict.fromkeys([*ALWAYS_MODULES, *_modules_by_kind(item_task), PRELOAD])]
 
 
-def _by_kind(item_task: ItemTask) -> Iterator[str]:
+def _modules_by_kind(item_task: ItemTask) -> Iterator[str]:
     scenes = any(has_kind_suffix(path, "scene") for path in item_task.kinds)
     if item_task.scene is not None or scenes:
         yield from SCENE_MODULES
@@ -257,9 +261,9 @@ class FileBeingRead:
 
 
 def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
-    """Build the items that arrive, and send their outcomes, until none arrives.
+    """Receive items, build them and send their outcomes, until None is received.
 
-    ``memory`` [bytes].
+    ``memory`` is the memory limit [bytes].
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()
@@ -284,8 +288,8 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
 def _limit_memory(memory: int) -> None:
     """Make allocations beyond a limit fail, where systems support that.
 
-    Already mapped memory is partly counted twice, so that the limit is rather too
-    large; the run also checks the memory in use.
+    Mapped memory is partly counted twice, so the limit tends to be too large; the run
+    also checks the used memory.
     """
     if sys.platform == "win32":
         return

@@ -1,4 +1,4 @@
-"""A program that builds items one by one in a subprocess that may crash.
+"""A subprocess that builds items one after another and may crash.
 
 ``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
 from stdin, and writes the outcome of each to stdout. It serves workers of other
@@ -34,12 +34,12 @@ class WorkerTask:
 
 @dataclass(slots=True)
 class WorkerProcess:
-    """A subprocess that builds items, and its pipes."""
+    """A running subprocess that builds items."""
 
     task: WorkerTask  # how it builds items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
-    def make(self, item: Item) -> ItemOutcome:
+    def build_item(self, item: Item) -> ItemOutcome:
         """Return the outcome of an item."""
         try:
             if self._process is None:
@@ -85,14 +85,14 @@ def main() -> None:
         task: WorkerTask = pickle.load(sys.stdin.buffer)
         # The sender waits for an outcome before it sends the next item.
         outcomes = run_processes(
-            task.builder, _items(), task.limits, 1, queue_next=False
+            task.builder, _read_items(), task.limits, 1, queue_next=False
         )
         for outcome in outcomes:
             pickle.dump(outcome, results)
             results.flush()
 
 
-def _items() -> Iterator[Item]:
+def _read_items() -> Iterator[Item]:
     while True:
         try:
             yield pickle.load(sys.stdin.buffer)

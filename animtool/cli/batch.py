@@ -283,7 +283,9 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
-    remaining = [notice for notice in report.notices if notice not in listener.shown]
+    remaining = [
+        notice for notice in report.notices if notice not in listener.shown_warnings
+    ]
     _print_results(console, report, params, _RepeatCommand(inputs, params), remaining)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
@@ -299,11 +301,11 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     """Refuse a last input that was meant as the output: a pattern or a new folder."""
     if len(inputs) < 2 or output is not None:
         return
-    from animtool.batch.inputs import SCENES, SUFFIXES
+    from animtool.batch.inputs import INPUT_SUFFIXES, SCENE_SUFFIXES
     from animtool.core.files.reading import is_pattern, matching_files
 
     last_input, path = inputs[-1], Path(inputs[-1])
-    readable_suffixes = (*SUFFIXES, *SCENES)
+    readable_suffixes = (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
     if path.is_dir():
         is_output, state = (
             any(matching_files(last_input, readable_suffixes)),
@@ -337,9 +339,9 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     else:
         spec = BatchSpec(tuple(listed_paths(inputs)))
     if params["path_mapping"] is not None:
-        from animtool.batch.item import mapped_spec, read_rules
+        from animtool.batch.item import map_spec, read_rules
 
-        spec = mapped_spec(spec, read_rules(params["path_mapping"]))
+        spec = map_spec(spec, read_rules(params["path_mapping"]))
     folder = Path.cwd()
     if params["output"] is not None:
         output = params["output"]

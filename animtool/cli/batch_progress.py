@@ -63,18 +63,18 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
         def __init__(self) -> None:
             self.total = self.ended_count = self.failed = 0
 
-        def planned(self, due: int, total: int) -> None:
+        def on_plan(self, due_count: int, total_count: int) -> None:
             """Receive the number of items to build."""
-            self.total = due
-            _write_openjd_line("progress", f"{0 if due else 100:.1f}")
-            _write_openjd_line("status", f"{due} of {total} to build")
-            inner_listener.planned(due, total)
+            self.total = due_count
+            _write_openjd_line("progress", f"{0 if due_count else 100:.1f}")
+            _write_openjd_line("status", f"{due_count} of {total_count} to build")
+            inner_listener.on_plan(due_count, total_count)
 
-        def began(self, item: Item) -> None:
+        def on_start(self, item: Item) -> None:
             """Forward to the other listener."""
-            inner_listener.began(item)
+            inner_listener.on_start(item)
 
-        def ended(self, report: ItemReport) -> None:
+        def on_end(self, report: ItemReport) -> None:
             """Print the progress and failures."""
             self.ended_count += 1
             output, count = report.item.output, f"{self.ended_count} of {self.total}"
@@ -86,11 +86,11 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
                 )
             _write_openjd_line("progress", f"{100 * self.ended_count / self.total:.1f}")
             _write_openjd_line("status", f"{count}: {report.status} {output}")
-            inner_listener.ended(report)
+            inner_listener.on_end(report)
 
-        def warned(self, notice: Fault) -> None:
+        def on_warning(self, notice: Fault) -> None:
             """Forward to the other listener."""
-            inner_listener.warned(notice)
+            inner_listener.on_warning(notice)
 
     return OpenJdLines()
 
@@ -137,13 +137,14 @@ def _line_listener(console: Console, *, lines: bool) -> Listener:
 
         due = ended_count = 0
 
-        def planned(self, due: int, total: int) -> None:
+        def on_plan(self, due_count: int, total_count: int) -> None:
             """Receive the number of items to build."""
-            self.due = due
-            if due < total:
-                console.say(f"{total - due} of {total} are up to date")
+            self.due = due_count
+            skipped_count = total_count - due_count
+            if skipped_count > 0:
+                console.say(f"{skipped_count} of {total_count} are up to date")
 
-        def ended(self, report: ItemReport) -> None:
+        def on_end(self, report: ItemReport) -> None:
             """Print the result of one item."""
             self.ended_count += 1
             if lines:
@@ -152,9 +153,9 @@ def _line_listener(console: Console, *, lines: bool) -> Listener:
                 worded_report = report.worded(console.namer)
                 console.say(finished_text(worded_report, self.ended_count, self.due))
 
-        def warned(self, notice: Fault) -> None:
+        def on_warning(self, notice: Fault) -> None:
             """Print a warning."""
-            self.shown = (*self.shown, notice)
+            self.shown_warnings = (*self.shown_warnings, notice)
             console.faults([notice])
 
     return TextLines()
@@ -177,16 +178,16 @@ def _table_listener(
             self.running: dict[int, tuple[str, float]] = {}
             self.warning = ""
 
-        def planned(self, due: int, total: int) -> None:
+        def on_plan(self, due_count: int, total_count: int) -> None:
             """Record the number of items to build."""
-            del total
-            self.due = due
+            del total_count
+            self.due = due_count
 
-        def began(self, item: Item) -> None:
+        def on_start(self, item: Item) -> None:
             """Record a started item."""
             self.running[item.number] = str(item.output), time.perf_counter()
 
-        def ended(self, report: ItemReport) -> None:
+        def on_end(self, report: ItemReport) -> None:
             """Record a finished item."""
             self.running.pop(report.item.number, None)
             self.ended_count += 1
@@ -195,7 +196,7 @@ def _table_listener(
             if lines:
                 console.result_json(report, line=True)
 
-        def warned(self, notice: Fault) -> None:
+        def on_warning(self, notice: Fault) -> None:
             """Record a warning; it is shown until an item ends, and at the end."""
             self.warning = str(notice.worded(console.namer))
 

@@ -84,7 +84,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     the job builds a chunk of them like animtool batch JOB --items, with its exit code.
     """
     from animtool.batch.bundle import (
-        Cuts,
+        CutArguments,
         batch_bundle,
         chunk_size,
         mean_seconds,
@@ -109,7 +109,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     chunk_items = params["chunk"] or chunk_size(
         item_count, seconds, params["task_seconds"]
     )
-    cuts = Cuts(params["cuts"], tuple(cut_words(params)))
+    cuts = CutArguments(params["cuts"], tuple(cut_words(params)))
     bundle = batch_bundle(
         resolved_batch, batch_file, min(chunk_items, item_count), cuts
     )

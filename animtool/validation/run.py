@@ -27,7 +27,11 @@ from animtool.core.record import dataclass
 from animtool.core.rules import Rule, all_rules, current_codes
 from animtool.documents.document import Document
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
-from animtool.validation.subjects.open import SUFFIXES, open_file, values_of_batches
+from animtool.validation.subjects.open import (
+    INPUT_SUFFIXES,
+    open_file,
+    values_of_batches,
+)
 from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
@@ -53,7 +57,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     files: dict[Path, None] = {}
     unmatched_patterns = []
     for text in texts:
-        matching_paths = [file.path for file in matching_files(text, SUFFIXES)]
+        matching_paths = [file.path for file in matching_files(text, INPUT_SUFFIXES)]
         files.update(dict.fromkeys(matching_paths))
         if not matching_paths:
             message, hint = f"no file to check in {text!r}", nearest_file(Path(text))

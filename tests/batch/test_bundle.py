@@ -69,7 +69,7 @@ def test_what_reports_no_costs(tmp_path: Path, text: str | None) -> None:
 def test_a_report_that_is_too_large_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bundle, "MAX_REPORT", 1000)
+    monkeypatch.setattr(bundle, "MAX_REPORT_BYTES", 1000)
     path = tmp_path / "costs.json"
     path.write_text('{"items": [' + " " * 1000 + "]}")
     with raises(FormatError, "BAT037", match=r"0\.001"):

@@ -125,7 +125,7 @@ def test_a_cluster_that_is_lost_ends_the_run(
 
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
-        monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS", 0.2)
+        monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS_SECONDS", 0.2)
         monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
         monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.5)
         if whole:
@@ -175,7 +175,7 @@ def test_a_worker_without_animtool_can_be_told_of_items() -> None:
     sent = pickle.dumps(check_task("name", {"animtool": "1"}))
     command = [sys.executable, "-c", read]
     done = subprocess.run(command, input=sent, capture_output=True, check=True)
-    assert done.stdout.strip() == b"ask"
+    assert done.stdout.strip() == b"check_worker"
 
 
 @pytest.mark.slow
@@ -232,13 +232,13 @@ def test_a_worker_makes_items_one_after_another(tmp_path: Path) -> None:
     items = list(given.items)
     process = WorkerProcess(WorkerTask(given.builder, Limits(), str(tmp_path)))
     try:
-        made = [process.make(item) for item in items]
+        made = [process.build_item(item) for item in items]
     finally:
         process.end()
     assert [outcome.status for outcome in made] == [ItemStatus.DONE, ItemStatus.DONE]
     lost = WorkerProcess(replace(process.task, folder=str(tmp_path / "none")))
     with pytest.raises(OSError, match="none"):
-        lost.make(items[0])
+        lost.build_item(items[0])
 
 
 def test_a_worker_that_ends_is_an_error(
@@ -249,7 +249,7 @@ def test_a_worker_that_ends_is_an_error(
     monkeypatch.setattr(sys, "executable", "/bin/false")
     process = WorkerProcess(WorkerTask(given.builder, Limits(), str(tmp_path)))
     with pytest.raises((ConnectionError, BrokenPipeError)):
-        process.make(next(given.items))
+        process.build_item(next(given.items))
     process.end()
 
 
@@ -273,7 +273,7 @@ def test_a_cluster_without_workers_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS", 1.0)
+    monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS_SECONDS", 1.0)
     monkeypatch.setattr("animtool.batch.cluster.POLL_INTERVAL", 0.1)
     with small_cluster(workers=0) as empty:
         outcomes = dask(work(tmp_path, empty.scheduler_address))
@@ -297,6 +297,8 @@ def test_a_run_that_stops_at_failures_sends_nothing_ahead(
             taken.append(item.number)
             yield item
 
-    careful = replace(given, items=counted(given.items), asked=2, queue_next=False)
+    careful = replace(
+        given, items=counted(given.items), requested_jobs=2, queue_next=False
+    )
     for ended, _ in enumerate(dask(careful), 1):
         assert len(taken) <= ended + 1

@@ -17,10 +17,10 @@ from support.farm import other_worker, packages
 from animtool.batch.cluster_worker import (
     InputCheck,
     WorkerCheck,
-    admit,
     builder_versions,
-    differences,
+    prepare_worker,
     release,
+    version_differences,
 )
 from animtool.batch.delivery import Delivery
 from animtool.batch.discover import find_batch
@@ -44,26 +44,26 @@ def test_done_is_what_is_seen_here(
 ) -> None:
     delivery, done = outcome
     path = tmp_path / "out/take000.usdc"
-    assert delivery.delivered(done) == done
+    assert delivery.with_local_outputs(done) == done
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    assert delivery.delivered(done) is None
+    assert delivery.with_local_outputs(done) is None
     path.unlink()
-    assert delivery.delivered(done) is None
+    assert delivery.with_local_outputs(done) is None
 
 
 def test_an_input_that_is_another_here(
     outcome: tuple[Delivery, ItemOutcome], tmp_path: Path
 ) -> None:
     delivery, done = outcome
-    assert delivery.other_inputs(done) == []
+    assert delivery.differing_inputs(done) == []
     inputs = tuple(replace(one, sha256="0" * 64) for one in done.inputs)
     path = (tmp_path / "takes/take000.bvh").absolute()
-    other = delivery.other_inputs(replace(done, inputs=inputs))
+    other = delivery.differing_inputs(replace(done, inputs=inputs))
     assert path in [one.resolve() for one in other]
-    assert delivery.changed(other) == []
+    assert delivery.locally_changed(other) == []
     path.write_text("HIERARCHY\n")
-    assert path in [one.resolve() for one in delivery.changed(other)]
+    assert path in [one.resolve() for one in delivery.locally_changed(other)]
 
 
 def check(folder: Path, **given: Any) -> WorkerCheck:
@@ -85,7 +85,9 @@ def test_what_a_worker_lacks(tmp_path: Path) -> None:
     def code(versions: Mapping[str, str] | None = None, **given: Any) -> str:
         worker = SimpleNamespace(plugins={})
         pickled = pickle.dumps(check(tmp_path, **given))
-        found = admit(worker, "run", versions or builder_versions(), pickled)[0]
+        found = prepare_worker(worker, "run", versions or builder_versions(), pickled)[
+            0
+        ]
         assert ("run" in worker.plugins) is not bool(found)
         release(worker, "run")
         assert not worker.plugins
@@ -101,8 +103,8 @@ def test_what_a_worker_lacks(tmp_path: Path) -> None:
 
 
 def test_versions_that_differ() -> None:
-    assert differences({"a": "1"}, {"a": "1"}) == ""
-    assert differences({"a": "1"}, {"b": "2"}) == (
+    assert version_differences({"a": "1"}, {"a": "1"}) == ""
+    assert version_differences({"a": "1"}, {"b": "2"}) == (
         "a none instead of 1, b 2 instead of none"
     )
 

@@ -362,7 +362,7 @@ def test_missing_media_is_named_with_its_clips_at_once(takes: Path) -> None:
         read_cuts(path)
     assert [fault.code for fault in error.value.faults] == ["BAT042", "BAT042"]
     assert "'b' of V1" in error.value.faults[1].message
-    found = read_cuts(path, left_out=lambda path: path.suffix == ".bvh")
+    found = read_cuts(path, is_excluded=lambda path: path.suffix == ".bvh")
     assert (len(found.shots), len(found.notices)) == (0, 3)
 
 

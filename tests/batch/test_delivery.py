@@ -26,26 +26,26 @@ def test_an_input_that_another_machine_has_otherwise(tmp_path: Path) -> None:
     delivery = Delivery(tmp_path)
     absent = FileRecord(str(gone), None)
     same = ItemOutcome(1, ItemStatus.DONE, 0.0, inputs=(record(path), absent))
-    assert delivery.other_inputs(same) == []
+    assert delivery.differing_inputs(same) == []
     stale = replace(record(path), sha256="0" * 64)
     built = ItemOutcome(
         1, ItemStatus.DONE, 0.0, inputs=(stale, replace(stale, path=str(gone)))
     )
-    assert delivery.other_inputs(built) == [path, gone]
+    assert delivery.differing_inputs(built) == [path, gone]
     # It is the other machine's that differ: here, nothing changed.
-    assert delivery.changed([path, gone]) == []
+    assert delivery.locally_changed([path, gone]) == []
 
 
 def test_an_input_that_changes_here_meanwhile(tmp_path: Path) -> None:
     path = tmp_path / "a.bvh"
     path.write_text("before")
     delivery = Delivery(tmp_path)
-    delivery.note(path)
+    delivery.record_state(path)
     built = ItemOutcome(1, ItemStatus.DONE, 0.0, inputs=(record(path),))
     path.write_text("after, and longer")
-    other = delivery.other_inputs(built)
+    other = delivery.differing_inputs(built)
     assert other == [path]
-    assert delivery.changed(other) == [path]
+    assert delivery.locally_changed(other) == [path]
 
 
 def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> None:
@@ -54,11 +54,11 @@ def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> 
     built = ItemOutcome(1, ItemStatus.DONE, 0.0, outputs=(record(path),))
     path.unlink()
     delivery = Delivery(tmp_path)
-    assert delivery.delivered(built) is None
+    assert delivery.with_local_outputs(built) is None
     path.write_text("half")
-    assert delivery.delivered(built) is None
+    assert delivery.with_local_outputs(built) is None
     path.write_text("whole")
-    seen = delivery.delivered(built)
+    seen = delivery.with_local_outputs(built)
     assert seen is not None
     state = FileState.of(path)
     assert state is not None

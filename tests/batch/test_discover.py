@@ -263,7 +263,7 @@ def test_files_among_the_options_count_as_seen_from_the_root(takes: Path) -> Non
         options = BakeOptions(rig_layer=folder / name)
         spec = BatchSpec(("takes/take000.bvh",), takes, options=options)
         batch = find_batch(spec)
-        return batch.item_task.described(batch.items[0], folder)["options"]
+        return batch.item_task.description(batch.items[0], folder)["options"]
 
     one, other = takes / "one", takes / "two"
     assert described(one, "a.usda") == described(other, "a.usda")

@@ -168,7 +168,7 @@ def test_media_with_any_address(takes: Path, url: str) -> None:
     # What leads nowhere is looked for by the clip's name.
     found = MatchedFile(takes / "takes/take000.bvh", takes)
     path.write_text(path.read_text("utf-8").replace('"a"', '"take000"'), "utf-8")
-    cuts = read_cuts(path, [found], left_out=lambda _: False)
+    cuts = read_cuts(path, [found], is_excluded=lambda _: False)
     assert [cut.media for cut in cuts.shots] == [found]
 
 

@@ -139,7 +139,7 @@ def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
         assert [notice.code for notice in run.history.damaged] == ["BAT070"] * 2
         assert set(run.history.manifest.items) == {"1.usdc"}
         assert run.history.failed == {}
-        run.settle(lambda _: True)
+        run.merge_records(lambda _: True)
     history = read_history(folder, "a")
     assert (set(history.manifest.items), history.damaged) == ({"1.usdc"}, [])
 
@@ -158,12 +158,12 @@ def test_parts_come_together(tmp_path: Path) -> None:
             part.claim([f"{number}.usdc"])
             part.add(item(number))
             part.failed("9.usdc", "why")
-            part.settle(lambda _: True)
+            part.merge_records(lambda _: True)
     history = read_history(folder, "a")
     assert set(history.manifest.items) == {"1.usdc", "2.usdc"}
     assert history.failed == {"9.usdc": "why"}
     with locked_ledger(folder, "a") as whole:
-        whole.settle(lambda made: made.key == "1.usdc")
+        whole.merge_records(lambda made: made.key == "1.usdc")
     history = read_history(folder, "a")
     assert set(history.manifest.items) == {"1.usdc"}
     # It is there, and a run of the batch made it.
@@ -176,7 +176,7 @@ def test_why_an_item_failed_is_what_its_latest_part_says(tmp_path: Path) -> None
     for part in ("", "1-1", "1-2"):
         with locked_ledger(folder, "a", part) as run:
             run.failed("1.usdc", f"part {part}")
-            run.settle(lambda _: True)
+            run.merge_records(lambda _: True)
     assert read_history(folder, "a").failed == {"1.usdc": "part 1-2"}
 
 
@@ -184,11 +184,11 @@ def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with locked_ledger(folder, "a") as run:
         run.failed("1.usdc", "why")
-        run.settle(lambda _: True)
+        run.merge_records(lambda _: True)
     assert read_history(folder, "a").failed == {"1.usdc": "why"}
     with locked_ledger(folder, "a") as run:
         run.add(item(1))
-        run.settle(lambda _: True)
+        run.merge_records(lambda _: True)
     assert read_history(folder, "a").failed == {}
     assert not list(folder.glob("*.failed.jsonl"))
 
@@ -206,8 +206,8 @@ def test_what_did_not_change_is_not_written_again(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with locked_ledger(folder, "a") as run:
         run.add(item(1))
-        run.settle(lambda _: True)
+        run.merge_records(lambda _: True)
     before = (folder / "batch-a.jsonl").stat().st_ino
     with locked_ledger(folder, "a") as run:
-        run.settle(lambda _: True)
+        run.merge_records(lambda _: True)
     assert (folder / "batch-a.jsonl").stat().st_ino == before

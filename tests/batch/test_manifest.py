@@ -53,7 +53,7 @@ def test_the_younger_of_two_counts() -> None:
     manifest.add(item(1, at=5))
     other.add(item(1, at=4))
     other.add(item(2))
-    manifest.join(other)
+    manifest.merge(other)
     assert manifest.items == {"1.usdc": item(1, at=5), "2.usdc": item(2)}
 
 
@@ -131,7 +131,7 @@ def test_a_number_of_two_files_is_of_none(tmp_path: Path) -> None:
     # Before the second, the number meant the first.
     assert list(found.items) == ["a"]
     assert found.damaged[0].lines == (4, 5)
-    assert (found.files, found.next) == ({}, 1)
+    assert (found.files, found.next_number) == ({}, 1)
 
 
 def test_a_damaged_item_may_be_made_again(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
 
-from animtool.batch.item import PathRule, mapped_path, mapped_spec, read_rules
+from animtool.batch.item import PathRule, map_path, map_spec, read_rules
 from animtool.batch.spec import BatchSpec
 from animtool.core.errors import FormatError
 
@@ -35,24 +35,24 @@ DRIVE = PathRule(PureWindowsPath("Z:\\show"), "/mnt/show")
 )
 def test_the_innermost_folder_decides(text: str, mapped: str) -> None:
     for rules in ([OUTER, INNER, DRIVE], [DRIVE, INNER, OUTER]):
-        assert mapped_path(text, rules) == mapped
+        assert map_path(text, rules) == mapped
 
 
 def test_inputs_and_outputs_are_mapped() -> None:
     spec = BatchSpec(("/show/a", "b"), exclude=("/show/c",), output="/show/{stem}.usdc")
-    found = mapped_spec(spec, [OUTER])
+    found = map_spec(spec, [OUTER])
     assert found.inputs == ("/mnt/show/a", "b")
     assert found.exclude == ("/mnt/show/c",)
     assert found.output == "/mnt/show/{stem}.usdc"
-    assert mapped_spec(spec, []) is spec
+    assert map_spec(spec, []) is spec
 
 
 def test_an_output_that_is_not_mapped_stays_in_the_folders_of_its_batch() -> None:
     own = (Path("/show"),)
     spec = BatchSpec(("a",), output="out/{stem}.usdc", roots=own)
-    assert mapped_spec(spec, [OUTER]).roots == own
+    assert map_spec(spec, [OUTER]).roots == own
     there = replace(spec, output="/show/{stem}.usdc")
-    assert mapped_spec(there, [OUTER]).roots == ()
+    assert map_spec(there, [OUTER]).roots == ()
 
 
 def test_rules_of_a_file(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_an_output_that_a_killed_run_left_is_replaced(
     spec: BatchSpec, tmp_path: Path
 ) -> None:
     class Killed(Listener):
-        def ended(self, report: ItemReport) -> None:
+        def on_end(self, report: ItemReport) -> None:
             raise KeyboardInterrupt(report.status)
 
     with pytest.raises(KeyboardInterrupt):
@@ -126,7 +126,7 @@ def test_a_file_that_came_since_the_plan_is_not_replaced(
     spec: BatchSpec, tmp_path: Path
 ) -> None:
     class Other(Listener):
-        def planned(self, due: int, total: int) -> None:
+        def on_plan(self, due: int, total: int) -> None:
             del due, total
             (tmp_path / "out").mkdir(exist_ok=True)
             (tmp_path / "out/take002.usdc").write_text("of another batch")
@@ -154,7 +154,7 @@ def test_an_executor_that_is_careless(
     ended = []
 
     class Told(Listener):
-        def ended(self, report: ItemReport) -> None:
+        def on_end(self, report: ItemReport) -> None:
             ended.append(report.item.number)
 
     report = run_batch(spec, RunOptions(executor="careless"), Told())
@@ -178,7 +178,7 @@ def test_how_many_are_made_at_a_time(
     found = []
 
     def asking(work: Work) -> Iterator[ItemOutcome]:
-        found.append((work.jobs, work.asked))
+        found.append((work.jobs, work.requested_jobs))
         return iter(())
 
     monkeypatch.setattr(Executor, "load", lambda _: asking)
@@ -202,13 +202,13 @@ def test_whoever_listens_is_told(spec: BatchSpec) -> None:
     told: list[object] = []
 
     class Listening(Listener):
-        def planned(self, due: int, total: int) -> None:
+        def on_plan(self, due: int, total: int) -> None:
             told.append((due, total))
 
-        def began(self, item: Item) -> None:
+        def on_start(self, item: Item) -> None:
             told.append(item.number)
 
-        def ended(self, report: ItemReport) -> None:
+        def on_end(self, report: ItemReport) -> None:
             told.append(str(report.status))
 
     run_batch(spec, replace(SERIAL, numbers=(1, 2)), Listening())

@@ -19,7 +19,7 @@ import pytest
 import yaml
 from support.cli import animtool
 
-from animtool.validation.subjects.open import DOCUMENT_SUFFIXES, SUFFIXES
+from animtool.validation.subjects.open import DOCUMENT_SUFFIXES, INPUT_SUFFIXES
 
 RIGHT = "rig: animtool/1\nname: right\njoints:\n- {name: hips, type: free}\n"
 WARNED = RIGHT.replace("type: free", "type: pin, axis: [1, 0, 0], limits: [1, 9]")
@@ -122,7 +122,7 @@ def hooks(root: Path) -> list[dict[str, Any]]:
 
 def test_hooks_are_for_the_files_that_are_checked(root: Path) -> None:
     checks, mends = (re.compile(hook["files"]) for hook in hooks(root))
-    for suffix in SUFFIXES:
+    for suffix in INPUT_SUFFIXES:
         assert checks.search(f"a/b{suffix}")
         assert checks.search(f"b{suffix.upper()}")
         assert bool(mends.search(f"b{suffix}")) == (suffix in DOCUMENT_SUFFIXES)

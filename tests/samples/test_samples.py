@@ -19,7 +19,7 @@ from animtool.motion.motion import Channel
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
-from animtool.validation.run import SUFFIXES
+from animtool.validation.run import INPUT_SUFFIXES
 
 ROOT = Path(__file__).parents[2]
 GRAVITY = 9.81 / 24**2
@@ -56,7 +56,7 @@ LONG = {"cape", "capture", "dance", "fall"}
 FOLDERS = sorted(
     path.name
     for path in ROOT.glob("samples/*/")
-    if any(matching_files(str(path), SUFFIXES))
+    if any(matching_files(str(path), INPUT_SUFFIXES))
 )
 
 

@@ -34,7 +34,7 @@ RUNS = 5
 
 
 @dataclass(frozen=True)
-class Measured:
+class BakeMeasurements:
     """A method on a motion: its error, what that took, and how long of a core [ms]."""
 
     error: float
@@ -57,7 +57,7 @@ MOTIONS: dict[str, Callable[[], tuple[Motion, float, float]]] = {
 }
 
 
-def measured(name: str, kind: str) -> Measured:
+def measured(name: str, kind: str) -> BakeMeasurements:
     """Return how a method does on a motion, the largest error of five times."""
     motion, period, count = MOTIONS[kind]()
     times = np.linspace(0, count * period, 6)
@@ -73,7 +73,7 @@ def measured(name: str, kind: str) -> Measured:
     wanted = np.array([motion.state(t) for t in found.times.tolist()])
     whole = len(found.times) == len(times)
     error = float(np.abs(found.states - wanted)[:, 0].max()) if whole else math.inf
-    return Measured(error, found.stats.evaluations, seconds * 1e3)
+    return BakeMeasurements(error, found.stats.evaluations, seconds * 1e3)
 
 
 def _order(integrator: Integrator) -> str:

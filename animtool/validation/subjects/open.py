@@ -124,7 +124,7 @@ DOCUMENT_SUFFIXES = tuple(
     if reader is DOCUMENT
 )
 _KINDS_TO_SEARCH = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
-SUFFIXES = (
+INPUT_SUFFIXES = (
     # An npz, a CSV or an XML file may contain anything.
     *(suffix for suffix, reader in READERS.items() if reader in _KINDS_TO_SEARCH),
     *DOCUMENT_SUFFIXES,

@@ -15,8 +15,8 @@ from animtool.batch.bundle import chunk_size, mean_seconds
 from animtool.batch.cluster_client import scheduler_address
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
-from animtool.batch.item import mapped_path, read_rules
-from animtool.batch.ledger import _Files, _owner, locked_ledger, read_history
+from animtool.batch.item import map_path, read_rules
+from animtool.batch.ledger import _owner, _RecordFiles, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.run import RunOptions, run_batch
@@ -147,7 +147,7 @@ class _Recorded:
         again = read_history(batch.records, batch.name)
         assert again.manifest.items == made
         assert not again.damaged
-        _owner(_Files(batch.records, batch.name))
+        _owner(_RecordFiles(batch.records, batch.name))
 
 
 def _spoilt_lines(rng: np.random.Generator, data: bytes, *, by_bytes: bool) -> bytes:
@@ -188,7 +188,7 @@ def _other(path: Path, data: bytes, read: Callable[[Path], object]) -> Run:
 def _mapped(path: Path) -> None:
     rules = read_rules(path)
     for text in ("/show/takes/a.bvh", "Z:\\show\\a.bvh", "a"):
-        assert mapped_path(text, rules)
+        assert map_path(text, rules)
 
 
 def _mean(path: Path) -> None:

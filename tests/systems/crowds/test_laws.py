@@ -215,7 +215,10 @@ def test_who_is_off_the_grid_is_lost() -> None:
 @pytest.mark.slow
 def test_agents_stand_as_the_first_clip_that_stands() -> None:
     """Of two that do; and react as the first that is neither a step nor a stand."""
-    one, other = library("walk", "stand", "stumble"), library("walk", "wave", "stand")
+    one, other = (
+        library("walk", "stand", "stumble"),
+        library("walk", "wave", "stand"),
+    )
     assert [one.idle.name, other.idle.name] == ["stand", "wave"]
 
 
