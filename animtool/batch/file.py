@@ -45,7 +45,7 @@ def value_text(document: Document, location: Location, value: Value) -> str:
     """Return a value as text; numbers are spelled as in the file."""
     if isinstance(value, str):
         return value
-    source_text = document.written(location)
+    source_text = document.source_text(location)
     return source_text or str(value).lower()
 
 

@@ -295,7 +295,7 @@ def _print_reports(
         template = template_of(report)
         console.lines(template.text(report))
         if not several and console.verbosity > 0:
-            console.details(template.detailed(report))
+            console.details(template.detail_lines(report))
     if params["stats"]:
         console.lines(STATS.text(costs))
     raise_stopped(reports)

@@ -193,7 +193,7 @@ class Console:
         else:
             self.lines(lines)
         if self.verbosity > 0:
-            self.details(template.detailed(record))
+            self.details(template.detail_lines(record))
 
     def details(self, lines: Iterable[str]) -> None:
         """Write lines to stderr, if verbose."""

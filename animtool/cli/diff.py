@@ -175,7 +175,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
         tolerances = params["tol"], params["tol_degrees"], params["tol_weight"]
         template, notices = _TAKES, difference.notices
     is_within = difference.within(*tolerances)
-    notices = [*notices, *difference.hidden(*tolerances)]
+    notices = [*notices, *difference.tolerance_warnings(*tolerances)]
     if params["report_format"] == "json":
         console.result_json(Comparison(difference, is_within))
     else:

@@ -341,9 +341,9 @@ def _describe_take(path: Path, params: dict[str, Any]) -> Any:
     from animtool.report.describe import describe
 
     if reader_of(path) is GLTF:
-        from animtool.report.describe_gltf import describe_nodeless
+        from animtool.report.describe_gltf import describe_without_nodes
 
-        description = describe_nodeless(path)
+        description = describe_without_nodes(path)
         if description is not None:
             return description
     options = source_options_record(

@@ -209,7 +209,9 @@ class ChannelReader:
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
             self.document.add("CLIP004", (*at, "keys", k, "t"), message)
-        for k, previous in self.document.descents((*at, "keys"), times.tolist(), "t"):
+        for k, previous in self.document.not_ascending(
+            (*at, "keys"), times.tolist(), "t"
+        ):
             is_duplicate = times[k] == times[previous]
             problem = (
                 "appears twice"

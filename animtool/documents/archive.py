@@ -27,9 +27,9 @@ from animtool.core.record import dataclass
 if TYPE_CHECKING:
     from zipfile import ZipInfo
 
-MAGIC = b"\x93NUMPY"
+NPY_MAGIC = b"\x93NUMPY"
 # The same limits as numpy.load.
-MAX_HEAD_BYTES = 10_000
+MAX_HEADER_BYTES = 10_000
 MAX_DIMENSIONS = 8
 # Size of the header-length field by format version [byte].
 _LENGTH_FIELD_SIZES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
@@ -50,7 +50,7 @@ class ArrayError(ValueError):
 
 
 class ArrayFile(Protocol):
-    """A seekable binary file that arrays are read from."""
+    """A seekable binary file that contains arrays."""
 
     def read(self, size: int, /) -> bytes:
         """Return the next bytes."""
@@ -58,7 +58,7 @@ class ArrayFile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
-    """Location, type and shape of an array in a file."""
+    """Header of an array: type, shape, and location of its values."""
 
     shape: tuple[int, ...]  # lengths of its dimensions
     dtype: np.dtype[Any]
@@ -76,29 +76,32 @@ class StoredArray:
         return self.count * self.dtype.itemsize
 
 
-def read_head(file: ArrayFile, where: str) -> StoredArray:
+def read_header(file: ArrayFile, array_label: str) -> StoredArray:
     """Return the header of an array without reading its values."""
-    start = file.read(len(MAGIC) + 2)
-    version = tuple(start[len(MAGIC) :])
-    width = _LENGTH_FIELD_SIZES.get(version)  # type: ignore[arg-type]
-    if not start.startswith(MAGIC) or width is None:
-        raise ArrayError(f"{where} is not an array as numpy.savez writes it")
-    length = int.from_bytes(file.read(width), "little")
-    if length > MAX_HEAD_BYTES:
+    start = file.read(len(NPY_MAGIC) + 2)
+    version = tuple(start[len(NPY_MAGIC) :])
+    length_size = _LENGTH_FIELD_SIZES.get(version)  # type: ignore[arg-type]
+    if not start.startswith(NPY_MAGIC) or length_size is None:
+        raise ArrayError(f"{array_label} is not an array as numpy.savez writes it")
+    length = int.from_bytes(file.read(length_size), "little")
+    if length > MAX_HEADER_BYTES:
         raise ArrayError(
-            f"{where} has a header of {length} bytes, which is not that of an array"
+            f"{array_label} has a header of {length} bytes, "
+            "which is not that of an array"
         )
     text = file.read(length)
     if len(text) < length:
-        raise ArrayError(f"{where} ends in its header")
-    return _parse_header(text.decode("latin-1"), where, len(start) + width + length)
+        raise ArrayError(f"{array_label} ends in its header")
+    return _parse_header(
+        text.decode("latin-1"), array_label, len(start) + length_size + length
+    )
 
 
-def _parse_header(text: str, where: str, begin: int) -> StoredArray:
+def _parse_header(text: str, array_label: str, begin: int) -> StoredArray:
     if _OBJECT_DTYPE.search(text):
-        raise ArrayError(f"{where} contains pickled Python objects")
+        raise ArrayError(f"{array_label} contains pickled Python objects")
     if _STRUCTURED_DTYPE.search(text):
-        raise ArrayError(f"{where} contains structures, not numbers")
+        raise ArrayError(f"{array_label} contains structures, not numbers")
     text = text.strip()
     fields: dict[str, str] = {}
     if text.startswith("{") and text.endswith("}"):
@@ -112,25 +115,31 @@ def _parse_header(text: str, where: str, begin: int) -> StoredArray:
         if unparsed:
             fields.clear()
     if len(fields) < 3:
-        raise ArrayError(f"{where} has a header that is not that of an array")
+        raise ArrayError(f"{array_label} has a header that is not that of an array")
     try:
         dtype = np.dtype(fields["descr"])
     except (TypeError, ValueError) as error:
-        raise ArrayError(f"{where} contains {fields['descr']}, not numbers") from error
-    shape = _parse_shape(fields["shape"], where)
+        raise ArrayError(
+            f"{array_label} contains {fields['descr']}, not numbers"
+        ) from error
+    shape = _parse_shape(fields["shape"], array_label)
     order: Literal["C", "F"] = "F" if fields["fortran_order"] == "True" else "C"
     return StoredArray(shape, dtype, order, begin)
 
 
-def _parse_shape(text: str, where: str) -> tuple[int, ...]:
+def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
     # Python 2 wrote integers with a trailing L.
-    parts = [part.strip().removesuffix("L") for part in text.split(",")]
-    if parts[-1] == "":
-        parts.pop()
-    is_invalid = len(parts) > MAX_DIMENSIONS or (len(parts) == 1 and "," not in text)
-    if is_invalid or not all(part.isdecimal() and len(part) < 20 for part in parts):
-        raise ArrayError(f"{where} has a shape that is not that of an array")
-    return tuple(map(int, parts))
+    lengths = [length.strip().removesuffix("L") for length in text.split(",")]
+    if lengths[-1] == "":
+        lengths.pop()
+    is_invalid = len(lengths) > MAX_DIMENSIONS or (
+        len(lengths) == 1 and "," not in text
+    )
+    if is_invalid or not all(
+        length.isdecimal() and len(length) < 20 for length in lengths
+    ):
+        raise ArrayError(f"{array_label} has a shape that is not that of an array")
+    return tuple(map(int, lengths))
 
 
 # Default limit of the bytes read from an archive; a setting and an environment variable
@@ -187,11 +196,11 @@ class Archive:
         self._path = path
         self._file = open_input(path, None)
         try:
-            if self._file.read(len(MAGIC)) == MAGIC:
+            if self._file.read(len(NPY_MAGIC)) == NPY_MAGIC:
                 message = f"{path.name} is a single array, as numpy.save writes, not "
                 message += "an archive of named ones, as numpy.savez does"
                 raise ArrayError(message)  # noqa: TRY301
-            bounded_file = _BoundedFile(self._file)
+            bounded_file = _DirectoryLimitedFile(self._file)
             from zipfile import ZipFile
 
             self._zip = ZipFile(cast(Any, bounded_file))
@@ -217,19 +226,22 @@ class Archive:
         """Return an array's header, its length checked."""
         if key not in self._headers:
             info = self._zip_entry(key)
-            where = f"{self._path.name}#{key}"
+            array_label = f"{self._path.name}#{key}"
             with self._zip.open(info) as file:
-                header = read_head(file, where)
+                header = read_header(file, array_label)
             self._file.check()
             if header.dtype.kind not in kinds:
-                raise ArrayError(f"{where} contains {header.dtype}, not numbers")
+                raise ArrayError(f"{array_label} contains {header.dtype}, not numbers")
             # A dimension of 0 makes the size 0, however large the other dimensions are.
             limit = max(info.file_size, SMALL_BYTES)
             no_array = (
-                not header.count and math.prod(max(n, 1) for n in header.shape) > limit
+                not header.count
+                and math.prod(max(length, 1) for length in header.shape) > limit
             )
             if header.begin + header.size > info.file_size or no_array:
-                raise ArrayError(f"{where} is shorter than its shape {header.shape}")
+                raise ArrayError(
+                    f"{array_label} is shorter than its shape {header.shape}"
+                )
             self._headers[key] = header
         return self._headers[key]
 
@@ -288,7 +300,10 @@ class Archive:
     def _zip_entry(self, key: str) -> ZipInfo:
         name, info = self._path.name, self._members.get(key)
         if info is None:
-            names = [name_[:40] for name_ in list(self._members)[:MAX_SHOWN_NAMES]]
+            names = [
+                member_name[:40]
+                for member_name in list(self._members)[:MAX_SHOWN_NAMES]
+            ]
             names_text = ", ".join(names) or "nothing"
             raise ArrayError(
                 f"{name} has no array {key!r}; its arrays are {names_text}"
@@ -304,22 +319,24 @@ class Archive:
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Refuse an array larger than the memory limit."""
-        other_arrays = self._total_size - self._sizes.get(key, 0)
-        plausible = size <= max(SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size)
-        if other_arrays + size > DEFAULT_ARRAY_LIMIT or not plausible:
+        other_size = self._total_size - self._sizes.get(key, 0)
+        is_plausible = size <= max(
+            SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size
+        )
+        if other_size + size > DEFAULT_ARRAY_LIMIT or not is_plausible:
             configured_limit = _configured_limit(self._path)
-            if configured_limit is None or other_arrays + size > configured_limit:
+            if configured_limit is None or other_size + size > configured_limit:
                 raise self._size_error(
-                    key, other_arrays + size, configured_limit, plausible
+                    key, other_size + size, configured_limit, is_plausible
                 )
-        self._sizes[key], self._total_size = size, other_arrays + size
+        self._sizes[key], self._total_size = size, other_size + size
 
     def _size_error(
-        self, key: str, size: int, configured_limit: int | None, plausible: bool
+        self, key: str, size: int, configured_limit: int | None, is_plausible: bool
     ) -> ArrayError:
         needed_mb = math.ceil(size / 1e6)
         message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
-        if configured_limit is None and not plausible:
+        if configured_limit is None and not is_plausible:
             message += (
                 f", more than {MAX_COMPRESSION_RATIO} times what it takes in the file"
             )
@@ -348,7 +365,7 @@ def _configured_limit(path: Path) -> int | None:
     return None if configured is None else configured * 1_000_000
 
 
-class _BoundedFile:
+class _DirectoryLimitedFile:
     """A file whose reads of the archive's directory are limited in size."""
 
     def __init__(self, file: InputFile) -> None:

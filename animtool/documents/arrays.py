@@ -53,7 +53,7 @@ class Archives:
             stored_array = self._archive(path).header(key)
         return ArrayHeader(stored_array.shape, stored_array.dtype.kind)
 
-    def stored(self, path: Path, key: str) -> npt.NDArray[Any]:
+    def load_stored(self, path: Path, key: str) -> npt.NDArray[Any]:
         """Return an array in its stored type, read-only."""
         with archive_errors(path):
             return self._archive(path).values(key)
@@ -89,7 +89,7 @@ class Archives:
             ValueError: As `stored`, or a value is not finite.
             FormatError: The file changed while it was read (IO004).
         """
-        values = np.asarray(self.stored(path, key), np.float64)
+        values = np.asarray(self.load_stored(path, key), np.float64)
         if not np.isfinite(values).all():
             raise ValueError(f"{path.name}#{key} contains a value that is not finite")
         return values

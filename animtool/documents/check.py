@@ -16,11 +16,11 @@ from animtool.documents.document import Document, Location
 from animtool.documents.model_faults import (
     LocatedFaults,
     ModelFaults,
-    key_meant,
-    note_renamed,
+    intended_key_hint,
+    warn_renamed_key,
     wrong_values,
 )
-from animtool.documents.versions import MIGRATION_STEPS, new_key, newest, version_of
+from animtool.documents.versions import MIGRATION_STEPS, newest, renamed_key, version_of
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -54,7 +54,7 @@ def model_field(key: Key, default: Any = MISSING) -> Any:
 class FileModel(BaseModel, metaclass=_KeyedModels):
     """Base model of a mapping: strict types, no unknown keys, finite numbers."""
 
-    # Nested models are built with their parents, not again alone.
+    # Nested models are built with their parents, not separately.
     model_config = ConfigDict(
         extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
     )
@@ -72,9 +72,9 @@ def check_version(document: Document, kind: str) -> None:
 def validate_document(document: Document, model: type[Model]) -> Model:
     """Return a document as a model; record faults of keys, types and values.
 
-    Each faulty value is replaced by a placeholder that `Document.add` ignores,
-    so that the rest can be checked before `Document.check` raises all at once. A key
-    that is nearly right counts as given, and its value is not checked.
+    Each faulty value is replaced by a placeholder that `Document.add` ignores, so that
+    all other values are checked before `Document.check` raises all faults at once. A
+    misspelt key counts as the key that was intended, but its value is not checked.
     """
     value: Any = document.value
     while True:
@@ -94,7 +94,7 @@ def unknown_options(
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
         if key not in names
-        for hint, _ in [key_meant(key, names)]
+        for hint, _ in [intended_key_hint(key, names)]
     ]
 
 
@@ -108,9 +108,12 @@ def record_of_options(
     keys = {name: name for name in known_options}
     for (key, *_), _fault in faults:
         # A misspelt key is not missing too.
-        meant = key_meant(str(key), names)[1]
-        if meant is not None and meant not in known_options:
-            known_options[meant], keys[meant] = options[str(key)], str(key)
+        intended_key = intended_key_hint(str(key), names)[1]
+        if intended_key is not None and intended_key not in known_options:
+            known_options[intended_key], keys[intended_key] = (
+                options[str(key)],
+                str(key),
+            )
     try:
         return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
@@ -126,10 +129,10 @@ def record_of_options(
     ]
 
 
-def renamed_options(
+def rename_options(
     document: Document, location: Location, options: Mapping[str, Any], kind: str
 ) -> dict[str, Any]:
-    """Return options with old names replaced by new ones; warn of each.
+    """Return options with old names replaced by new ones; warn about each.
 
     Args:
         document: The file that contains them.
@@ -139,10 +142,10 @@ def renamed_options(
     """
     result: dict[str, Any] = {}
     for key, value in options.items():
-        name = new_key(kind, (*location, key), value)
+        name = renamed_key(kind, (*location, key), value)
         if name is None or name in options:
             result[key] = value
             continue
         result[name] = value
-        note_renamed(document, (*location, key), name)
+        warn_renamed_key(document, (*location, key), name)
     return result

@@ -14,12 +14,12 @@ from animtool.core.files.signatures import DOCUMENT, expects_format
 from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
-from animtool.documents.yaml_values import Marks, read_values
+from animtool.documents.yaml_values import SourceMarks, read_values
 
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
-# Quotes of a word processor, and what may close each.
+# Typographic quotes, and the characters that may close each.
 QUOTES = {
     "\u201c": "\u201d\u201c",
     "\u201d": "\u201d",
@@ -30,7 +30,7 @@ QUOTES = {
     "\xbb": "\xab",
 }
 _TYPOGRAPHIC = frozenset(QUOTES)
-# A list that is read for decimal commas; others are no vectors.
+# Longest list that is checked for decimal commas; longer ones are not vectors.
 MAX_SHOWN_NUMBERS = 16
 
 
@@ -38,26 +38,26 @@ MAX_SHOWN_NUMBERS = 16
 class Document:
     """A parsed hand-written file."""
 
-    path: Path  # as the user named it
+    path: Path  # path as spelled by the user
     value: dict[str, Any]  # its content: mappings, lists, text, numbers, booleans, None
     # Returns the 1-based line and column of every node, keys included, in file order,
     # and the source text of unquoted scalars.
-    marks: Callable[[], Marks] = field(repr=False)
+    marks: Callable[[], SourceMarks] = field(repr=False)
     # Faults recorded by `add`.
     faults: list[Fault] = field(default_factory=list)
     # Notices recorded by `note` and `warn`.
     notices: list[Fault] = field(default_factory=list)
     # Locations of faulty values that a placeholder replaces so that validation can
     # continue.
-    doubts: set[Location] = field(default_factory=set)
+    placeholders: set[Location] = field(default_factory=set)
     # Values whose key was guessed from a misspelling.
     guessed_keys: set[Location] = field(default_factory=set)
     # Keys of lists whose remaining entries are in another, unreadable file.
     partial_lists: set[str] = field(default_factory=set)
-    # The written key of each renamed value.
+    # Key in the file of each value whose key was renamed.
     old_keys: dict[Location, str] = field(default_factory=dict)
-    _marks: Marks | None = field(default=None, init=False, repr=False)
-    _starts: dict[tuple[int, str | int], int] = field(
+    _computed_marks: SourceMarks | None = field(default=None, init=False, repr=False)
+    _child_indices: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -71,7 +71,7 @@ class Document:
         is_key = index > self._index(location[:-1])
         return self._cached_marks().positions[index - is_key]
 
-    def written(self, location: Location) -> str | None:
+    def source_text(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for anything else."""
         return self._cached_marks().unquoted.get(self._index(location))
 
@@ -79,43 +79,45 @@ class Document:
         """Return a hint for a list whose numbers have decimal commas; None for others.
 
         Args:
-            location: Of the list.
-            width: How many numbers are needed; 0 is any that the commas leave.
+            location: Location of the list.
+            width: Number of expected numbers; 0 accepts any number.
         """
         value: Any = self.value
         for step in self._written_steps(location):
             value = value.get(step) if isinstance(value, dict) else value[step]
         if not isinstance(value, list) or len(value) > MAX_SHOWN_NUMBERS:
             return None
-        texts = [self.written((*location, i)) or "" for i in range(len(value))]
-        spots = [self.position((*location, i)) for i in range(len(value))]
+        texts = [self.source_text((*location, i)) or "" for i in range(len(value))]
+        positions = [self.position((*location, i)) for i in range(len(value))]
         numbers: list[str] = []
-        last = None  # where the one before ends, if it may be followed by decimals
-        for text, (line, column) in zip(texts, spots, strict=True):
-            if last == (line, column - 1) and text.isdigit():
+        expected_position = (
+            None  # where the one before ends, if it may be followed by decimals
+        )
+        for text, (line, column) in zip(texts, positions, strict=True):
+            if expected_position == (line, column - 1) and text.isdigit():
                 numbers[-1] += f".{text}"
-                last = None
+                expected_position = None
             else:
                 numbers.append(text)
                 is_integer = text.lstrip("-+").isdigit()
-                last = (line, column + len(text)) if is_integer else None
+                expected_position = (line, column + len(text)) if is_integer else None
         if len(numbers) == len(texts) or len(numbers) != (width or len(numbers)):
             return None
         return f"write [{', '.join(numbers)}], with decimal points"
 
-    def _cached_marks(self) -> Marks:
-        if self._marks is None:
-            self._marks = self.marks()
-        return self._marks
+    def _cached_marks(self) -> SourceMarks:
+        if self._computed_marks is None:
+            self._computed_marks = self.marks()
+        return self._computed_marks
 
     def _index(self, location: Location) -> int:
         """Return the index in `Marks.positions` of a value or its nearest ancestor."""
-        if not self._starts:
+        if not self._child_indices:
             self._index_nodes(self.value, 0)
         node: Any = self.value
         index = 0
         for step in self._written_steps(location):
-            start = self._starts.get((id(node), step))
+            start = self._child_indices.get((id(node), step))
             if start is not None:
                 node, index = node[step], start
         return index
@@ -125,11 +127,11 @@ class Document:
         index += 1
         if isinstance(node, dict):
             for key, value in node.items():
-                self._starts[id(node), key] = index + 1
+                self._child_indices[id(node), key] = index + 1
                 index = self._index_nodes(value, index + 1)
         elif isinstance(node, list):
             for i, value in enumerate(node):
-                self._starts[id(node), i] = index
+                self._child_indices[id(node), i] = index
                 index = self._index_nodes(value, index)
         return index
 
@@ -142,33 +144,33 @@ class Document:
 
         That is, it replaced a faulty value, or its key was guessed from a misspelling.
         """
-        unknown = self.doubts | self.guessed_keys
+        unknown = self.placeholders | self.guessed_keys
         return bool(unknown) and any(
             location[:depth] in unknown for depth in range(1, len(location) + 1)
         )
 
-    def has_doubt_below(self, location: Location) -> bool:
+    def has_placeholder_below(self, location: Location) -> bool:
         """Return whether a value inside a location is a placeholder."""
         depth = len(location)
-        unknown = self.doubts | self.guessed_keys
-        return any(inner[:depth] == location for inner in unknown)
+        unknown = self.placeholders | self.guessed_keys
+        return any(placeholder[:depth] == location for placeholder in unknown)
 
-    def has_unnamed(self, key: str, *parts: str) -> bool:
+    def has_unnamed(self, key: str, *name_keys: str) -> bool:
         """Return whether a list has an entry whose name is unknown.
 
         A reference to that entry looks like a broken one.
 
         Args:
             key: Key of the list.
-            parts: Keys of an entry's name parts; ``name`` if omitted.
+            name_keys: Keys of an entry's name parts; ``name`` if omitted.
         """
-        names = parts or ("name",)
+        names = name_keys or ("name",)
         return key in self.partial_lists or any(
             doubt[0] == key and (len(doubt) < 3 or doubt[2] in names)
-            for doubt in self.doubts
+            for doubt in self.placeholders
         )
 
-    def descents(
+    def not_ascending(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
         """Yield list entries that are out of ascending order.
@@ -209,15 +211,15 @@ class Document:
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Record a warning at a location; see `add`."""
-        self._notice(Severity.WARNING, code, location, message, hint)
+        self._add_notice(Severity.WARNING, code, location, message, hint)
 
     def note(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Record a note at a location; see `add`."""
-        self._notice(Severity.NOTE, code, location, message, hint)
+        self._add_notice(Severity.NOTE, code, location, message, hint)
 
-    def _notice(
+    def _add_notice(
         self,
         severity: Severity,
         code: str,
@@ -241,7 +243,9 @@ class Document:
     def check(self) -> None:
         """Raise `FormatError` with every recorded fault, in file order."""
         if self.faults:
-            in_file_order = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
+            in_file_order = sorted(
+                self.faults, key=lambda fault: (fault.lines, fault.column or 0)
+            )
             raise FormatError(_first_faults(in_file_order))
 
 
@@ -267,8 +271,8 @@ def parse_location(where: str) -> Location:
     return tuple(int(number) if number else name for number, name in steps)
 
 
-def positioned(fault: Fault) -> Fault:
-    """Return a fault about a key of a file with the key's line, read from the file."""
+def with_position(fault: Fault) -> Fault:
+    """Return a fault with the line and column of its key, read from the file."""
     if fault.path is None or fault.lines or not fault.where:
         return fault
     try:
@@ -300,33 +304,39 @@ def document_of(text: str, path: Path) -> Document:
         raise FormatError(_first_faults(error.faults)) from error
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
-        hint = f"start it with a line such as '{kind_named(path)}: animtool/1'"
+        hint = f"start it with a line such as '{kind_of_name(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
     document = Document(path, value, marks)
     if not _TYPOGRAPHIC.isdisjoint(text):
-        document.notices.extend(_typographic_quotes(document))
+        document.notices.extend(_typographic_quote_warnings(document))
     return document
 
 
-def _typographic_quotes(document: Document) -> Iterator[Fault]:
+def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
     """Yield a warning about quotes of a word processor around a value (DOC103)."""
     marks = document.marks()
     for index, text in marks.unquoted.items():
-        inner = text[1:-1]
+        unquoted_text = text[1:-1]
         # In sentences they are meant.
-        if text[:1] not in QUOTES or text[-1] not in QUOTES[text[0]] or " " in inner:
+        if (
+            text[:1] not in QUOTES
+            or text[-1] not in QUOTES[text[0]]
+            or " " in unquoted_text
+        ):
             continue
         line, column = marks.positions[index]
         message = f"typographic quotes are part of the value {text}"
-        hint = f'write "{inner}" with straight quotes, or {inner} without'
+        hint = (
+            f'write "{unquoted_text}" with straight quotes, or {unquoted_text} without'
+        )
         source = str(document.path), (line,)
         warning = Severity.WARNING
         yield Fault("DOC103", message, *source, hint, warning, column=column)
         return
 
 
-def kind_named(path: Path, default: str = "rig") -> str:
+def kind_of_name(path: Path, default: str = "rig") -> str:
     """Return the kind in a file's name: ``targets`` of ``hero.targets.yaml``."""
     kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in FILE_KINDS]
     return kinds[-1] if kinds else default

@@ -1,4 +1,4 @@
-"""Edit values in a document's text and keep everything else as written.
+"""Edits values in a document's text and keeps everything else unchanged.
 
 Comments, quotes, order, layout and line ends stay: only the text of the edited
 values is replaced.
@@ -75,17 +75,19 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
         edits: At most one per location.
     """
     edits = list(edits)
-    page = _SourceText.of(text, json=path.suffix == ".json")
-    splices = sorted((page.splice(edit) for edit in edits), key=lambda s: s[0])
-    after = text
+    source = _SourceText.of(text, json=path.suffix == ".json")
+    splices = sorted(
+        (source.splice_of(edit) for edit in edits), key=lambda splice: splice[0]
+    )
+    edited_text = text
     for start, end, replacement in reversed(splices):
-        after = after[:start] + replacement + after[end:]
+        edited_text = edited_text[:start] + replacement + edited_text[end:]
     value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(value, edit)
     # The edit is accepted only if the new text parses to the expected values.
-    if _parses_to(after, path, value):
-        return after
+    if _parses_to(edited_text, path, value):
+        return edited_text
     locations = ", ".join(location_text(edit.location) for edit in edits)
     raise EditError(f"the layout around {locations} cannot be preserved")
 
@@ -115,7 +117,7 @@ def _apply(value: Any, edit: Edit) -> None:
             node[edit.key] = node.pop(edit.location[-1])
 
 
-Splice = tuple[int, int, str]
+TextSplice = tuple[int, int, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,38 +137,38 @@ class _SourceText:
         root = compose_yaml(yaml_text)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
-    def splice(self, edit: Edit) -> Splice:
+    def splice_of(self, edit: Edit) -> TextSplice:
         """Return the text range to replace, and its new text."""
         match edit:
             case Replace(location, value):
-                return self._replacement_text(self._node(location), value)
-            case Rename((*outer, key), name):
+                return self._replacement_text(self._node_at(location), value)
+            case Rename((*parent_path, key), name):
                 return self._replacement_text(
-                    self._pair(tuple(outer), str(key))[0], name
+                    self._key_and_value(tuple(parent_path), str(key))[0], name
                 )
             case Add(location, key, value):
-                return self._added_text(self._node(location), key, value)
-            case Remove((*outer, step)):
-                return self._removed_range(self._node(tuple(outer)), step)
+                return self._added_text(self._node_at(location), key, value)
+            case Remove((*parent_path, step)):
+                return self._removed_range(self._node_at(tuple(parent_path)), step)
         raise EditError(f"{location_text(edit.location)} cannot be edited")
 
-    def _node(self, location: Location) -> Any:
+    def _node_at(self, location: Location) -> Any:
         node = self.root
         for depth, step in enumerate(location):
             if isinstance(step, int):
                 node = node.value[step]
             else:
-                node = self._pair(location[:depth], step)[1]
+                node = self._key_and_value(location[:depth], step)[1]
         return node
 
-    def _pair(self, parent: Location, key: str) -> tuple[Any, Any]:
+    def _key_and_value(self, parent: Location, key: str) -> tuple[Any, Any]:
         """Return a key of a mapping and its value."""
-        for name, value in self._node(parent).value:
+        for name, value in self._node_at(parent).value:
             if name.value == key:
                 return name, value
         raise EditError(f"{location_text((*parent, key))} does not exist")
 
-    def _replacement_text(self, node: Any, value: str) -> Splice:
+    def _replacement_text(self, node: Any, value: str) -> TextSplice:
         """Write a text in the quote style of the value that it replaces."""
         style = getattr(node, "style", None)
         new_text = _plain_or_quoted(value)
@@ -181,7 +183,7 @@ class _SourceText:
             new_text = f"'{escaped}'"
         return node.start_mark.index, node.end_mark.index, new_text
 
-    def _added_text(self, node: Any, key: str, value: Any) -> Splice:
+    def _added_text(self, node: Any, key: str, value: Any) -> TextSplice:
         if not node.value:
             raise EditError(f"no key next to {key!r}")
         entry = (
@@ -198,18 +200,20 @@ class _SourceText:
             return next_line, next_line, f"{indent}{entry}{self.newline}"
         return next_line, next_line, f"{self.newline}{indent}{entry}"
 
-    def _removed_range(self, node: Any, step: str | int) -> Splice:
-        spans = list(_entry_bounds(node))
+    def _removed_range(self, node: Any, step: str | int) -> TextSplice:
+        entry_bounds = list(_entry_bounds(node))
         index = step
         if isinstance(index, str):
-            index = [name.value for name, _ in spans].index(index)
-        first, last = spans[index]
+            index = [name.value for name, _ in entry_bounds].index(index)
+        first, last = entry_bounds[index]
         start, end = first.start_mark.index, _value_end(last)
         if node.flow_style:
-            if index + 1 < len(spans):
-                end = self._end_after_comma(end, spans[index + 1][0].start_mark.index)
+            if index + 1 < len(entry_bounds):
+                end = self._end_after_comma(
+                    end, entry_bounds[index + 1][0].start_mark.index
+                )
             elif index:
-                start = _value_end(spans[index - 1][1])
+                start = _value_end(entry_bounds[index - 1][1])
                 self._end_after_comma(start, first.start_mark.index)
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1
@@ -253,7 +257,7 @@ def _flow_text(value: Any) -> str:
 
 
 def _plain_or_quoted(value: str) -> str:
-    """Return a text without quotes if it still parses to itself inside brackets."""
+    """Return a text unquoted if it parses to itself inside brackets, else quoted."""
     try:
         parsed_value = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:

@@ -51,7 +51,7 @@ Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
 IntegerFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
 Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
 NotNegative = Annotated[Real, Ge(0)]
-# Number of a system's bodies.
+# A number of bodies.
 Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 # A single line; no control characters, and no longer than the longest path.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
@@ -59,7 +59,7 @@ NumberPair = Annotated[list[Real], Len(2, 2)]
 Vector = Annotated[list[Real], Len(3, 3)]
 
 
-def _direction(value: Any) -> Any:
+def _axis_to_vector(value: Any) -> Any:
     """Convert the name of an axis to its vector; return other values unchanged."""
     return AXES.get(value.upper(), value) if isinstance(value, str) else value
 
@@ -67,7 +67,7 @@ def _direction(value: Any) -> Any:
 # A vector, or the name of an axis such as Z or -X.
 _AxisName = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
 Direction = Annotated[
-    Vector, BeforeValidator(_direction, json_schema_input_type=Vector | _AxisName)
+    Vector, BeforeValidator(_axis_to_vector, json_schema_input_type=Vector | _AxisName)
 ]
 # w, x, y, z.
 Quaternion = Annotated[list[Real], Len(4, 4)]
@@ -137,7 +137,7 @@ class IgnoreModel(FileModel):
 
 
 Model = TypeVar("Model", bound=FileModel)
-_TYPES: dict[Any, Any] = {
+_KEY_TYPES: dict[Any, Any] = {
     float: Real,
     float | None: Real | None,
     int: Integer,
@@ -169,7 +169,7 @@ def with_fields(
     *names: str,
     file_kind: FileKind | None = None,
     order: Sequence[str] = (),
-    before: str = "",
+    before_key: str = "",
     ranges: Ranges = "record",
 ) -> Callable[[type[Model]], type[Model]]:
     """Add the fields of a record to a model as keys.
@@ -183,9 +183,9 @@ def with_fields(
             that the model lacks.
         file_kind: Kind of file whose names of the record's options are used.
         order: Order of keys; others come last. Empty keeps the record's order.
-        before: Key to insert them before; empty appends them.
-        ranges: What checks the `Range` of a field: the file's reader on the record or
-            on the model, or the model's schema.
+        before_key: Key to insert them before; empty appends them.
+        ranges: Where the `Range` of a field is checked: by the reader of the file on
+            the record or on the model, or by the model's schema.
     """
 
     def decorate(model: type[Model]) -> type[Model]:
@@ -195,7 +195,7 @@ def with_fields(
             if name in model.model_fields
         }
         insert_index = (
-            list(declared_keys).index(before) if before else len(declared_keys)
+            list(declared_keys).index(before_key) if before_key else len(declared_keys)
         )
         keys = keys_of(record, file_kind)
         new_fields = {}
@@ -210,7 +210,9 @@ def with_fields(
         ]
         if order:
             definitions.sort(
-                key=lambda e: order.index(e[0]) if e[0] in order else len(order)
+                key=lambda definition: (
+                    order.index(definition[0]) if definition[0] in order else len(order)
+                )
             )
         model_type: Any = create_model(
             model.__name__,
@@ -229,18 +231,23 @@ def with_fields(
 RecordT = TypeVar("RecordT")
 
 
-def record_of(record: type[RecordT], model: FileModel, **extra: Any) -> RecordT:
+def record_of(
+    record: type[RecordT], model: FileModel, **extra_arguments: Any
+) -> RecordT:
     """Return a record from the same-named fields of a model, and extra arguments."""
-    kind, arguments = cast(Any, record), extra
+    kind, arguments = cast(Any, record), extra_arguments
     keys = keys_of(kind)
-    for field_ in fields(kind):
-        if field_.name in extra or field_.name not in type(model).model_fields:
+    for record_field in fields(kind):
+        if (
+            record_field.name in extra_arguments
+            or record_field.name not in type(model).model_fields
+        ):
             continue
-        value = getattr(model, field_.name)
-        if value is None and _is_infinite(field_.default):
+        value = getattr(model, record_field.name)
+        if value is None and _is_infinite(record_field.default):
             continue
-        convert = keys[field_.name].read if field_.name in keys else None
-        arguments[field_.name] = value if convert is None else convert(value)
+        convert = keys[record_field.name].read if record_field.name in keys else None
+        arguments[record_field.name] = value if convert is None else convert(value)
     return record(**arguments)
 
 
@@ -267,8 +274,12 @@ def _type_and_default(
         return type_, _DEFAULTS.get(kind)
     hint = get_type_hints(record, include_extras=True)[name]
     type_, *constraints = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
-    (default,) = (field_.default for field_ in fields(record) if field_.name == name)
+    type_ = Literal[key.choices] if key.choices else _KEY_TYPES.get(type_, type_)
+    (default,) = (
+        record_field.default
+        for record_field in fields(record)
+        if record_field.name == name
+    )
     if _is_infinite(default):
         type_, default = type_ | None, None
     elif default == ():

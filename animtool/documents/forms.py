@@ -1,4 +1,4 @@
-"""Hints that show the right form of a value."""
+"""Hints that show how to write a value correctly."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _RANGE_LENGTH = 2
 
 
 @dataclass(frozen=True, slots=True)
-class EntryForms:
+class EntryExamples:
     """Option examples by name, for mappings with a single entry."""
 
     options: Mapping[str, Any] = field(hash=False)
@@ -59,28 +59,34 @@ def form_hint(
     holds_mappings = not isinstance(example, list) or not _are_numbers(example)
     if is_mapping and holds_mappings and not _converted_value(entry, example):
         entries = _list_entries(annotation_of(info), entry)
-        for shown in (entries, entries[:1]):
-            text = flow_text(str(location[depth - 1]), shown)
-            if shown and len(text) <= MAX_EXAMPLE:
-                return f"{'write' if shown is entries else 'for example'} {text}"
+        for example_entries in (entries, entries[:1]):
+            text = flow_text(str(location[depth - 1]), example_entries)
+            if example_entries and len(text) <= MAX_EXAMPLE:
+                return (
+                    f"{'write' if example_entries is entries else 'for example'} {text}"
+                )
         if entries:
             return f"write '- {next(iter(entries[0]))}:', with a dash for each entry"
-    forms = _entry_forms(annotation_of(info))
+    entry_examples = _entry_examples(annotation_of(info))
     name = inner_steps[0] if inner_steps else entry
-    if forms is not None and isinstance(name, str) and name in forms.options:
-        example = {name: forms.options[name]}
+    if (
+        entry_examples is not None
+        and isinstance(name, str)
+        and name in entry_examples.options
+    ):
+        example = {name: entry_examples.options[name]}
     elif isinstance(entry, str) and _takes_file(annotation_of(info)):
         # In a list, show the form of one entry.
-        several = inner_steps or not models_of(annotation_of(info))
-        example = [{"file": entry}] if several else {"file": entry}
+        is_list = inner_steps or not models_of(annotation_of(info))
+        example = [{"file": entry}] if is_list else {"file": entry}
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    converted = None if inner_steps else _converted_value(entry, example)
-    if converted is not None:
-        return f"write {_shortened_flow(key, converted)}"
+    converted_value = None if inner_steps else _converted_value(entry, example)
+    if converted_value is not None:
+        return f"write {_shortened_flow(key, converted_value)}"
     text = flow_text(key, example)
-    word = "write" if _contains(example, entry) else "for example"
+    word = "write" if _example_contains(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
 
 
@@ -105,13 +111,13 @@ def missing_key_hint(
     return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
 
 
-def components(value: Any) -> list[Any] | None:
-    """Return the numbers of a vector that is written with a key each; None for others.
+def vector_components(value: Any) -> list[Any] | None:
+    """Return the numbers of a vector written as a mapping; None for other values.
 
     >>> components({"x": 0, "y": 1, "z": 0}), components({"t": 1, "v": 2})
     ([0, 1, 0], None)
     """
-    if not isinstance(value, dict) or tuple(value) not in _COMPONENTS:
+    if not isinstance(value, dict) or tuple(value) not in _COMPONENT_NAMES:
         return None
     numbers = list(value.values())
     return numbers if _are_numbers(numbers) else None
@@ -123,10 +129,10 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
     if match is None or match[0] != len(location):
         return None
     example = (match[1].examples or [None])[0]
-    around: Any = value
+    parent: Any = value
     for step in location[:-1]:
-        around = around[step]
-    entry = around.get(location[-1]) if isinstance(around, dict) else None
+        parent = parent[step]
+    entry = parent.get(location[-1]) if isinstance(parent, dict) else None
     unit = _NUMBER_UNIT.fullmatch(example) if isinstance(example, str) else None
     if unit is not None and type(entry) in (int, float):
         return f"add a unit, such as {entry}{unit[1]}"
@@ -139,7 +145,7 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
 def paired_entries(
     models: Sequence[type[BaseModel]], value: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the entries that a mapping of name pairs means; empty if unclear."""
+    """Return the entries intended by a mapping of name pairs; empty if unclear."""
     if not value or not all(isinstance(entry, str) for entry in value.values()):
         return []
     for fields in map(fields_of, models):
@@ -153,20 +159,20 @@ def paired_entries(
 
 
 def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Convert a mapping to the list of entries it means; empty if none fit."""
+    """Convert a mapping to the intended list of entries; empty if unclear."""
     models = models_of(inner_annotation(annotation, None, 0))
     keys = {key for model in models for key in fields_of(model)}
     if not keys:  # entries that are named by their only key, such as passes
-        return [{key: one} for key, one in value.items()]
+        return [{key: item} for key, item in value.items()]
     if value.keys() <= keys:
         return [dict(value)]
-    if "name" in keys and all(isinstance(one, dict) for one in value.values()):
+    if "name" in keys and all(isinstance(item, dict) for item in value.values()):
         return [{"name": name, **entry} for name, entry in value.items()]
     return paired_entries(models, value)
 
 
 # Keys that other tools use for the ends of a range, the lower end first.
-_COMPONENTS = (tuple("xyz"), tuple("wxyz"), ("dt", "dv"))
+_COMPONENT_NAMES = (tuple("xyz"), tuple("wxyz"), ("dt", "dv"))
 _RANGE_END_NAMES = (
     "min",
     "low",
@@ -189,7 +195,9 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
         return _list_of_text(value.strip(), example)
     if isinstance(value, dict):
         bounds = [value.get(key) for key in _RANGE_END_NAMES if key in value]
-        values = bounds if len(bounds) == _RANGE_LENGTH else components(value) or []
+        values = (
+            bounds if len(bounds) == _RANGE_LENGTH else vector_components(value) or []
+        )
         return values if len(values) == len(value) == len(example) else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A magnitude along the only axis of the example: gravity of 9.81 points down.
@@ -225,28 +233,34 @@ def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
     """Convert a text of numbers, or one name, to a list."""
     if all(isinstance(entry, str) for entry in example):
         return [text]
-    ends = _NUMBER_PAIR.fullmatch(text)
-    parts = re.split(r"[\s,;]+", text.strip("()[] ")) if ends is None else ends.groups()
+    pair_match = _NUMBER_PAIR.fullmatch(text)
+    parts = (
+        re.split(r"[\s,;]+", text.strip("()[] "))
+        if pair_match is None
+        else pair_match.groups()
+    )
     numbers = [plain_scalar(part) for part in parts if part]
     are_numbers = all(isinstance(entry, int | float) for entry in numbers)
     return numbers if are_numbers and len(numbers) == len(example) else None
 
 
-def _contains(example: Any, value: Any) -> bool:
+def _example_contains(example: Any, value: Any) -> bool:
     """Return whether an example contains the value."""
     if isinstance(example, dict):
-        return any(_contains(item, value) for item in (*example, *example.values()))
+        return any(
+            _example_contains(item, value) for item in (*example, *example.values())
+        )
     if isinstance(example, list | tuple):
-        return any(_contains(item, value) for item in example)
+        return any(_example_contains(item, value) for item in example)
     return bool(example == value)
 
 
-def _entry_forms(annotation: Any) -> EntryForms | None:
+def _entry_examples(annotation: Any) -> EntryExamples | None:
     """Return the `EntryForms` annotation of a type or of a union's member."""
     for constraint in getattr(annotation, "__metadata__", ()):
-        if isinstance(constraint, EntryForms):
+        if isinstance(constraint, EntryExamples):
             return constraint
-    member_forms = (_entry_forms(member) for member in get_args(annotation))
+    member_forms = (_entry_examples(member) for member in get_args(annotation))
     return next((member for member in member_forms if member is not None), None)
 
 

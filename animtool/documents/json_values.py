@@ -34,7 +34,7 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
     if _YAML_DIFFERENCES.search(text):
         return None
 
-    def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def checked_mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values = dict(pairs)
         if len(values) != len(pairs):
             raise _NotPlainJsonError
@@ -45,7 +45,7 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
 
     try:
         value = json.loads(
-            text, object_pairs_hook=mapping, parse_constant=_refuse_constant
+            text, object_pairs_hook=checked_mapping, parse_constant=_refuse_constant
         )
     except (ValueError, RecursionError):
         return None
@@ -62,13 +62,13 @@ def _refuse_constant(name: str) -> NoReturn:
 
 def _nesting_depth(value: Any) -> int:
     """Return the nesting depth of lists and mappings."""
-    depth, level = 0, [value]
-    while level:
+    depth, nodes = 0, [value]
+    while nodes:
         depth += 1
-        level = [
-            inner
-            for node in level
-            for inner in (node.values() if node.__class__ is dict else node)
-            if inner.__class__ is dict or inner.__class__ is list
+        nodes = [
+            child
+            for node in nodes
+            for child in (node.values() if node.__class__ is dict else node)
+            if child.__class__ is dict or child.__class__ is list
         ]
     return depth

@@ -95,12 +95,12 @@ def plan_migration(
     is rewritten without its comments.
     """
     path = Path(path)
-    document, before = read_document(path), read_text(path)
+    document, old_text = read_document(path), read_text(path)
     kind, version = version_of(document, table)
     newest_version = newest(table[kind])
     if version == newest_version:
         return _rename_keys(
-            Migration(path, kind, version, newest_version, before, before)
+            Migration(path, kind, version, newest_version, old_text, old_text)
         )
     old_value = document.value
     new_value = copy.deepcopy(old_value)
@@ -108,15 +108,17 @@ def plan_migration(
         new_value = table[kind][step](new_value)
     new_value[kind] = f"animtool/{newest_version}"
     if {**new_value, kind: old_value[kind]} == old_value:
-        after = _replace_version(document, before, kind, f"animtool/{newest_version}")
-        return Migration(path, kind, version, newest_version, before, after)
+        new_text = _replace_version(
+            document, old_text, kind, f"animtool/{newest_version}"
+        )
+        return Migration(path, kind, version, newest_version, old_text, new_text)
     # The kind comes first in a file, in whatever order the steps left the keys.
     kind_first = {kind: new_value.pop(kind), **new_value}
     if path.suffix == ".json":
         return Migration(
-            path, kind, version, newest_version, before, json_text(kind_first)
+            path, kind, version, newest_version, old_text, json_text(kind_first)
         )
-    comment_lines = comments_in(before)
+    comment_lines = comments_in(old_text)
     notices = []
     if comment_lines:
         count = (
@@ -136,8 +138,10 @@ def plan_migration(
                 Severity.WARNING,
             )
         )
-    after = yaml_text(kind_first)
-    return Migration(path, kind, version, newest_version, before, after, tuple(notices))
+    new_text = yaml_text(kind_first)
+    return Migration(
+        path, kind, version, newest_version, old_text, new_text, tuple(notices)
+    )
 
 
 def _rename_keys(plan: Migration) -> Migration:
@@ -166,22 +170,24 @@ def migrate(
     strict: bool = False,
     table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
 ) -> list[Migration]:
-    """Rewrite files of older versions in place, all or none.
+    """Rewrite files of older versions in place: all of them or none.
 
     All are read and checked before the first is written.
 
     Args:
         paths: Rig, clip and scene files.
-        overwrite: Replace files; otherwise fail if one needs it.
+        overwrite: Replace files; otherwise fail if a file would change.
         check: Write nothing.
         strict: Treat warnings as errors, and write nothing.
         table: Migration steps between versions, by kind.
     """
-    plans = _plan_migrations(paths, table)
-    refuse_warnings([note for p in plans for note in p.notices], strict=strict)
+    plans = _plan_all(paths, table)
+    refuse_warnings([note for plan_ in plans for note in plan_.notices], strict=strict)
     # A file and links to it are migrated once.
-    by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
-    outdated_documents = list(reversed(by_path.values()))
+    plan_by_path = {
+        plan.path.resolve(): plan for plan in reversed(plans) if plan.needed
+    }
+    outdated_documents = list(reversed(plan_by_path.values()))
     if check or not outdated_documents:
         return plans
     if not overwrite:
@@ -203,7 +209,7 @@ def migrate(
     return [replace(plan, written=plan.needed) for plan in plans]
 
 
-def _plan_migrations(
+def _plan_all(
     paths: Sequence[Path | str], table: Mapping[str, MigrationSteps]
 ) -> list[Migration]:
     plans: list[Migration] = []
@@ -222,7 +228,10 @@ def _replace_version(document: Document, text: str, kind: str, version: str) -> 
     """Return a text with only its version changed."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
-    head, tail = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
+    before_version, after_version = (
+        lines[line - 1][: column - 1],
+        lines[line - 1][column - 1 :],
+    )
     old_version: Any = document.value[kind]
-    lines[line - 1] = head + tail.replace(old_version, version, 1)
+    lines[line - 1] = before_version + after_version.replace(old_version, version, 1)
     return "".join(lines)

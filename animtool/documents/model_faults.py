@@ -13,20 +13,20 @@ from animtool.core.names import FILE_KINDS, most_similar, nearest, sort_by_simil
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location, location_text
 from animtool.documents.forms import (
-    components,
     example_hint,
     form_hint,
     missing_key_hint,
     paired_entries,
+    vector_components,
 )
-from animtool.documents.other_words import AXES, OTHER_KEYS, options_meant
+from animtool.documents.other_words import AXES, OTHER_KEYS, intended_options
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
     fields_of,
     models_of,
     placeholder_of,
-    with_value_at,
+    set_value_at,
 )
 from animtool.documents.value_faults import (
     expected_structures,
@@ -35,13 +35,13 @@ from animtool.documents.value_faults import (
     value_hint,
     values_message,
 )
-from animtool.documents.versions import new_key
+from animtool.documents.versions import renamed_key
 from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import flow_value
 
-# Faulty values to replace by placeholders before validation stops.
+# Maximum number of faulty values that are replaced by placeholders.
 MAX_REPLACED = 200
-# Unknown keys of an entry of which one is named, and not each.
+# Number of unknown keys from which an entry gets a single fault.
 MIN_UNKNOWN = 2
 
 LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a value
@@ -49,30 +49,34 @@ LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a
 
 def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
     """Return the fault of each wrong value outside of a model."""
-    by_location = _by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
+    faults_by_location = _group_by_location(
+        value, error.errors(include_url=False)[:MAX_REPLACED]
+    )
     ancestors = {
         location[:depth]
-        for location, _ in by_location
+        for location, _ in faults_by_location
         for depth in range(len(location))
     }
-    located: LocatedFaults = []
-    unpaired: set[Location] = set()  # lists of numbers where pairs are needed
-    for (location, _), faults in by_location.items():
-        if location in ancestors or location[:-1] in unpaired:
+    located_faults: LocatedFaults = []
+    lists_of_pairs: set[Location] = set()  # lists of numbers where pairs are needed
+    for (location, _), faults in faults_by_location.items():
+        if location in ancestors or location[:-1] in lists_of_pairs:
             continue
         hint = value_hint(location[-1], faults) if location else None
         is_entry = len(location) > 1 and isinstance(location[-1], int)
         if is_entry and hint is None and expected_structures(faults) == {"a list"}:
-            unpaired.add(location[:-1])
+            lists_of_pairs.add(location[:-1])
             hint = "write pairs, such as [[1, 0], [24, 1]]"
-        located.append((location, Fault("SCN002", values_message(faults), hint=hint)))
-    return located
+        located_faults.append(
+            (location, Fault("SCN002", values_message(faults), hint=hint))
+        )
+    return located_faults
 
 
-def key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
-    """Return a hint for an unknown key, and the key that was likely meant."""
+def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None]:
+    """Return a hint for an unknown key, and the likely intended key."""
     normalized = key.replace("_", "").lower()
-    other_key = next(
+    equivalent_key = next(
         (
             candidate
             for candidate in OTHER_KEYS.get(normalized, ())
@@ -80,15 +84,15 @@ def key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
         ),
         None,
     )
-    if other_key is not None:
-        return f"the key is {other_key!r}", other_key
+    if equivalent_key is not None:
+        return f"the key is {equivalent_key!r}", equivalent_key
     if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(sort_by_similarity(key, names))}", None
     return nearest(key, names), most_similar(key, names)
 
 
-def note_renamed(document: Document, location: Location, name: str) -> None:
-    """Warn of a renamed key (DOC102)."""
+def warn_renamed_key(document: Document, location: Location, name: str) -> None:
+    """Warn about a renamed key (DOC102)."""
     *parent, key = location
     document.old_keys[*parent, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
@@ -98,7 +102,7 @@ def note_renamed(document: Document, location: Location, name: str) -> None:
 
 @dataclass(slots=True)
 class ModelFaults:
-    """Faults of a value, recorded and replaced by placeholders in the value."""
+    """Records the faults of a value and replaces faulty parts by placeholders."""
 
     document: Document  # where faults are recorded
     model: type[BaseModel]  # model of the value
@@ -107,59 +111,66 @@ class ModelFaults:
     def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a validation attempt and replace the faulty values."""
         errors = error.errors(include_url=False)
-        by_location = _by_location(self.value, errors[:MAX_REPLACED])
+        faults_by_location = _group_by_location(self.value, errors[:MAX_REPLACED])
         ancestors = {
             location[:depth]
-            for location, _ in by_location
+            for location, _ in faults_by_location
             for depth in range(len(location))
         }
-        by_kind: dict[str, list[tuple[Location, str]]] = {}
-        for key, faults in by_location.items():
-            by_kind.setdefault(faults[0]["type"], []).append(key)
-        known = frozenset(self.document.doubts)
+        faults_by_type: dict[str, list[tuple[Location, str]]] = {}
+        for key, faults in faults_by_location.items():
+            faults_by_type.setdefault(faults[0]["type"], []).append(key)
+        known_placeholders = frozenset(self.document.placeholders)
         # In this order: a misspelt key is not missing too.
-        unknown = [location for location, _ in by_kind.pop("extra_forbidden", ())]
+        unknown = [
+            location for location, _ in faults_by_type.pop("extra_forbidden", ())
+        ]
         entries = {at[:-1] for at in unknown if at[:-1] and isinstance(at[-2], int)}
-        strange = {at for at in sorted(entries, key=str) if self._no_known_key(at)}
+        unrecognised_entries = {
+            at for at in sorted(entries, key=str) if self._record_unrecognised_entry(at)
+        }
         for location in unknown:
-            if location[:-1] not in strange:
-                self._unknown_key(location)
-        for location, missing in by_kind.pop("missing", ()):
-            self._missing_key(location, missing)
-        for key in [key for keys in by_kind.values() for key in keys]:
+            if location[:-1] not in unrecognised_entries:
+                self._record_unknown_key(location)
+        for location, missing_key in faults_by_type.pop("missing", ()):
+            self._record_missing_key(location, missing_key)
+        for key in [key for keys in faults_by_type.values() for key in keys]:
             # In a union, the author meant the member with the most deeply nested
             # faults.
-            new = self.document.doubts - known
-            if key[0] not in ancestors | new and key[0][:-1] not in new:
-                self._wrong_value(key[0], by_location[key])
+            new_placeholders = self.document.placeholders - known_placeholders
+            if (
+                key[0] not in ancestors | new_placeholders
+                and key[0][:-1] not in new_placeholders
+            ):
+                self._record_wrong_value(key[0], faults_by_location[key])
         if len(errors) > MAX_REPLACED:
             self.document.check()
 
-    def _unknown_key(self, location: Location) -> None:
+    def _record_unknown_key(self, location: Location) -> None:
         *steps, key = location
         mapping = tuple(steps)
         names = fields_at(self.model, self.value, mapping)
         node = self.value
         for step in mapping:
             node = node[step]
-        if self._vector_of_keys(mapping):
+        if self._record_vector_mapping(mapping):
             return
-        if key not in node or self._paired_key(mapping, node):
+        if key not in node or self._correct_name_pair(mapping, node):
             return
         value = node.pop(key)
         kind = next((name for name in FILE_KINDS if name in self.value), "")
-        renamed_key = new_key(kind, location, value)
-        if renamed_key in names and renamed_key not in node:
-            node[renamed_key] = value
-            note_renamed(self.document, location, renamed_key)
+        new_name = renamed_key(kind, location, value)
+        if new_name in names and new_name not in node:
+            node[new_name] = value
+            warn_renamed_key(self.document, location, new_name)
             return
         if self._depends_on_kind(location):
             return
         if str(key).startswith("-"):
-            self._tight_dash(location, node)
+            self._record_tight_dash(location, node)
             return
         message = f"unknown key {excerpt(str(key))}"
-        hint, meant_key = key_meant(str(key), names)
+        hint, meant_key = intended_key_hint(str(key), names)
         if hint.startswith("allowed"):
             hint = self._key_of_sibling(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
@@ -174,10 +185,10 @@ class ModelFaults:
     ) -> str | None:
         """Return a hint that names a sibling mapping where an unknown key is valid."""
         for sibling, value in node.items():
-            within = value[0] if isinstance(value, list) and value else value
-            inner = (0,) if within is not value else ()
-            if isinstance(within, dict):
-                location = (*mapping, sibling, *inner)
+            first_element = value[0] if isinstance(value, list) and value else value
+            index_step = (0,) if first_element is not value else ()
+            if isinstance(first_element, dict):
+                location = (*mapping, sibling, *index_step)
                 if key in fields_at(self.model, self.value, location):
                     return f"it is a key of {sibling!r}: write it there"
                 # An entry that is named by its only key, such as a system.
@@ -189,7 +200,7 @@ class ModelFaults:
                     return f"it is a key of {where}: write it there"
         return None
 
-    def _no_known_key(self, mapping: Location) -> bool:
+    def _record_unrecognised_entry(self, mapping: Location) -> bool:
         """Record once that a list entry has no known key."""
         node = self.value
         for step in mapping:
@@ -200,23 +211,23 @@ class ModelFaults:
             return False
         models = models_of(annotation_at(self.model, self.value, mapping), node)
         is_pair = bool(paired_entries(models, node))
-        if is_pair or any(key_meant(str(key), names)[1] for key in unknown):
+        if is_pair or any(intended_key_hint(str(key), names)[1] for key in unknown):
             return False
-        message = f"no known key in {_cut_names(unknown)}"
+        message = f"no known key in {_short_names(unknown)}"
         self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
-        self._put_placeholder(mapping)
+        self._insert_placeholder(mapping)
         return True
 
-    def _tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
+    def _record_tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
         """Record a list entry that was parsed as a key."""
-        *outer, key = location
+        *parent_path, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
         self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
-        for other, value in list(mapping.items()):
+        for other_key, value in list(mapping.items()):
             if value is None:  # the list's key
-                self._put_placeholder((*outer, other))
+                self._insert_placeholder((*parent_path, other_key))
 
-    def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
+    def _correct_name_pair(self, mapping: Location, node: dict[str, Any]) -> bool:
         """Record and correct an entry that pairs two names, such as {Hips: hips}."""
         models = models_of(annotation_at(self.model, self.value, mapping), node)
         entries = paired_entries(models, node) if len(mapping) > 1 else []
@@ -232,36 +243,40 @@ class ModelFaults:
             self.document.old_keys[*mapping, name] = str(key)
         return True
 
-    def _missing_key(self, mapping: Location, key: str) -> None:
+    def _record_missing_key(self, mapping: Location, key: str) -> None:
         location = (*mapping, key)
         if location in self.document.old_keys:
             return
         if not self._depends_on_kind(location):
             hint = missing_key_hint(self.model, self.value, location)
             self.document.add("DOC021", mapping, f"key {key!r} is missing", hint)
-        self._put_placeholder(location)
+        self._insert_placeholder(location)
 
-    def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
+    def _record_wrong_entry(self, location: Location, faults: list[Any]) -> bool:
         """Record once that a list's entries have the wrong form."""
-        *outer, last = location
-        if not isinstance(last, int) or not outer or not expected_structures(faults):
+        *parent_path, last_step = location
+        if (
+            not isinstance(last_step, int)
+            or not parent_path
+            or not expected_structures(faults)
+        ):
             return False
-        hint = form_hint(self.model, self.value, tuple(outer), expects_list=True)
+        hint = form_hint(self.model, self.value, tuple(parent_path), expects_list=True)
         if hint is None:
             return False
-        entries = self._value_at(tuple(outer))
-        if len(entries) == 3 and "rotat" in str(outer[-1]):
+        entries = self._value_at(tuple(parent_path))
+        if len(entries) == 3 and "rotat" in str(parent_path[-1]):
             hint = "write a quaternion [w, x, y, z]"
             message = "3 numbers where 4 are needed"
-            self.document.add("DOC022", tuple(outer), message, hint)
-            self._put_placeholder(tuple(outer))
+            self.document.add("DOC022", tuple(parent_path), message, hint)
+            self._insert_placeholder(tuple(parent_path))
             return True
         if not hint.startswith("write ") and not all(
             isinstance(entry, int | float) for entry in entries
         ):
             return False
         self.document.add("DOC022", location, values_message(faults), hint)
-        self._put_placeholder(tuple(outer))
+        self._insert_placeholder(tuple(parent_path))
         return True
 
     def _value_at(self, location: Location) -> Any:
@@ -270,47 +285,47 @@ class ModelFaults:
             node = node[step]
         return node
 
-    def _vector_of_keys(self, mapping: Location) -> bool:
+    def _record_vector_mapping(self, mapping: Location) -> bool:
         """Record once that a vector is written as {x: …, y: …, z: …}."""
-        if mapping in self.document.doubts:
+        if mapping in self.document.placeholders:
             return True
         value = self._value_at(mapping)
-        numbers = components(value)
+        numbers = vector_components(value)
         if numbers is None or not mapping:
             return False
         hint = f"write {flow_text(str(mapping[-1]), numbers)}"
         message = f"{excerpt(flow_value(value))[1:-1]} is not a list"
         self.document.add("DOC022", mapping, message, hint)
-        self._put_placeholder(mapping)
+        self._insert_placeholder(mapping)
         return True
 
-    def _wrong_value(self, location: Location, faults: list[Any]) -> None:
+    def _record_wrong_value(self, location: Location, faults: list[Any]) -> None:
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
             misspelt = most_similar(tag, map(str, faults[0]["input"]))
             if misspelt is not None:
                 # A misspelt key is not missing too.
-                self._unknown_key((*location, misspelt))
+                self._record_unknown_key((*location, misspelt))
                 return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
         value = faults[0]["input"]
-        if self._wrong_entry(location, faults):
+        if self._record_wrong_entry(location, faults):
             return
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
-            self._tight_dash((*location, next(iter(value))), {})
+            self._record_tight_dash((*location, next(iter(value))), {})
         elif not self._depends_on_kind(location):
             hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
             hint = hint or self._form_hint(location, faults)
             self.document.add("DOC022", location, values_message(faults), hint)
-        self._put_placeholder(location)
+        self._insert_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
         """Return a hint with the right form of a key's value."""
         value, structures = faults[0]["input"], expected_structures(faults)
-        commas = self.document.decimal_commas(location)
-        if structures and commas is not None:
-            return commas
+        comma_hint = self.document.decimal_commas(location)
+        if structures and comma_hint is not None:
+            return comma_hint
         if is_euler_angles(faults):
             hint = "write a quaternion [w, x, y, z]"
             if location[-1] == "orientation":
@@ -334,7 +349,7 @@ class ModelFaults:
         """Return whether a key exists in only some kinds, and the kind is faulty."""
         for depth, key in enumerate(location):
             mapping = location[:depth]
-            unknown = self.document.doubts | self.document.guessed_keys
+            unknown = self.document.placeholders | self.document.guessed_keys
             if (*mapping, "type") in unknown and key != "type":
                 kinds = models_of(annotation_at(self.model, self.value, mapping))
                 kinds_with_key = [kind for kind in kinds if key in fields_of(kind)]
@@ -342,22 +357,22 @@ class ModelFaults:
                     return True
         return False
 
-    def _put_placeholder(self, location: Location) -> None:
+    def _insert_placeholder(self, location: Location) -> None:
         """Replace a value by a placeholder; if that failed before, its parent."""
-        while location in self.document.doubts:
+        while location in self.document.placeholders:
             location = location[:-1]
         if not location:
             self.document.check()
         annotation = annotation_at(self.model, self.value, location)
-        self.document.doubts.add(location)
-        with_value_at(self.value, location, placeholder_of(annotation))
+        self.document.placeholders.add(location)
+        set_value_at(self.value, location, placeholder_of(annotation))
 
 
-def _cut_names(names: Sequence[Any]) -> str:
+def _short_names(names: Sequence[Any]) -> str:
     return listed([excerpt(str(name)) for name in names])
 
 
-def _by_location(
+def _group_by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Group faults by location and missing key."""
@@ -390,7 +405,7 @@ def _entry_hint(location: Location, fault: Any) -> str | None:
     if len(location) > 1 and isinstance(location[-2], int):
         # Of an entry that is named by its only key, the value.
         name = str(location[-1])
-        options = options_meant(name, value)
+        options = intended_options(name, value)
         text = flow_text(name, options) if options else f"{name}: {{OPTION: VALUE}}"
         return f"write {text}"
     if not isinstance(location[-1], int):

@@ -1,4 +1,4 @@
-"""Terms of other tools for keys and values, and their names here."""
+"""Terms of other tools for keys and values, and animtool's names for them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ OTHER_VALUES = {
     "y-up": "Y",
     "z-up": "Z",
 }
-# Likewise, for keys that do not have the first.
+# More values by other names, for keys that do not have the value in `OTHER_VALUES`.
 MORE_VALUES = {
     "smooth": "bezier",
     "auto": "auto_clamped",
@@ -101,7 +101,7 @@ OTHER_KEYS = {
     "stop": ("range", "last"),
     "out": ("output",),
 }
-# Options that a value in place of a pass's options means, in order.
+# Options that are intended by a single value instead of a pass's options, in order.
 PASS_OPTIONS = {
     "blend": ("take",),
     "difference": ("base",),
@@ -120,8 +120,8 @@ PASS_OPTIONS = {
 }
 
 
-def options_meant(name: str, value: Any) -> dict[str, Any]:
-    """Return the options of a pass that a value alone means; empty if unclear.
+def intended_options(name: str, value: Any) -> dict[str, Any]:
+    """Return the options of a pass intended by a single value; empty if unclear.
 
     >>> options_meant("trim", [5, 60]), options_meant("mirror", True)
     ({'first': 5, 'last': 60}, {})

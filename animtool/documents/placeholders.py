@@ -37,20 +37,20 @@ def field_at(
 ) -> tuple[int, FieldInfo] | None:
     """Return the innermost field around a location, and its depth."""
     annotation: Any = model
-    node, nearest = value, None
+    node, innermost = value, None
     for depth, step in enumerate(location, 1):
         kinds = models_of(annotation, node)
         candidates = (fields_of(kind).get(str(step)) for kind in kinds)
         field = next(
             (candidate for candidate in candidates if candidate is not None), None
         )
-        nearest = nearest if field is None else (depth, field)
+        innermost = innermost if field is None else (depth, field)
         annotation = inner_annotation(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             node = None
-    return nearest
+    return innermost
 
 
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
@@ -80,14 +80,14 @@ def placeholder_of(annotation: Any) -> Any:
     >>> placeholder_of(float | None), placeholder_of(Literal["m", "cm"])
     (1.0, 'm')
     """
-    shortest, number = 0, 1.0
+    min_length, number_value = 0, 1.0
     if get_origin(annotation) is Annotated:
         annotation, *constraints = get_args(annotation)
-        shortest = max(
+        min_length = max(
             [getattr(constraint, "min_length", None) or 0 for constraint in constraints]
         )
         bounds = [getattr(constraint, "le", None) for constraint in constraints]
-        number = min([1.0, *(bound for bound in bounds if bound is not None)])
+        number_value = min([1.0, *(bound for bound in bounds if bound is not None)])
     models = models_of(annotation)
     if models:
         return _empty_values(min(models, key=lambda model: len(model.model_fields)))
@@ -97,10 +97,10 @@ def placeholder_of(annotation: Any) -> Any:
     if get_origin(first_type) is Literal:
         return get_args(first_type)[0]
     if get_origin(first_type) is list:
-        return [placeholder_of(get_args(first_type)[0])] * shortest
+        return [placeholder_of(get_args(first_type)[0])] * min_length
     if get_origin(first_type) is dict:
-        return {UNKNOWN: placeholder_of(get_args(first_type)[1])} if shortest else {}
-    return {str: UNKNOWN, float: number, int: 1, bool: False}.get(first_type)
+        return {UNKNOWN: placeholder_of(get_args(first_type)[1])} if min_length else {}
+    return {str: UNKNOWN, float: number_value, int: 1, bool: False}.get(first_type)
 
 
 def takes_no_text(annotation: Any) -> bool:
@@ -116,12 +116,12 @@ def takes_no_text(annotation: Any) -> bool:
     return all(kind in {float, int, bool} for kind in kinds)
 
 
-def with_value_at(value: Any, location: Location, new: Any) -> None:
-    """Return a copy with a value replaced at a location."""
+def set_value_at(value: Any, location: Location, new_value: Any) -> None:
+    """Replace the value at a location in place."""
     *parents, last_step = location
     for step in parents:
         value = value[step]
-    value[last_step] = new
+    value[last_step] = new_value
 
 
 def _empty_values(model: type[BaseModel]) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def _selects_model(model: type[BaseModel], node: Any) -> bool:
 
 
 def inner_annotation(annotation: Any, node: Any, step: str | int) -> Any:
-    """Return the type one step into a type."""
+    """Return the type of a field or element of a type."""
     for model in models_of(annotation, node):
         field = fields_of(model).get(str(step))
         if field is not None:

@@ -25,7 +25,7 @@ def split_reference(text: str, default: str) -> tuple[str, str]:
     return name, key or default
 
 
-def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
+def resolve_path(folder: Path, roots: Sequence[Path], name: str) -> Path:
     """Resolve a file name relative to a folder."""
     try:
         path = (folder / name).resolve()
@@ -43,7 +43,7 @@ def resolve_reference(
     name: str,
     roots: Sequence[Path],
     *,
-    written: bool = False,
+    is_output: bool = False,
 ) -> Path | None:
     """Resolve a file reference of a document; None and a fault if it is not allowed.
 
@@ -52,32 +52,38 @@ def resolve_reference(
         location: Location of the reference.
         name: The reference as written.
         roots: Folders that references may lead into.
-        written: The file is an output and need not exist.
+        is_output: The file is an output and need not exist.
     """
     folder = document.path.resolve().parent
     try:
-        return reference(folder, roots, name)
+        return resolve_path(folder, roots, name)
     except ValueError as error:
-        hint = _outside_hint(document.path, name, written)
+        hint = _outside_hint(document.path, name, is_output)
         document.add("DOC014", location, str(error), hint)
         return None
 
 
-def _outside_hint(path: Path, name: str, written: bool) -> str:
+def _outside_hint(path: Path, name: str, is_output: bool) -> str:
     """Return a hint for a reference that leaves the project."""
     folder = path.resolve().parent
     try:
         target = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError):
         return "use a file inside the project"
-    if not (written or exists(target)):
+    if not (is_output or exists(target)):
         return (
             f"nor does it exist: copy {target.name}, and the files it refers to, "
             f"into {folder}, and write its name here"
         )
     settings = find_config(path).path
-    if settings is None and (around := innermost_project(folder, target)) is not None:
-        return f"to use files of all {around}, create an empty file animtool.toml in it"
+    if (
+        settings is None
+        and (project_folder := innermost_project(folder, target)) is not None
+    ):
+        return (
+            f"to use files of all {project_folder}, create an empty file animtool.toml "
+            "in it"
+        )
     root = path_from_folder(
         target.parent, folder if settings is None else settings.parent
     )

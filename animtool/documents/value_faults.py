@@ -13,10 +13,10 @@ from animtool.documents.yaml_values import flow_value, plain_scalar
 
 # Larger bounds are general limits, not the key's.
 LARGE_NUMBER = 1e9
-# A bound at most this small is how "above 0" is checked.
+# Bounds up to this size mean "above 0".
 SMALL_NUMBER = 1e-30
-# Faults of numbers out of range: the key of the bound, and what the number is.
-_BOUNDS = {
+# Faults of numbers out of range: the key of the bound, and the comparison as text.
+_BOUND_FAULTS = {
     "less_than_equal": ("le", "above the maximum of {}"),
     "greater_than_equal": ("ge", "below the minimum of {}"),
     "less_than": ("lt", "not below {}"),
@@ -42,11 +42,11 @@ _EXPECTED_NOUNS = {
 }
 
 
-# Faults of values of the right type: what else a union takes was not meant.
+# Faults of values of the right type: other members of a union were not intended.
 _LENGTH_FAULTS = {"too_short", "too_long"}
-_FIT_PRIORITY = (_LENGTH_FAULTS, _BOUNDS.keys())
+_FIT_PRIORITY = (_LENGTH_FAULTS, _BOUND_FAULTS.keys())
 # Types of containers.
-_STRUCTURES = {"a list", "a mapping of keys"}
+_CONTAINER_NOUNS = {"a list", "a mapping of keys"}
 _LONGEST_NUMBER = 40
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))\s*([A-Za-z%°]+)")
 _SECONDS_PER_UNIT = {"s": 1, "sec": 1, "m": 60, "min": 60, "h": 3600}
@@ -59,26 +59,28 @@ _BOOLEAN_WORDS = {
 def likely_faults(faults: Sequence[Any]) -> list[Any]:
     """Return the faults of the union member that was most likely intended."""
     for kinds in _FIT_PRIORITY:
-        meant = [fault for fault in faults if fault["type"] in kinds]
-        if meant:
-            return meant
+        matching_faults = [fault for fault in faults if fault["type"] in kinds]
+        if matching_faults:
+            return matching_faults
     return list(faults)
 
 
 def expected_structures(faults: Sequence[Any]) -> set[str]:
-    """Return which of a list and a mapping the faults ask for."""
-    meant = likely_faults(faults)
-    kinds = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in meant}
-    if any(fault["type"] in _LENGTH_FAULTS for fault in meant):
+    """Return the containers that faults expect: a list, a mapping, or both."""
+    intended_faults = likely_faults(faults)
+    kinds = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in intended_faults}
+    if any(fault["type"] in _LENGTH_FAULTS for fault in intended_faults):
         kinds.add("a list")
-    return kinds & _STRUCTURES
+    return kinds & _CONTAINER_NOUNS
 
 
 def is_euler_angles(faults: Sequence[Any]) -> bool:
     """Return whether a value has three numbers where a quaternion is needed."""
     value = faults[0]["input"]
-    least = {fault.get("ctx", {}).get("min_length") for fault in likely_faults(faults)}
-    return isinstance(value, list) and len(value) == 3 and least == {4}
+    min_lengths = {
+        fault.get("ctx", {}).get("min_length") for fault in likely_faults(faults)
+    }
+    return isinstance(value, list) and len(value) == 3 and min_lengths == {4}
 
 
 def is_type_fault(faults: Iterable[Any]) -> bool:
@@ -103,13 +105,13 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     if kinds & {"a number", "a whole number"}:
         return number_hint(key, value)
     if "true or false" in kinds:
-        switch = _BOOLEAN_WORDS.get(str(value).lower())
-        return switch and f"write {switch}"
+        boolean_text = _BOOLEAN_WORDS.get(str(value).lower())
+        return boolean_text and f"write {boolean_text}"
     return _choice_hint(faults)
 
 
 def number_hint(key: str | int, value: Any) -> str | None:
-    """Return a hint with the number that a text or list means."""
+    """Return a hint with the number intended by a text or list."""
     if isinstance(value, list) and len(value) == 1:
         return f"write {flow_value(value[0])}"
     if isinstance(value, list | tuple) and len(value) == 3 and key == "gravity":
@@ -149,11 +151,13 @@ def _unit_hint(key: str | int, number: float, unit: str) -> str:
     return f"write {number:g}, without a unit"
 
 
-def _missing_message(last: int | str, value: Any) -> str:
+def _missing_message(missing_step: int | str, value: Any) -> str:
     """Return a message for a missing key or list item."""
-    if isinstance(last, str):
-        return f"key {last!r} is missing"
-    return f"{counted(len(value), 'item')} where {_count_phrase(last + 1)} needed"
+    if isinstance(missing_step, str):
+        return f"key {missing_step!r} is missing"
+    return (
+        f"{counted(len(value), 'item')} where {_count_phrase(missing_step + 1)} needed"
+    )
 
 
 def _join_messages(texts: Iterable[str]) -> str:
@@ -177,7 +181,7 @@ _CHOICE_FAULTS = {"literal_error", "enum", "union_tag_invalid"}
 def _value_message(fault: Any) -> str:
     """Return the message of a fault, with the value."""
     value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    value_text = excerpt(value) if isinstance(value, str) else _shown_value(value)
+    value_text = excerpt(value) if isinstance(value, str) else _value_text(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(value, str) else "item"
@@ -208,7 +212,7 @@ def _value_fault(value_text: str, fault: Any) -> str:
     context, kind = fault.get("ctx", {}), fault["type"]
     if kind == "extra_forbidden":
         return f"unknown key {excerpt(str(fault['loc'][-1]))}"
-    key, side = _BOUNDS.get(kind, ("", ""))
+    key, comparison = _BOUND_FAULTS.get(kind, ("", ""))
     bound = context.get(key)
     if bound is not None and abs(bound) >= LARGE_NUMBER:
         return f"{value_text} is beyond {bound:g}"
@@ -220,7 +224,7 @@ def _value_fault(value_text: str, fault: Any) -> str:
             else f"{value_text} is not above 0"
         )
     if bound is not None:
-        return f"{value_text} is {side.format(f'{bound:g}')}"
+        return f"{value_text} is {comparison.format(f'{bound:g}')}"
     if kind == "value_error":
         return str(context["error"])
     return f"{value_text}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
@@ -236,16 +240,18 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"
-            ignoring_case = next((n for n in names if n.lower() == value.lower()), None)
+            ignoring_case = next(
+                (name for name in names if name.lower() == value.lower()), None
+            )
             if ignoring_case is not None:
                 return f"write {ignoring_case}"
             word = value.lower().replace("_", "")
             for replacement in (OTHER_VALUES.get(word), MORE_VALUES.get(word)):
                 if replacement in names:
                     return f"{value!r} is called {replacement!r} here"
-            meant = most_similar(value, names)
-            if meant is not None:
-                return f"did you mean {meant!r}?"
+            similar_name = most_similar(value, names)
+            if similar_name is not None:
+                return f"did you mean {similar_name!r}?"
     return None
 
 
@@ -259,7 +265,7 @@ def _count_phrase(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 
-def _shown_value(value: Any) -> str:
+def _value_text(value: Any) -> str:
     """Return a value as text for a message."""
     if value is None:
         return "nothing"

@@ -18,8 +18,8 @@ from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
     annotation_at,
     placeholder_of,
+    set_value_at,
     takes_no_text,
-    with_value_at,
 )
 from animtool.documents.yaml_values import plain_scalar
 
@@ -42,7 +42,7 @@ class SceneValues:
     # Values by variable name; they override the scene's.
     values: Mapping[str, str] = field(default_factory=dict)
     # Variables that must be a single path component in output names.
-    parts: frozenset[str] = frozenset()
+    component_names: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +64,11 @@ def resolve_variables(
 ) -> Variables:
     """Substitute variables in the values of a document; keys are not changed.
 
-    Unquoted text is parsed again after substitution, so it may become a number; so is
+    Unquoted text is parsed again after substitution, so it may become a number; so may
     a quoted variable where text is not allowed. A default may use variables defined
-    above it and those passed in. A placeholder replaces each faulty value. Faults: an
-    unknown name (SCN030), a malformed ``${``, an invalid name (SCN032), or a value that
-    is unsafe in an output's name (OUT006).
+    above it and those passed in. A placeholder replaces each faulty value. Faults are
+    unknown names (SCN030), a malformed ``${`` or invalid name (SCN032), and values that
+    are unsafe in an output's name (OUT006).
 
     Args:
         document: The document, changed in place.
@@ -77,15 +77,15 @@ def resolve_variables(
         parts: Names of variables that must be a single component of an output path,
             without a slash.
     """
-    resolver = _Resolver(document, model, dict(variables), parts=set(parts))
+    resolver = _Resolver(document, model, dict(variables), component_names=set(parts))
     resolver.defaults()
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS_KEY:
-            resolver.put(location, text)
-    with_default = frozenset(resolver.defined)
+            resolver.substitute(location, text)
+    defined_names = frozenset(resolver.defined_names)
     used_names = frozenset().union(*resolver.uses.values())
     return Variables(
-        with_default | used_names, with_default - used_names, resolver.effective()
+        defined_names | used_names, defined_names - used_names, resolver.effective()
     )
 
 
@@ -150,14 +150,14 @@ class _Resolver:
     model: type[BaseModel]  # expected model
     values: dict[str, str]  # known variables and their values
     # Variables with a value in the document.
-    defined: set[str] = field(default_factory=set)
+    defined_names: set[str] = field(default_factory=set)
     # Variables used by texts, by key of the document; inside the values of variables
     # also by the variable's name.
     uses: dict[Location, set[str]] = field(default_factory=dict)
     # Variables with a faulty value.
     faulty: set[str] = field(default_factory=set)
     # Variables whose value another file sets, directly or through other variables.
-    parts: set[str] = field(default_factory=set)
+    component_names: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
         """Read the document's default values; each may use earlier ones."""
@@ -171,38 +171,38 @@ class _Resolver:
                 hint = "use letters, digits and _, and do not start with a digit"
                 self.document.add("SCN032", location, message, hint)
                 continue
-            self.defined.add(name)
+            self.defined_names.add(name)
             if name in self.values:
                 continue
-            written_values = self.document.written(location)
-            text = self.resolved(
-                location, str(value) if written_values is None else written_values
+            source_text_ = self.document.source_text(location)
+            text = self.resolve(
+                location, str(value) if source_text_ is None else source_text_
             )
             if text is None or isinstance(value, dict | list) or value is None:
                 self.faulty.add(name)
             else:
                 self.values[name] = text
-                if self.uses.get(location, set()) & self.parts:
-                    self.parts.add(name)
+                if self.uses.get(location, set()) & self.component_names:
+                    self.component_names.add(name)
 
     def effective(self) -> frozenset[str]:
         """Return the variables that affect more than the output's name."""
-        output_only = {
+        pending_names = {
             name
             for key, names in self.uses.items()
             if key[0] not in {DEFAULTS_KEY, OUTPUT_KEY}
             for name in names
         }
         used_names: set[str] = set()
-        while output_only:
-            name = output_only.pop()
+        while pending_names:
+            name = pending_names.pop()
             used_names.add(name)
-            output_only |= self.uses.get((DEFAULTS_KEY, name), set()) - used_names
+            pending_names |= self.uses.get((DEFAULTS_KEY, name), set()) - used_names
         return frozenset(used_names)
 
-    def put(self, location: Location, text: str) -> None:
+    def substitute(self, location: Location, text: str) -> None:
         """Substitute variables in one text of the document."""
-        resolved_text = self.resolved(location, text)
+        resolved_text = self.resolve(location, text)
         if (
             resolved_text is not None
             and (location[0], location[-1]) in OUTPUT_PATH_KEYS
@@ -218,10 +218,12 @@ class _Resolver:
         if resolved_text is None:
             annotation = annotation_at(self.model, self.document.value, location)
             value = placeholder_of(annotation)
-            self.document.doubts.add(location)
-        with_value_at(self.document.value, location, value)
+            self.document.placeholders.add(location)
+        set_value_at(self.document.value, location, value)
 
-    def output_name(self, location: Location, text: str, spelling: str) -> str | None:
+    def output_name(
+        self, location: Location, text: str, resolved_text: str
+    ) -> str | None:
         """Return an output's name; None and a fault if it is unsafe."""
         for component in text.split("/"):
             used_names = {
@@ -229,23 +231,23 @@ class _Resolver:
                 for match in _VARIABLE_USE.finditer(component)
                 if match["name"]
             }
-            if not used_names & self.parts:
+            if not used_names & self.component_names:
                 continue
-            name = self.resolved(location, component) or ""
+            name = self.resolve(location, component) or ""
             problem = name_problem(name)
             if problem is not None:
                 message = f"{excerpt(component)} is {excerpt(name)}, which {problem}"
                 hint = "a value from another file can be part of one file name only"
                 self.document.add("OUT006", location, message, hint)
                 return None
-        return spelling
+        return resolved_text
 
     def is_typed(self, location: Location, text: str) -> bool:
         """Return whether a text may become a number or boolean.
 
         It is unquoted, or a single variable where text is not allowed.
         """
-        if self.document.written(location) is not None:
+        if self.document.source_text(location) is not None:
             return True
         use = _VARIABLE_USE.fullmatch(text)
         if use is None or not use["name"]:
@@ -253,21 +255,21 @@ class _Resolver:
         kind = annotation_at(self.model, self.document.value, location)
         return kind is not None and takes_no_text(kind)
 
-    def resolved(self, location: Location, text: str) -> str | None:
+    def resolve(self, location: Location, text: str) -> str | None:
         """Return a text with its variables substituted; None on a fault."""
-        pieces: list[str] = []
-        complete, end, length = True, 0, 0
+        substituted: list[str] = []
+        is_complete, end, length = True, 0, 0
         for use in _VARIABLE_USE.finditer(text):
-            piece = self._value(location, use)
-            length += len(piece or "")
+            value_text = self._value(location, use)
+            length += len(value_text or "")
             if length > MAX_TEXT_LENGTH:
                 message = f"variables expand to more than {MAX_TEXT_LENGTH} characters"
                 self.document.add("DOC025", location, message)
                 return None
-            complete &= piece is not None
-            pieces += [text[end : use.start()], piece or ""]
+            is_complete &= value_text is not None
+            substituted += [text[end : use.start()], value_text or ""]
             end = use.end()
-        return "".join([*pieces, text[end:]]) if complete else None
+        return "".join([*substituted, text[end:]]) if is_complete else None
 
     def _value(self, location: Location, match: re.Match[str]) -> str | None:
         """Return the value of a variable; None and a fault if it is unknown."""
@@ -285,7 +287,7 @@ class _Resolver:
             message = f"unknown variable {name!r}"
             hint = f"give it a value under {DEFAULTS_KEY}:"
             hint += clause(f", or with {argument('set', f'{name}=VALUE')}")
-            similar_names = most_similar(name, sorted(self.values))
-            hint = f"did you mean {similar_names!r}?" if similar_names else hint
+            similar_name = most_similar(name, sorted(self.values))
+            hint = f"did you mean {similar_name!r}?" if similar_name else hint
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

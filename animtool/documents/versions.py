@@ -10,7 +10,7 @@ from animtool.core.arguments import flag
 from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.signatures import DOCUMENT, format_mismatch
 from animtool.core.names import FILE_KINDS
-from animtool.documents.document import Document, Location, kind_named
+from animtool.documents.document import Document, Location, kind_of_name
 
 # A step converts a file's values to the next version.
 MigrationStep = Callable[[dict[str, Any]], dict[str, Any]]
@@ -60,7 +60,7 @@ def newest(steps: MigrationSteps) -> int:
     return max(steps, default=0) + 1
 
 
-def new_key(kind: str, location: Location, value: object) -> str | None:
+def renamed_key(kind: str, location: Location, value: object) -> str | None:
     """Return the new name of a renamed key; None if it was not renamed.
 
     >>> new_key("scene", ("systems", 2, "particles", "most"), 100)
@@ -76,10 +76,10 @@ def renamed_keys(
     kind: str, value: Any, parent: Location = ()
 ) -> Iterator[tuple[Location, str]]:
     """Yield location and new name of each renamed key."""
-    pairs = enumerate(value) if isinstance(value, list) else ()
-    for step, child in value.items() if isinstance(value, dict) else pairs:
+    steps = enumerate(value) if isinstance(value, list) else ()
+    for step, child in value.items() if isinstance(value, dict) else steps:
         location = (*parent, step)
-        name = new_key(kind, location, child)
+        name = renamed_key(kind, location, child)
         if name is not None and name not in value:
             yield location, name
         yield from renamed_keys(kind, child, location)
@@ -98,18 +98,18 @@ def version_of(
         kind: Expected kind; None allows every kind in the table.
     """
     kinds_in_file = [name for name in FILE_KINDS if name in document.value]
-    path_kind = kind_named(document.path, "")
+    path_kind = kind_of_name(document.path, "")
     if kind is None and path_kind in table and path_kind not in kinds_in_file:
         kind = path_kind
     named_kind = kind or next((name for name in kinds_in_file if name in table), "")
     if named_kind not in kinds_in_file or _is_other_kind(
         document, named_kind, kinds_in_file[0]
     ):
-        other = format_mismatch("DOC009", document.path, DOCUMENT)
-        if other is not None:
-            raise FormatError(other)
+        format_fault = format_mismatch("DOC009", document.path, DOCUMENT)
+        if format_fault is not None:
+            raise FormatError(format_fault)
         message = "the first line is missing"
-        expected_kind = kind_named(document.path, kind or "rig")
+        expected_kind = kind_of_name(document.path, kind or "rig")
         hint = f"write `{expected_kind}: animtool/1` above line 1"
         # A clip and a scene name their rig.
         names_rig = kind == path_kind and kinds_in_file == ["rig"]
@@ -125,15 +125,16 @@ def version_of(
     number = _VERSION.fullmatch(file_version) if isinstance(file_version, str) else None
     version = int(number[1]) if number else newest_version + 1
     if version <= newest_version and all(
-        n in table[named_kind] for n in range(version, newest_version)
+        step_version in table[named_kind]
+        for step_version in range(version, newest_version)
     ):
         return named_kind, version
     if isinstance(file_version, str) and file_version.startswith("animtool/"):
         message = f"unknown version {file_version}"
-        newer = number is not None and version > newest_version
+        is_newer = number is not None and version > newest_version
         hint = (
             f"this version reads up to animtool/{newest_version}: update animtool"
-            if newer
+            if is_newer
             else f"allowed: animtool/{newest_version}"
         )
         document.add("DOC012", (named_kind,), message, hint)
@@ -145,8 +146,8 @@ def version_of(
     raise AssertionError(file_version)
 
 
-def _is_other_kind(document: Document, kind: str, first: str) -> bool:
+def _is_other_kind(document: Document, kind: str, first_kind: str) -> bool:
     """Return whether a file of another kind refers to a file of this one."""
     version_text = document.value[kind]
     is_version = isinstance(version_text, str) and version_text.startswith("animtool/")
-    return first != kind and not is_version
+    return first_kind != kind and not is_version

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 
-from animtool.documents.yaml_slips import YamlFault, find_slip
+from animtool.documents.yaml_slips import YamlFault, find_typing_mistake
 
 # An entry whose keys are on its line: `- trim: first: 5, last: 60`.
 _ENTRY_ON_A_LINE = re.compile(r"\s*-\s+(\w+):\s+(\w+:\s[^#{}\[\]]*[^\s#{}\[\]])\s*")
-# Messages of libyaml's scanner, and how to fix the file. The first match counts.
+# Messages of libyaml's scanner, each with a message and a hint; the first match counts.
 _SCANNER_FAULTS = {
     "expected ',' or ']'": ("a list in [ ] is not closed", "add a comma or ]"),
     "expected ',' or '}'": ("keys in { } are not closed", "add a comma or }"),
@@ -56,7 +56,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     lines = text.splitlines() or [""]
     return (
         _tab_fault(lines, line)
-        or find_slip(text, line)
+        or find_typing_mistake(text, line)
         or _missing_colon_fault(lines, problem, line)
         or _scanner_fault(lines, problem, line, column)
     )
@@ -86,8 +86,8 @@ def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault
         )
     ):
         return None
-    name, _, rest = bare_key.partition(" ")
-    hint = f"write '{name}: {rest.strip(' =') or 'value'}'"
+    name, _, remaining_text = bare_key.partition(" ")
+    hint = f"write '{name}: {remaining_text.strip(' =') or 'value'}'"
     column = lines[line_before - 1].index(bare_key) + 1
     return YamlFault("a key has no colon", hint, line_before, column)
 
@@ -112,11 +112,11 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _indentation_fault(lines, line, column)
-    closed_fault = next(
+    known_fault = next(
         (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
     )
-    message, advice = closed_fault or (f"invalid YAML: {problem}", None)
-    return YamlFault(message, advice, line, column)
+    message, hint_ = known_fault or (f"invalid YAML: {problem}", None)
+    return YamlFault(message, hint_, line, column)
 
 
 def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
@@ -128,17 +128,21 @@ def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
         for text in lines[: line - 1]
         if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
-    nearest = min(indents, key=lambda candidate: abs(candidate - indent), default=None)
-    if nearest is None or nearest == indent:
+    nearest_indent = min(
+        indents, key=lambda candidate: abs(candidate - indent), default=None
+    )
+    if nearest_indent is None or nearest_indent == indent:
         message = "this line does not belong to the block above it"
         return YamlFault(message, "align it with the lines of its block", line, column)
     if is_entry:
         message = f"the '-' on this line is in column {indent + 1}"
-        message += f"; the others of this list are in column {nearest + 1}"
+        message += f"; the others of this list are in column {nearest_indent + 1}"
     else:
         message = f"this line starts in column {indent + 1}"
-        message += f"; the keys above it start in column {nearest + 1}"
-    return YamlFault(message, f"start it in column {nearest + 1}", line, indent + 1)
+        message += f"; the keys above it start in column {nearest_indent + 1}"
+    return YamlFault(
+        message, f"start it in column {nearest_indent + 1}", line, indent + 1
+    )
 
 
 def _bare_key(line: str) -> str | None:

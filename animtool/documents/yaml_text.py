@@ -28,7 +28,7 @@ class _Dumper(yaml.SafeDumper):
         super().serialize(node)
 
 
-def _text_node(dumper: _Dumper, value: str) -> yaml.ScalarNode:
+def _represent_text(dumper: _Dumper, value: str) -> yaml.ScalarNode:
     try:
         is_plain = value != "" and isinstance(plain_scalar(value), str)
     except OverflowError:
@@ -37,11 +37,11 @@ def _text_node(dumper: _Dumper, value: str) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 
 
-_Dumper.add_representer(str, _text_node)
+_Dumper.add_representer(str, _represent_text)
 
 
 def yaml_text(value: dict[str, Any]) -> str:
-    """Return values as YAML that parses back equal; innermost values on one line.
+    """Return values as YAML that parses to equal values; inner values on one line.
 
     >>> print(yaml_text({"rig": "animtool/1", "bind": {"a": [1, 2.5]}}), end="")
     rig: animtool/1
@@ -101,6 +101,8 @@ def comments_in(text: str) -> list[int]:
     end, line = 0, 1
     for token in yaml.scan(masked_variables(text), yaml.CSafeLoader):
         gap = text[end : token.start_mark.index]
-        lines += [line + i for i, part in enumerate(gap.split("\n")) if "#" in part]
+        lines += [
+            line + i for i, line_text in enumerate(gap.split("\n")) if "#" in line_text
+        ]
         end, line = token.end_mark.index, token.end_mark.line + 1
     return sorted(set(lines))

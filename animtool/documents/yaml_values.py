@@ -39,11 +39,10 @@ MAX_SHOWN_KEY_LENGTH = 40
 MAX_KEY_LENGTH = 1000
 # The key whose list is sometimes written as a mapping of times to values.
 TIMED_KEY = "keys"
-# Suffixes of files with such text; files with other suffixes are likely of another
-# kind.
-SUFFIXES = (".yaml", ".yml", ".json")
+# Suffixes of YAML and JSON files.
+DOCUMENT_FILE_SUFFIXES = (".yaml", ".yml", ".json")
 
-# Groups tell the kind of number; none is an integer.
+# The matched group determines the kind of number; without a group it is an integer.
 _NUMBER = re.compile(
     r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
@@ -71,7 +70,7 @@ _BRACE_MASKS = {"{": "\ue07b", "}": "\ue07d"}
 _BRACE_UNMASKS = str.maketrans({mask: brace for brace, mask in _BRACE_MASKS.items()})
 
 
-class Marks(NamedTuple):
+class SourceMarks(NamedTuple):
     """Source positions and unquoted text of values."""
 
     # Line and column of every node, in text order.
@@ -80,29 +79,29 @@ class Marks(NamedTuple):
     unquoted: dict[int, str]
 
 
-class ReadValues(NamedTuple):
+class ParsedValues(NamedTuple):
     """Values of a parsed text, and their marks on demand."""
 
     value: Any  # plain values: mappings, lists, texts, numbers
     # Positions in JSON are only computed when a message needs them.
-    marks: Callable[[], Marks]
+    marks: Callable[[], SourceMarks]
 
 
-def read_values(text: str, path: Path) -> ReadValues:
+def read_values(text: str, path: Path) -> ParsedValues:
     """Parse YAML or JSON text."""
     marks = sum(map(text.count, _NODE_MARKERS))
     if marks > MAX_MARKS:
         message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
-        advice = "put arrays in npz files"
-        raise FormatError(Fault("DOC024", message, str(path), (), advice))
+        hint_ = "put arrays in npz files"
+        raise FormatError(Fault("DOC024", message, str(path), (), hint_))
     if path.suffix == ".json":
         value = plain_json(text, MAX_DEPTH, MAX_KEY_LENGTH)
         if value is not None:
-            return ReadValues(value, lambda: _read_yaml(text, path).marks())
+            return ParsedValues(value, lambda: _read_yaml(text, path).marks())
     return _read_yaml(text, path)
 
 
-def _read_yaml(text: str, path: Path) -> ReadValues:
+def _read_yaml(text: str, path: Path) -> ParsedValues:
     if path.suffix == ".json":
         text = _SURROGATE_PAIRS.sub(_yaml_escape, text)
         # Ends of lines in YAML, but letters like others in JSON's strings.
@@ -121,11 +120,11 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
             raise FormatError(reader.faults) from error
         fault = yaml_fault(text, problem, *position)
         hint = fault.hint
-        if path.suffix.lower() not in SUFFIXES:
+        if path.suffix.lower() not in DOCUMENT_FILE_SUFFIXES:
             kind = f"a {path.suffix} file" if path.suffix else "this"
             message = f"{kind} is not YAML or JSON"
             fault = YamlFault(message, None, 1, 1)
-            hint = f"name a file that ends in {', '.join(SUFFIXES)}"
+            hint = f"name a file that ends in {', '.join(DOCUMENT_FILE_SUFFIXES)}"
         elif _is_variable(text, mark):
             fault = fault._replace(message="'${' without the name of a variable")
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
@@ -134,8 +133,8 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         reader.fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
-    marks = Marks(reader.positions, reader.unquoted)
-    return ReadValues(value, lambda: marks)
+    marks = SourceMarks(reader.positions, reader.unquoted)
+    return ParsedValues(value, lambda: marks)
 
 
 def masked_variables(text: str) -> str:
@@ -228,8 +227,8 @@ class _YamlReader:
         if len(self.faults) >= MAX_FAULTS:
             raise FormatError(self.faults)
 
-    def before(self) -> tuple[str, tuple[int, int]]:
-        """Return the node before the last one: its unquoted text, and its position."""
+    def previous_node(self) -> tuple[str, tuple[int, int]]:
+        """Return unquoted text and position of the node before the last one."""
         index = max(0, len(self.positions) - 2)
         return self.unquoted.get(index, ""), self.positions[index]
 
@@ -249,26 +248,28 @@ class _YamlReader:
                 unquoted = event.value if event.implicit[0] else ""
                 if unquoted:
                     self.unquoted[len(self.positions) - 1] = unquoted
-                stack[-1].put(self._scalar(event, position), position, self, unquoted)
+                stack[-1].add_node(
+                    self._scalar(event, position), position, self, unquoted
+                )
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 position = self._node_position(event)
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > MAX_DEPTH:
                     self._stop("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
                 is_keys_value = stack[-1].key == TIMED_KEY
-                stack[-1].put(value, position, self)
-                flow = bool(event.flow_style)
+                stack[-1].add_node(value, position, self)
+                is_flow = bool(event.flow_style)
                 stack.append(
-                    _OpenCollection(value, flow=flow, is_keys_value=is_keys_value)
+                    _OpenCollection(value, is_flow=is_flow, is_keys_value=is_keys_value)
                 )
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
-                stack.pop().close(self)
+                stack.pop().report_time_keys(self)
             elif kind is yaml.AliasEvent:
                 position = self._event_position(event)
                 self.positions.append(position)
                 message = f"alias *{_shortened_name(event.anchor)} is not allowed"
                 self.fault("DOC002", message, position, "write the value itself")
-                stack[-1].put(None, position, self)
+                stack[-1].add_node(None, position, self)
             elif kind is yaml.DocumentStartEvent:
                 documents += 1
                 if documents > 1:
@@ -318,18 +319,18 @@ class _OpenCollection:
     value: Any  # content so far
     key: str | None = None  # of a mapping, the key whose value is next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
-    flow: bool = False  # whether it is in flow style
+    is_flow: bool = False  # whether it is in flow style
     is_keys_value: bool = False  # whether it is the value of a `keys` list
-    # In a `keys` value: the numbers used as keys, and their positions.
+    # In the value of `keys`: numbers used as mapping keys, and their positions.
     times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
-    # Pieces of a text that commas may have split: a value with an open bracket, and the
+    # Pieces of a text that commas have split: a value with an open bracket, and the
     # keys after it.
-    pieces: list[str] = field(default_factory=list)
-    brackets: int = 0  # open brackets in the pieces
+    text_pieces: list[str] = field(default_factory=list)
+    bracket_depth: int = 0  # open brackets in the pieces
     pieces_position: tuple[int, int] = (1, 1)  # position of the first piece
     faults: int = 0  # number of faults before the first piece
 
-    def put(
+    def add_node(
         self,
         value: Any,
         position: tuple[int, int],
@@ -340,21 +341,21 @@ class _OpenCollection:
             self.value.append(value)
             return
         if self.key is not None:
-            if value is None and not unquoted and self.flow:
+            if value is None and not unquoted and self.is_flow:
                 self._tight_key(reader)
             self.value[self.key] = value
             self.key = None
-            if self.flow and (self.pieces or "(" in unquoted):
+            if self.is_flow and (self.text_pieces or "(" in unquoted):
                 self._rejoin_piece(value, position, reader, unquoted)
             return
         if self.is_keys_value and type(value) in (int, float):
             self.times.append((value, position))
             value = f"\0{position}"
         elif unquoted.isdigit() and self._is_decimal(position, reader):
-            digits, spot = reader.before()
+            digits, number_position = reader.previous_node()
             message = f"'{digits},{unquoted}' has a decimal comma"
             hint = f"write {digits}.{unquoted}, with a decimal point"
-            reader.fault("DOC010", message, spot, hint)
+            reader.fault("DOC010", message, number_position, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
             value_text = (
@@ -379,13 +380,13 @@ class _OpenCollection:
             reader.fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])
         self.key = value
-        if self.pieces:
-            self.pieces.append(unquoted)
-            self.brackets += _open_brackets(unquoted)
+        if self.text_pieces:
+            self.text_pieces.append(unquoted)
+            self.bracket_depth += _open_brackets(unquoted)
 
     def _tight_key(self, reader: _YamlReader) -> None:
         """Report a key that contains its value because a space is missing."""
-        key, position = reader.before()
+        key, position = reader.previous_node()
         match = _TIGHT_KEY.fullmatch(key)
         if match is not None:
             message, hint = f"no space after '{match[1]}:'", f"write '{match[1]}: "
@@ -393,12 +394,12 @@ class _OpenCollection:
 
     def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
         """Return whether a key is the decimals of the number before it."""
-        digits, (line, column) = reader.before()
-        is_integer = self.flow and digits.lstrip("+-").isdigit()
+        digits, (line, column) = reader.previous_node()
+        is_integer = self.is_flow and digits.lstrip("+-").isdigit()
         return is_integer and position == (line, column + len(digits) + 1)
 
-    def close(self, reader: _YamlReader) -> None:
-        """Report once that times are mapping keys; show the right form."""
+    def report_time_keys(self, reader: _YamlReader) -> None:
+        """Report times that are mapping keys, with the correct form as hint."""
         if not self.times:
             return
         entries = [
@@ -416,19 +417,19 @@ class _OpenCollection:
         self, value: Any, position: tuple[int, int], reader: _YamlReader, unquoted: str
     ) -> None:
         """Rejoin a text that commas split into a value and keys."""
-        if value is not None or unquoted or not self.pieces:
-            self.brackets = _open_brackets(unquoted)
-            self.pieces = [unquoted] if self.brackets > 0 else []
+        if value is not None or unquoted or not self.text_pieces:
+            self.bracket_depth = _open_brackets(unquoted)
+            self.text_pieces = [unquoted] if self.bracket_depth > 0 else []
             self.pieces_position, self.faults = position, len(reader.faults)
-        elif self.brackets <= 0:
+        elif self.bracket_depth <= 0:
             # One fault replaces those of the pieces.
             del reader.faults[self.faults :]
-            message = f"{excerpt(self.pieces[0])} ends at a comma"
-            hint = f'quote all of it: "{", ".join(self.pieces)}"'
+            message = f"{excerpt(self.text_pieces[0])} ends at a comma"
+            hint = f'quote all of it: "{", ".join(self.text_pieces)}"'
             reader.fault(
                 "DOC010", message, self.pieces_position, hint[:MAX_HINT_LENGTH]
             )
-            self.pieces = []
+            self.text_pieces = []
 
 
 def _shortened_name(name: str) -> str:

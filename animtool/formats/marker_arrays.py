@@ -97,7 +97,7 @@ def _read_arrays(
 
     def number(name: str) -> float | None:
         return (
-            float(archives.stored(path, name).ravel()[0])
+            float(archives.load_stored(path, name).ravel()[0])
             if name in array_names
             else None
         )
@@ -105,7 +105,7 @@ def _read_arrays(
     def point_array(name: str) -> npt.NDArray[Any] | None:
         if name not in array_names or key.partition("_")[0] != DEFAULT_PREFIX:
             return None
-        return archives.stored(path, name)
+        return archives.load_stored(path, name)
 
     rate = file.rate(number("fs"), fps)
     stated_up = archives.text(path, "up") if "up" in array_names else None
@@ -114,7 +114,7 @@ def _read_arrays(
         archives.texts(path, "marker_names") if "marker_names" in array_names else []
     )
     labels = names if len(names) == count else [""] * count
-    positions = np.array(archives.stored(path, key), np.float64)
+    positions = np.array(archives.load_stored(path, key), np.float64)
     residuals, cameras = point_array("residuals_m"), point_array("cameras")
     filled, start = point_array("filled"), number("start")
     return Markers(

@@ -178,7 +178,7 @@ class _TargetsReader:
         parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
         value_parts = {part for part in PARTS if getattr(model, part) is not None}
         is_empty = not value_parts - {"pole"} and not model.hold
-        if is_empty and not self.document.has_doubt_below(at):
+        if is_empty and not self.document.has_placeholder_below(at):
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)

@@ -365,7 +365,7 @@ class ValueReader:
         if path is None:
             return None
         try:
-            values = np.asarray(self.archives.stored(path, array), np.float64)
+            values = np.asarray(self.archives.load_stored(path, array), np.float64)
         except ValueError as error:
             self.document.add("TGT006", at, str(error))
             return None

@@ -68,8 +68,8 @@ def page_parts(
     panels = panels_of(report.tables)
     for i, (table, panel) in enumerate(zip(report.tables, panels, strict=True)):
         table_ = table_parts(table)
-        yield f"<h2>{html.escape(table_.head[0])}</h2>\n"
-        for line in table_.head[1:]:
+        yield f"<h2>{html.escape(table_.header[0])}</h2>\n"
+        for line in table_.header[1:]:
             yield f'<p class="soft">{html.escape(line.strip())}</p>\n'
         yield f"<figure>{plot_svg(panel)}</figure>\n"
         for line in table_.advice:
@@ -77,7 +77,7 @@ def page_parts(
         if table.lines:
             lines = worded("\n".join(table.lines), calling)
             yield f"<pre>{html.escape(lines)}</pre>\n"
-        yield from _table_html(table_.rows, table_.left, table_.classes)
+        yield from _table_html(table_.rows, table_.left_columns, table_.classes)
         if i in pairs:
             yield from _viewer_html(pairs[i])
     yield "</body>\n</html>\n"

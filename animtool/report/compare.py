@@ -56,36 +56,41 @@ def compare_weights(
 
     Returns the largest difference, the number of shapes compared, and the mismatches.
     """
-    a, b = (_weights(take) for take in (first, second))
+    first_weights, second_weights = (_weights(take) for take in (first, second))
     names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]
-    pairs = _pairs(*names)
+    pairs = _shape_pairs(*names)
     mismatches = []
-    for column, (weights, other) in enumerate(((a, "second"), (b, "first"))):
+    for column, (weights, other_label) in enumerate(
+        ((first_weights, "second"), (second_weights, "first"))
+    ):
         unmatched_columns = set(range(weights.shape[1])) - {
-            pair[column] for pair in pairs
+            pair_index[column] for pair_index in pairs
         }
         missing_names = [
             names[column][s] for s in sorted(unmatched_columns) if weights[:, s].any()
         ]
         if missing_names:
-            mismatches.append(missing_text("shape", missing_names, other))
+            mismatches.append(missing_text("shape", missing_names, other_label))
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
-    difference = np.abs(a[:frames, first_columns] - b[:frames, second_columns])
+    difference = np.abs(
+        first_weights[:frames, first_columns] - second_weights[:frames, second_columns]
+    )
     if not difference.size:
         return ShapeDifference(), 0, mismatches
-    frame, pair = np.unravel_index(np.argmax(difference), difference.shape)
+    frame, pair_index = np.unravel_index(np.argmax(difference), difference.shape)
     largest = ShapeDifference(
-        float(difference[frame, pair]),
-        names[0][first_columns[int(pair)]],
+        float(difference[frame, pair_index]),
+        names[0][first_columns[int(pair_index)]],
         float(first.clock.times[frame]),
     )
     return largest, len(pairs), mismatches
 
 
-def missing_text(noun: str, missing: Sequence[str], other: str) -> str:
+def missing_text(noun: str, missing_names: Sequence[str], other_label: str) -> str:
     """Return text that lists names missing from the other file or take."""
-    are = "is" if len(missing) == 1 else "are"
-    return f"{counted(len(missing), noun)} {are} not in the {other}: {listed(missing)}"
+    verb = "is" if len(missing_names) == 1 else "are"
+    count = counted(len(missing_names), noun)
+    return f"{count} {verb} not in the {other_label}: {listed(missing_names)}"
 
 
 def _weights(take: Take) -> FloatArray:
@@ -95,18 +100,21 @@ def _weights(take: Take) -> FloatArray:
     return take.motion.weights.dense()[..., 0]
 
 
-def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
+def _shape_pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
     """Match shapes by name, then by ARKit name, in order."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
-    first_used, second_used = {i for i, _ in pairs}, {k for _, k in pairs}
+    used_first, used_second = (
+        {i for i, _ in pairs},
+        {second_index for _, second_index in pairs},
+    )
     by_arkit_name = {
-        arkit: k
-        for k, name in enumerate(second)
-        if k not in second_used and (arkit := arkit_name(name)) is not None
+        arkit: second_index
+        for second_index, name in enumerate(second)
+        if second_index not in used_second and (arkit := arkit_name(name)) is not None
     }
     for i, name in enumerate(first):
         match = (
-            None if i in first_used else by_arkit_name.pop(arkit_name(name) or "", None)
+            None if i in used_first else by_arkit_name.pop(arkit_name(name) or "", None)
         )
         if match is not None:
             pairs.append((i, match))
@@ -148,7 +156,9 @@ class TakeDifference:
     )
     size: float = 0.0  # largest extent of the joints in a frame [m]
 
-    def hidden(self, meters: float, degrees: float, weights: float) -> list[Fault]:
+    def tolerance_warnings(
+        self, meters: float, degrees: float, weights: float
+    ) -> list[Fault]:
         """Return warnings about tolerances that hide every difference (CLI107)."""
         largest = max(self.world.value, self.translation.value)
         return [
@@ -185,29 +195,31 @@ def compare(
     are reported as notes.
 
     Args:
-        first: A file.
-        second: Another file.
-        options: How to read the first; without ``second_options`` both, each as far as
-            the options apply: USD files state their own units and up axis.
-        second_options: How to read the second.
+        first: First file.
+        second: Second file.
+        options: Options of the first file. Without ``second_options`` they apply to
+            both, as far as each format supports them.
+        second_options: Options of the second file.
 
     Raises:
         FormatError: A file cannot be read or is malformed.
-        OptionError: An option applies to neither file, or not to its own.
+        OptionError: An option applies to neither file, or not to the file it is for.
     """
     paths = [Path(first), Path(second)]
     first_options = options or SourceOptions()
-    each_options = [first_options, second_options]
+    options_by_file = [first_options, second_options]
     if second_options is None:
-        each_options = [fitting_options(first_options, path, paths) for path in paths]
-    if all(is_usd(path) for path in paths) and each_options == 2 * [SourceOptions()]:
+        options_by_file = [
+            fitting_options(first_options, path, paths) for path in paths
+        ]
+    if all(is_usd(path) for path in paths) and options_by_file == 2 * [SourceOptions()]:
         characters = [open_characters(path) for path in paths]
         if max(map(len, characters)) > 1:
             return _character_difference(*characters)
     return _stream_difference(
         *(
             open_source(path, file_options)
-            for path, file_options in zip(paths, each_options, strict=True)
+            for path, file_options in zip(paths, options_by_file, strict=True)
         )
     )
 
@@ -226,18 +238,18 @@ def _stream_difference(first: TakeStream, second: TakeStream) -> TakeDifference:
     return difference
 
 
-_TakeReaders: TypeAlias = Mapping[str, Callable[[], TakeStream]]
+_TakeOpeners: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 
 
-def _character_difference(first: _TakeReaders, second: _TakeReaders) -> TakeDifference:
+def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDifference:
     """Compare the skeletons of two stages, matched by path."""
     pairs = _skeleton_pairs(list(first), list(second))
     mismatches = [
-        missing_text("skeleton", missing, other)
-        for names, column, other in ((first, 0, "second"), (second, 1, "first"))
+        missing_text("skeleton", missing_names, other_label)
+        for names, column, other_label in ((first, 0, "second"), (second, 1, "first"))
         if (
-            missing := [
-                name for name in names if name not in {p[column] for p in pairs}
+            missing_names := [
+                name for name in names if name not in {pair[column] for pair in pairs}
             ]
         )
     ]
@@ -273,17 +285,17 @@ def _skeleton_pairs(
     [('/hero/s', '/b/y/s')]
     """
     pairs: list[tuple[str, str]] = []
-    first_left, second_left = list(first), list(second)
+    unmatched_first, unmatched_second = list(first), list(second)
     keys: tuple[Callable[[str], str], ...] = (str, lambda p: p.split("/", 2)[-1])
     for key in keys:
-        index = {key(path): path for path in reversed(second_left)}
-        for path in list(first_left):
-            match = index.pop(key(path), None)
+        path_by_key = {key(path): path for path in reversed(unmatched_second)}
+        for path in list(unmatched_first):
+            match = path_by_key.pop(key(path), None)
             if match is not None:
                 pairs.append((path, match))
-                first_left.remove(path)
-                second_left.remove(match)
-    return pairs or list(zip(first_left, second_left, strict=False))
+                unmatched_first.remove(path)
+                unmatched_second.remove(match)
+    return pairs or list(zip(unmatched_first, unmatched_second, strict=False))
 
 
 def _merged_difference(
@@ -291,7 +303,7 @@ def _merged_difference(
 ) -> TakeDifference:
     """Merge the difference of another skeleton into the total."""
     quantities = ("world", "translation", "rotation", "scale", "weight")
-    larger = {
+    larger_differences = {
         quantity: replace(difference, skeleton=skeleton)
         for quantity in quantities
         if (difference := getattr(added, quantity)).value
@@ -303,14 +315,15 @@ def _merged_difference(
     }
     return replace(
         total,
-        **larger,
+        **larger_differences,
         frames=max(total.frames, added.frames),
         size=max(total.size, added.size),
         joints=total.joints + added.joints,
         shapes=total.shapes + added.shapes,
         mismatches=total.mismatches + with_skeleton["mismatches"],
         notes=total.notes + with_skeleton["notes"],
-        notices=total.notices + [n for n in added.notices if n not in total.notices],
+        notices=total.notices
+        + [notice for notice in added.notices if notice not in total.notices],
     )
 
 
@@ -332,8 +345,8 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     if first.clock.rate != second.clock.rate:
         second = resampled(second, first.clock.rate)
     frames = min(first.clock.count, second.clock.count)
-    first_joints = [a for a, _ in pairs]
-    second_joints = [b for _, b in pairs]
+    first_joints = [first_joint for first_joint, _ in pairs]
+    second_joints = [second_joint for _, second_joint in pairs]
     codes = first.clock.times
 
     weight, shapes, missing_shapes = compare_weights(first, second, frames)
@@ -345,35 +358,42 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         name = first.rig.names[first_joints[int(joint)]]
         return Difference(float(values[frame, joint]), name, float(codes[frame]))
 
-    a, b = (take.motion.select(slice(0, frames)).dense() for take in (first, second))
+    first_joint, second_joint = (
+        take.motion.select(slice(0, frames)).dense() for take in (first, second)
+    )
     world_a, world_b = (
-        forward_kinematics(first.rig, *a),
-        forward_kinematics(second.rig, *b),
+        forward_kinematics(first.rig, *first_joint),
+        forward_kinematics(second.rig, *second_joint),
     )
     difference = (
         world_a.positions[:, first_joints] - world_b.positions[:, second_joints]
     )
-    translation = a[0][:, first_joints] - b[0][:, second_joints]
-    rotation = so3.angle_between(a[1][:, first_joints], b[1][:, second_joints])
+    translation = first_joint[0][:, first_joints] - second_joint[0][:, second_joints]
+    rotation = so3.angle_between(
+        first_joint[1][:, first_joints], second_joint[1][:, second_joints]
+    )
     return TakeDifference(
         largest(np.linalg.norm(difference, axis=-1)),
         largest(np.linalg.norm(translation, axis=-1)),
         largest(np.degrees(rotation)),
         largest(
-            np.abs(_scales(a)[:, first_joints] - _scales(b)[:, second_joints]).max(
-                axis=-1
-            )
+            np.abs(
+                _dense_scales(first_joint)[:, first_joints]
+                - _dense_scales(second_joint)[:, second_joints]
+            ).max(axis=-1)
         ),
         weight,
         frames,
         len(pairs),
         shapes,
         mismatches + missing_shapes,
-        size=max(_size(world_a.positions), _size(world_b.positions)),
+        size=max(
+            _largest_extent(world_a.positions), _largest_extent(world_b.positions)
+        ),
     )
 
 
-def _size(positions: FloatArray) -> float:
+def _largest_extent(positions: FloatArray) -> float:
     """Return the largest extent of a frame, or of the path of a single joint [m]."""
     if not positions.size:
         return 0.0
@@ -383,7 +403,7 @@ def _size(positions: FloatArray) -> float:
     return float(np.linalg.norm(extents, axis=1).max())
 
 
-def _scales(
+def _dense_scales(
     dense: tuple[FloatArray, FloatArray, FloatArray | None],
 ) -> FloatArray:
     translations, _, scales = dense
@@ -392,16 +412,19 @@ def _scales(
 
 def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
     """Match joints by source name, then by name, in order."""
-    index: dict[str, list[int]] = {}
+    indices_by_name: dict[str, list[int]] = {}
     for i, joint in enumerate(second.joints):
         for key in {joint.source_name or joint.name, joint.name}:
-            index.setdefault(key, []).append(i)
+            indices_by_name.setdefault(key, []).append(i)
     pairs: list[tuple[int, int]] = []
     used_indices: set[int] = set()
     for i, joint in enumerate(first.joints):
         keys = (joint.source_name or joint.name, joint.name)
         candidates = [
-            k for key in keys for k in index.get(key, []) if k not in used_indices
+            second_index
+            for key in keys
+            for second_index in indices_by_name.get(key, [])
+            if second_index not in used_indices
         ]
         if candidates:
             used_indices.add(candidates[0])
@@ -411,13 +434,13 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
 
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
     names = []
-    for take, other, column in ((first, "second", 0), (second, "first", 1)):
+    for take, other_label, column in ((first, "second", 0), (second, "first", 1)):
         matched_joints = {pair[column] for pair in pairs}
         unmatched_names = [
-            n for i, n in enumerate(take.rig.names) if i not in matched_joints
+            name for i, name in enumerate(take.rig.names) if i not in matched_joints
         ]
         if unmatched_names:
-            names.append(missing_text("joint", unmatched_names, other))
+            names.append(missing_text("joint", unmatched_names, other_label))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
         names.append(f"{frames} instead of {second.clock.count}")

@@ -49,7 +49,7 @@ class PointsDifference:
     notes: list[str] = field(default_factory=list)
     size: float = 0.0  # largest extent of a prim's points in a sample [m]
 
-    def hidden(self, meters: float, degrees: float) -> list[Fault]:
+    def tolerance_warnings(self, meters: float, degrees: float) -> list[Fault]:
         """Return warnings about tolerances that hide every difference (CLI107)."""
         return [
             *hidden_length(meters, self.points.value, self.size),
@@ -80,10 +80,10 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     if source_a is None or source_b is None:
         return None
     mismatches = _missing_prims(source_a, source_b)
-    common = [name for name in source_a.names if name in source_b.names]
+    common_names = [name for name in source_a.names if name in source_b.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
     samples, size = 0, 0.0
-    for name in common:
+    for name in common_names:
         codes = source_a.codes(name), source_b.codes(name)
         if source_a.type(name) != source_b.type(name):
             mismatches.append(
@@ -92,17 +92,28 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         if len(codes[0]) != len(codes[1]):
             counts = f"{counted(len(codes[0]), 'sample')} instead of {len(codes[1])}"
             mismatches.append(f"{name}: {counts}")
-        for code, a, b in _pairs(source_a, source_b, name, codes):
+        for code, first_sample, second_sample in _sample_pairs(
+            source_a, source_b, name, codes
+        ):
             samples += 1
-            size = max(size, _extent(a), _extent(b))
-            mismatch = _point_mismatch(a, b)
+            size = max(
+                size, _bounds_diagonal(first_sample), _bounds_diagonal(second_sample)
+            )
+            mismatch = _point_mismatch(first_sample, second_sample)
             if mismatch:
                 mismatches.append(f"{name} at time code {code:g}: {mismatch}")
                 break
-            for quantity, (values, ids) in _distances(a, b).items():
-                worst = int(np.argmax(values)) if len(values) else 0
-                if len(values) and values[worst] > largest[quantity].value:
-                    candidate = float(values[worst]), name, int(ids[worst]), code
+            for quantity, (values, ids) in _distances(
+                first_sample, second_sample
+            ).items():
+                worst_index = int(np.argmax(values)) if len(values) else 0
+                if len(values) and values[worst_index] > largest[quantity].value:
+                    candidate = (
+                        float(values[worst_index]),
+                        name,
+                        int(ids[worst_index]),
+                        code,
+                    )
                     largest[quantity] = PointDifference(*candidate)
     if source_a.fps != source_b.fps:
         mismatches.append(
@@ -111,7 +122,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     return PointsDifference(
         "points",
         **largest,
-        prims=len(common),
+        prims=len(common_names),
         samples=samples,
         mismatches=mismatches,
         notes=[
@@ -119,13 +130,13 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
                 (source_a.up, source_b.up),
                 (source_a.unit, source_b.unit),
             ),
-            *_start_notes(source_a, source_b, common),
+            *_start_notes(source_a, source_b, common_names),
         ],
         size=size,
     )
 
 
-def _extent(sample: PointSample) -> float:
+def _bounds_diagonal(sample: PointSample) -> float:
     """Return the diagonal of the bounds of a sample [m]."""
     if not len(sample.points):
         return 0.0
@@ -146,7 +157,7 @@ def _missing_prims(source_a: PointSource, source_b: PointSource) -> list[str]:
     return names
 
 
-def _pairs(
+def _sample_pairs(
     source_a: PointSource,
     source_b: PointSource,
     name: str,
@@ -192,57 +203,58 @@ def _in_axes_of_first(
     )
 
 
-def _point_mismatch(a: PointSample, b: PointSample) -> str:
+def _point_mismatch(first: PointSample, second: PointSample) -> str:
     """Return why two samples have different points; empty if they match."""
-    if len(a.points) != len(b.points):
-        return f"{counted(len(a.points), 'point')} instead of {len(b.points)}"
-    if a.ids is not None and b.ids is not None:
-        unmatched_ids = np.setdiff1d(a.ids, b.ids)
+    if len(first.points) != len(second.points):
+        return f"{counted(len(first.points), 'point')} instead of {len(second.points)}"
+    if first.ids is not None and second.ids is not None:
+        unmatched_ids = np.setdiff1d(first.ids, second.ids)
         if len(unmatched_ids):
             return f"the second file has no point with the id {int(unmatched_ids[0])}"
-    if a.prototype_indices is not None and b.prototype_indices is not None:
-        ids, first_indices, second_indices = _matched_indices(a, b)
+    if first.prototype_indices is not None and second.prototype_indices is not None:
+        ids, first_indices, second_indices = _matched_indices(first, second)
         first_meshes, second_meshes = (
-            a.prototype_indices[first_indices],
-            b.prototype_indices[second_indices],
+            first.prototype_indices[first_indices],
+            second.prototype_indices[second_indices],
         )
         (differing_rows,) = np.nonzero(first_meshes != second_meshes)
         if len(differing_rows):
-            i = int(differing_rows[0])
-            meshes = f"mesh {first_meshes[i]} instead of {second_meshes[i]}"
-            return f"point {int(ids[i])} is a copy of {meshes}"
+            row = int(differing_rows[0])
+            meshes = f"mesh {first_meshes[row]} instead of {second_meshes[row]}"
+            return f"point {int(ids[row])} is a copy of {meshes}"
     return ""
 
 
 def _matched_indices(
-    a: PointSample, b: PointSample
+    first: PointSample, second: PointSample
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Return ids ``(N,)``, and their indices in both samples ``(N,)``."""
-    ids = np.arange(len(a.points)) if a.ids is None else a.ids
+    ids = np.arange(len(first.points)) if first.ids is None else first.ids
     first_indices = second_indices = np.arange(len(ids))
-    if a.ids is not None and b.ids is not None:
+    if first.ids is not None and second.ids is not None:
         first_indices, second_indices = (
-            np.argsort(ids_, kind="stable") for ids_ in (a.ids, b.ids)
+            np.argsort(sample_ids, kind="stable")
+            for sample_ids in (first.ids, second.ids)
         )
     return ids[first_indices], first_indices, second_indices
 
 
 def _distances(
-    a: PointSample, b: PointSample
+    first: PointSample, second: PointSample
 ) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Return by kind the distances of points ``(N,)`` and their ids ``(N,)``."""
-    ids, first_indices, second_indices = _matched_indices(a, b)
+    """Return distances of points ``(N,)`` and their ids ``(N,)`` by quantity."""
+    ids, first_indices, second_indices = _matched_indices(first, second)
     distances = np.linalg.norm(
-        a.points[first_indices] - b.points[second_indices], axis=1
+        first.points[first_indices] - second.points[second_indices], axis=1
     )
     distances = {"points": (distances, ids)}
-    if a.orientations is not None and b.orientations is not None:
+    if first.orientations is not None and second.orientations is not None:
         angles = so3.angle_between(
-            a.orientations[first_indices], b.orientations[second_indices]
+            first.orientations[first_indices], second.orientations[second_indices]
         )
         distances["orientations"] = np.degrees(angles), ids
-    if a.scales is not None and b.scales is not None:
-        sizes = np.abs(a.scales[first_indices] - b.scales[second_indices])
+    if first.scales is not None and second.scales is not None:
+        sizes = np.abs(first.scales[first_indices] - second.scales[second_indices])
         distances["scales"] = sizes.max(axis=1, initial=0.0), ids
     return distances
 

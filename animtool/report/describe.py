@@ -54,7 +54,7 @@ class TakeDescription:
     up: str  # up axis of the file
     # Names of the takes in a clip library; empty for other files.
     takes: list[str]
-    take: str  # the one described
+    take: str  # name of the described take
     points: list[PointPrim]  # other prims of a USD file with animated points
     notices: list[Fault]  # warnings and notes
     # The shot recorded in a USD layer, as in bake reports; None without one.
@@ -93,14 +93,14 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     stream = _open_take(path, options)
     take = stream.collect()
     motion, rig = take.motion, take.rig
-    lows, highs = [], []
+    block_minima, block_maxima = [], []
     for begin in range(0, motion.frames, FRAMES_AT_ONCE):
         block = motion.select(slice(begin, begin + FRAMES_AT_ONCE))
         positions = block.world(rig).positions
         if not rig.joints:
             positions = np.zeros((block.frames, 1, 3))
-        lows.append(positions.min(axis=(0, 1)))
-        highs.append(positions.max(axis=(0, 1)))
+        block_minima.append(positions.min(axis=(0, 1)))
+        block_maxima.append(positions.max(axis=(0, 1)))
     meters = rig.meters_per_unit
     animated_counts = {
         "translation": len(motion.translations.animated),
@@ -110,10 +110,10 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         animated_counts["scale"] = len(motion.scales.animated)
     clock = take.clock
     capture = capture_facts(take)
-    channels = stream.details.get("channels")
+    channel_count = stream.details.get("channels")
     if stream.details.get("format") == "BVH" and (options is None or not options.up):
         stream.notices.extend(lying_notice(Path(path), rig, motion))
-    takes = stream.details.get("takes")
+    take_names = stream.details.get("takes")
     return TakeDescription(
         str(path),
         str(stream.details.get("format", "")),
@@ -125,17 +125,17 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         clock.start,
         clock.start + clock.step * (clock.count - 1),
         clock.duration,
-        channels if isinstance(channels, int) else None,
+        channel_count if isinstance(channel_count, int) else None,
         animated_counts,
         len(rig.shapes),
         _moving_shapes(take),
         (
-            (np.min(lows, axis=0) / meters).tolist(),
-            (np.max(highs, axis=0) / meters).tolist(),
+            (np.min(block_minima, axis=0) / meters).tolist(),
+            (np.max(block_maxima, axis=0) / meters).tolist(),
         ),
         unit_name(meters),
         rig.up.value,
-        takes if isinstance(takes, list) else [],
+        take_names if isinstance(take_names, list) else [],
         str(stream.details.get("take", "")),
         _points(Path(path)),
         stream.notices,
@@ -148,7 +148,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
 
 
 def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
-    """Return a take; without its placement if joints cannot represent it."""
+    """Open a take; drop a placement that joints cannot represent."""
     try:
         return open_source(path, options)
     except FormatError as error:
@@ -217,4 +217,4 @@ def _moving_shapes(take: Take) -> list[str]:
     weights = take.motion.weights
     if weights is None:
         return []
-    return [take.rig.shapes[s].name for s in weights.animated.tolist()]
+    return [take.rig.shapes[shape].name for shape in weights.animated.tolist()]

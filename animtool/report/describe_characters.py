@@ -40,7 +40,7 @@ class CharactersFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class _Extent:
+class _CharacterSummary:
     """Summary of one character."""
 
     low: list[float]
@@ -62,16 +62,16 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     readers = read_characters(Path(path))
     if len(readers) < 2:
         return None
-    extents, joints, unread = [], 0, 0
-    for name, read in readers.items():
+    extents, joints, unreadable_count = [], 0, 0
+    for name, open_take in readers.items():
         try:
-            take = read().collect()
+            take = open_take().collect()
         except AnimtoolError:
-            unread += 1
+            unreadable_count += 1
             continue
         joints += len(take.rig.joints)
         if take.rig.joints:
-            extents.append(_extent(name, take))
+            extents.append(_summarize(name, take))
     means = [extent.mean for extent in extents if extent.mean is not None]
     speeds, lows, rises = (
         [value for extent in extents if (value := getattr(extent, name)) is not None]
@@ -84,7 +84,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     return CharactersFacts(
         len(readers),
         joints,
-        unread,
+        unreadable_count,
         bounds,
         float(np.mean(means)) if means else None,
         max(speeds, key=_value, default=None),
@@ -97,30 +97,30 @@ def _value(extreme: Extreme) -> float:
     return extreme.value
 
 
-def _extent(name: str, take: Take) -> _Extent:
-    """Return the summary of a character; hip height only for humans."""
-    person = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
-    hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
+def _summarize(name: str, take: Take) -> _CharacterSummary:
+    """Return the summary of a character; speed and heights only for humans."""
+    roles = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
+    hips, positions = hips_and_joints(take, roles, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
-    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    if person.leg("l") is None or person.leg("r") is None or len(hips) < 2:
-        return _Extent(low, high)
+    lower, upper = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    if roles.leg("l") is None or roles.leg("r") is None or len(hips) < 2:
+        return _CharacterSummary(lower, upper)
     up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
     speeds = ground_speeds(take, hips)
     heights = hips[:, up]
     steps = np.abs(np.diff(heights))
 
-    def extreme(value: float, frame: int) -> Extreme:
+    def extreme_at(value: float, frame: int) -> Extreme:
         return Extreme(value, name, float(times[frame]))
 
-    fastest, lowest, rise = (
-        int(frame_) for frame_ in (speeds.argmax(), heights.argmin(), steps.argmax())
+    fastest, lowest, largest_step = (
+        int(index) for index in (speeds.argmax(), heights.argmin(), steps.argmax())
     )
-    return _Extent(
-        low,
-        high,
+    return _CharacterSummary(
+        lower,
+        upper,
         float(speeds.mean()),
-        extreme(float(speeds[fastest]), fastest + 1),
-        extreme(float(heights[lowest]), lowest),
-        extreme(float(steps[rise]), rise + 1),
+        extreme_at(float(speeds[fastest]), fastest + 1),
+        extreme_at(float(heights[lowest]), lowest),
+        extreme_at(float(steps[largest_step]), largest_step + 1),
     )

@@ -53,7 +53,7 @@ def gltf_contents(path: Path | str) -> GltfContents:
     return _contents(open_gltf(path))
 
 
-def describe_nodeless(path: Path) -> GltfDescription | None:
+def describe_without_nodes(path: Path) -> GltfDescription | None:
     """Return the description of a glTF file without nodes; None if it has nodes."""
     note_input(path)
     gltf = open_gltf(path)

@@ -50,11 +50,11 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     """Return the summary of a marker file."""
     is_labelled = np.array([not name.startswith("*") for name in markers.names], bool)
     visible = markers.visible
-    missing_padded = np.pad(~visible[:, is_labelled], ((1, 1), (0, 0))).astype(np.int8)
-    steps = np.diff(missing_padded, axis=0)
+    is_missing = np.pad(~visible[:, is_labelled], ((1, 1), (0, 0))).astype(np.int8)
+    steps = np.diff(is_missing, axis=0)
     starts = np.argwhere(steps.T == 1)[:, 1]
     ends = np.argwhere(steps.T == -1)[:, 1]
-    longest = int((ends - starts).max(initial=0))
+    longest_gap = int((ends - starts).max(initial=0))
     points = markers.positions[visible]
     bounds = None
     if len(points):
@@ -72,7 +72,7 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
         markers.up.value,
         len(starts),
         float((~visible[:, is_labelled]).mean()) if is_labelled.any() else 0.0,
-        longest / float(clock.rate),
+        longest_gap / float(clock.rate),
         len(find_spikes(markers)),
         0 if markers.filled is None else int(markers.filled.sum()),
         bounds,

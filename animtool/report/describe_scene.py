@@ -139,19 +139,19 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
 def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or default_output(scene.path), output.bake
     writer = writer_of(path)
-    usd = writer is None or writer.stage
+    is_usd = writer is None or writer.stage
     written_systems = [s for s in scene.for_output(output).systems if s.written]
     files = output_files(path, bake, simulated=bool(written_systems))
-    if writer is not None and not usd:
+    if writer is not None and not is_usd:
         files = writer.files(path)
     return OutputDescription(
         str(path),
         "usd" if writer is None else writer.name,
-        str(form_of(bake)) if usd else "",
+        str(form_of(bake)) if is_usd else "",
         [str(path) for path in files],
         [str(path) for path in files if path.exists()],
         bake.deform,
         bake.chunk,
-        [system.name for system in written_systems] if usd else [],
+        [system.name for system in written_systems] if is_usd else [],
         output.location.line,
     )

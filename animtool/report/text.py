@@ -1,7 +1,7 @@
 """Renders reports as text, from records and line templates.
 
 A template is a line with fields of the record in braces. A colon separates a field from
-its printer (`PRINTED`, otherwise a format spec)::
+its printer (`DEFAULT_PRINTERS`, otherwise a format spec)::
 
     "  joints    {joints:n joint} below {roots:list 4}[, {channels:n channel}]"
 
@@ -93,7 +93,7 @@ class Template:
     Attributes:
         record: The class, as ``module:name``.
         lines: Line templates.
-        printers: Printers in addition to `PRINTED`.
+        printers: Printers in addition to `DEFAULT_PRINTERS`.
         details: Line templates for verbose output.
         is_result: Whether its lines are the result of the command itself.
     """
@@ -109,7 +109,7 @@ class Template:
         names = _names(None if all_names else MAX_NAMED)
         return render(record, self.lines, {**self.printers, "names": names})
 
-    def detailed(self, record: object) -> list[str]:
+    def detail_lines(self, record: object) -> list[str]:
         """Return the lines of a record for verbose output."""
         return render(record, self.details, self.printers)
 
@@ -129,13 +129,15 @@ def render(
     Args:
         record: A dataclass or a mapping.
         lines: Line templates.
-        printers: Printers in addition to `PRINTED`.
+        printers: Printers in addition to `DEFAULT_PRINTERS`.
 
     >>> lines = ["{path}: {joints:n joint}", "  notes  [{notes:list}|none]"]
     >>> render({"path": "a.bvh", "joints": 1, "notes": []}, lines)
     ['a.bvh: 1 joint', '  notes  none']
     """
-    return list(_Renderer({**PRINTED, **(printers or {})}).lines((record,), lines))
+    return list(
+        _Renderer({**DEFAULT_PRINTERS, **(printers or {})}).lines((record,), lines)
+    )
 
 
 def table_cells(
@@ -145,7 +147,7 @@ def table_cells(
 
     Arguments as in `render`.
     """
-    return _Renderer({**PRINTED, **(printers or {})}).cells((record,), table)
+    return _Renderer({**DEFAULT_PRINTERS, **(printers or {})}).cells((record,), table)
 
 
 _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
@@ -161,7 +163,7 @@ class _Renderer:
         """Yield the lines of the innermost record."""
         for line in lines:
             if isinstance(line, str):
-                text = self.filled(scope, _parsed_template(line))
+                text = self.fill_template(scope, _parse_template(line))
                 if text or not line:
                     yield text or ""
             elif isinstance(line, Each):
@@ -173,9 +175,9 @@ class _Renderer:
         entries = self._entries(scope, line.name)
         for number, entry in enumerate(entries[: line.most], 1):
             yield from self.lines((entry, {"number": number}, *scope), line.lines)
-        left = len(entries) - (line.most or len(entries))
-        if left > 0:
-            yield from self.lines(({"left": left}, *scope), (line.rest,))
+        omitted_count = len(entries) - (line.most or len(entries))
+        if omitted_count > 0:
+            yield from self.lines(({"left": omitted_count}, *scope), (line.rest,))
 
     def _entries(self, scope: _Scope, name: str) -> list[Any]:
         name, _, spec = name.partition(":")
@@ -192,9 +194,9 @@ class _Renderer:
 
     def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
         """Return the rows of a table, header first, and which columns align left."""
-        templates = [_parsed_template(cell) for cell in table.columns.values()]
+        templates = [_parse_template(cell) for cell in table.columns.values()]
         cells = [
-            [self.filled((entry, *scope), cell) or "" for cell in templates]
+            [self.fill_template((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
         ]
         shown_columns = [
@@ -208,25 +210,25 @@ class _Renderer:
             i for i, (_, header) in enumerate(shown_columns) if header in table.left
         }
 
-    def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
-        """Return the text of a part; None if one of its fields is missing."""
+    def fill_template(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
+        """Return the text of template nodes; None if one of the fields is missing."""
         texts = []
         for node in nodes:
             if isinstance(node, _Alternatives):
-                texts_of_parts = (
-                    self.filled(scope, alternative) for alternative in node.parts
+                alternative_texts = (
+                    self.fill_template(scope, alternative) for alternative in node.parts
                 )
                 texts.append(
-                    next((text for text in texts_of_parts if text is not None), "")
+                    next((text for text in alternative_texts if text is not None), "")
                 )
                 continue
-            text = node if isinstance(node, str) else self._printed(scope, node)
+            text = node if isinstance(node, str) else self._field_text(scope, node)
             if text is None:
                 return None
             texts.append(text)
         return "".join(texts)
 
-    def _printed(self, scope: _Scope, node: _Field) -> str | None:
+    def _field_text(self, scope: _Scope, node: _Field) -> str | None:
         """Return a field as text; None if missing, empty if only tested."""
         value = _value(scope, node.name)
         if node.test:
@@ -276,7 +278,7 @@ _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)"
 
 
 @cache
-def _parsed_template(template: str) -> tuple[_Node, ...]:
+def _parse_template(template: str) -> tuple[_Node, ...]:
     return _alternatives(template, iter(_TOKEN.finditer(template)), top=True)[0]
 
 
@@ -286,45 +288,49 @@ def _alternatives(
     """Return the alternatives between brackets, separated by bars."""
     alternatives: list[list[_Node]] = [[]]
     for token in tokens:
-        test, name, spec, sign, text = token.groups()
+        test, name, spec, bracket, text = token.groups()
         if name is not None:
             alternatives[-1].append(_Field(name, spec or "", test))
         elif text is not None:
             alternatives[-1].append(text)
-        elif sign == "[":
+        elif bracket == "[":
             alternatives[-1].append(_Alternatives(_alternatives(template, tokens)))
-        elif sign == "|" and not top:
+        elif bracket == "|" and not top:
             alternatives.append([])
-        elif sign == "]" and not top:
+        elif bracket == "]" and not top:
             break
         else:
-            alternatives[-1].append(sign)
+            alternatives[-1].append(bracket)
     return tuple(tuple(nodes) for nodes in alternatives)
 
 
 def _value(scope: _Scope, name: str) -> Any:
     """Return a field of the innermost record that has it."""
-    first, _, attributes_path = name.partition(".")
+    field_name, _, attributes_path = name.partition(".")
     for record in scope:
-        if first == "self":
+        if field_name == "self":
             return value_at_path(record, attributes_path)
-        if first in record if isinstance(record, Mapping) else hasattr(record, first):
+        if (
+            field_name in record
+            if isinstance(record, Mapping)
+            else hasattr(record, field_name)
+        ):
             return value_at_path(record, name)
     record_types = ", ".join(type(record).__name__ for record in scope)
-    raise AttributeError(f"{record_types}: no field {first!r}")
+    raise AttributeError(f"{record_types}: no field {field_name!r}")
 
 
-def _count(value: Any, *nouns: str) -> str:
+def _count_text(value: Any, *nouns: str) -> str:
     count = len(value) if hasattr(value, "__len__") else int(value)
     noun, _, plural = " ".join(nouns).partition("/")
     return counted(count, noun, plural)
 
 
-def _listed_values(value: Any, max_count: str = "5") -> str:
+def _list_text(value: Any, max_count: str = "5") -> str:
     return listed(list(value), int(max_count))
 
 
-def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., str]:
+def _with_digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., str]:
     def print_value(value: float, *digits: str) -> str:
         return printer(float(value) * scale, *map(int, digits))
 
@@ -333,32 +339,32 @@ def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., st
 
 # Printers by name, the first word after the colon in a template; the other words are
 # their arguments.
-PRINTED: dict[str, Callable[..., Any]] = {
-    "n": _count,
+DEFAULT_PRINTERS: dict[str, Callable[..., Any]] = {
+    "n": _count_text,
     "len": lambda value: str(len(value)),
     "total": lambda value: str(sum(value.values())),
     "counts": lambda value: ", ".join(counted(n, noun) for noun, n in value.items()),
     "spans": lambda value: listed([span_label(*span) for span in value]),
     "g": lambda value, digits="6": f"{float(value):.{digits}g}",
-    "list": _listed_values,
+    "list": _list_text,
     "join": lambda value: ", ".join(map(str, value)),
     "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
     "corners": lambda value, digits="4": " to ".join(
         f"({', '.join(plain_number(x, int(digits)) for x in corner)})"
         for corner in value
     ),
-    "plain": _digits(plain_number),
+    "plain": _with_digits(plain_number),
     "percent": percent_text,
-    "length": _digits(length_text),
-    "mm": _digits(plain_number, 1e3),
+    "length": _with_digits(length_text),
+    "mm": _with_digits(plain_number, 1e3),
     "kB": lambda value: f"{value / 1e3:.0f}",
     "angle": lambda value, *digits: angle_text(math.degrees(value), *map(int, digits)),
     "degrees": lambda value, *digits: plain_number(
         math.degrees(value), *map(int, digits)
     ),
-    "hundredths": _digits(plain_number, 100.0),
-    "duration": _digits(duration_text),
-    "size": _digits(size_text),
+    "hundredths": _with_digits(plain_number, 100.0),
+    "duration": _with_digits(duration_text),
+    "size": _with_digits(size_text),
     "rate": rate_label,
     "frame": frame_label,
     "repr": repr,

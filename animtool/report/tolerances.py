@@ -8,21 +8,21 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import length_text
 
-# Tolerances without a warning, which are those of no option: [m], [deg], [1].
+# Default tolerances, which cause no warning [m], [deg], [1].
 LENGTH_TOLERANCE, ANGLE_TOLERANCE, WEIGHT_TOLERANCE = 1e-5, 1e-3, 1e-5
-# Fraction of the size of what is compared that no tolerance of use reaches.
+# Tolerances above this fraction of the compared size cause a warning.
 MAX_FRACTION = 0.25
-# No rotations differ by more, and weights hardly do [deg], [1].
+# Largest difference of rotations [deg], and of usual weights [1].
 MAX_ANGLE, MAX_WEIGHT = 180.0, 1.0
 
 
 def hidden_length(tolerance: float, largest: float, size: float) -> list[Fault]:
-    """Warn of a tolerance that is a large part of what is compared (CLI107).
+    """Warn if a tolerance is a large fraction of the compared size (CLI107).
 
     Args:
         tolerance: Distance to ignore [m]; infinity ignores all on purpose.
         largest: Largest difference [m].
-        size: Size of what is compared [m].
+        size: Size of the compared takes or points [m].
     """
     if not max(MAX_FRACTION * size, LENGTH_TOLERANCE) <= tolerance < math.inf:
         return []
@@ -38,7 +38,7 @@ def hidden_length(tolerance: float, largest: float, size: float) -> list[Fault]:
 
 
 def hidden_angle(tolerance: float, largest: float) -> list[Fault]:
-    """Warn of a tolerance that no rotation exceeds (CLI107) [deg]."""
+    """Warn if no rotation can exceed a tolerance [deg] (CLI107)."""
     if not (MAX_ANGLE <= tolerance < math.inf and largest > ANGLE_TOLERANCE):
         return []
     message = (

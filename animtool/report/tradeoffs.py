@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from animtool.sim.trials.table import TrialRow, TrialTable
 
 LEGEND = "> current setting   * Pareto front   + recommended"
-_HEAD: tuple[Line, ...] = (
+_HEADER_LINES: tuple[Line, ...] = (
     "{name}: {kind}, {span:plain 4} s",
     "[  reference: {reference.setting}[{?points}, up to {points:n point} at "
     "{instants:n time}]]",
@@ -24,7 +24,7 @@ _HEAD: tuple[Line, ...] = (
     "[{?reference.sensitive}; not small: the motion is sensitive]]",
     "  work: number of {unit}",
 )
-_ROWS = Table(
+_ROW_TABLE = Table(
     "applicable",
     {
         "": "{self:marks}",
@@ -55,7 +55,7 @@ _ROWS = Table(
     ),
     indent="  ",
 )  # fmt: skip
-_ADVICE: tuple[Line, ...] = (
+_ADVICE_LINES: tuple[Line, ...] = (
     Each("self:left_out", ("  skipped: {value:list}: {key}",)),
     "[  {self:advice}]",
 )
@@ -80,7 +80,7 @@ def _missing_error(row: TrialRow) -> str:
 
 
 def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
-    """Return why methods were excluded, each reason once."""
+    """Return the excluded methods by the reason of their exclusion."""
     causes: dict[str, dict[str, None]] = {}
     for row in table.rows:
         if row.status is None:
@@ -91,7 +91,7 @@ def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
 
 
 def _advice(table: TrialTable) -> str:
-    """Return the setting to use instead of the chosen one; empty if unknown."""
+    """Return a text that recommends a setting; empty if there is none."""
     if table.reference is None or table.reference.sensitive:
         return ""
     recommended_row, current_row = table.recommended, table.chosen
@@ -129,11 +129,11 @@ def _cost(row: TrialRow, measure: CostMeasure) -> float:
 def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
     """Return a formatter of one figure of a row; it returns "" if the row has none."""
 
-    def printed(row: TrialRow) -> str:
+    def figure_text(row: TrialRow) -> str:
         value = row.figures.get(Figure(name))
         return "" if value is None else f"{scale * value:.3g}"
 
-    return printed
+    return figure_text
 
 
 _PRINTERS: dict[str, Callable[..., Any]] = {
@@ -157,7 +157,16 @@ _PRINTERS: dict[str, Callable[..., Any]] = {
 TABLES = Template(
     "animtool.scene.tables.tradeoffs:Tradeoffs",
     (
-        Each("tables", (*_HEAD, _ROWS, *_ADVICE, Each("lines", ("    {self}",)), "")),
+        Each(
+            "tables",
+            (
+                *_HEADER_LINES,
+                _ROW_TABLE,
+                *_ADVICE_LINES,
+                Each("lines", ("    {self}",)),
+                "",
+            ),
+        ),
         LEGEND,
     ),
     _PRINTERS,
@@ -169,9 +178,9 @@ TABLES = Template(
 class TableParts:
     """Parts of a table for a page."""
 
-    head: list[str]  # what was measured, and the reference
+    header: list[str]  # what was measured, and the reference
     rows: list[list[str]]  # cells, header row first
-    left: set[int]  # left-aligned columns
+    left_columns: set[int]  # left-aligned columns
     # CSS classes of each row below the header: ``chosen`` or ``recommended``.
     classes: list[str]
     advice: list[str]
@@ -179,10 +188,13 @@ class TableParts:
 
 def table_parts(table: TrialTable) -> TableParts:
     """Return the parts of a table."""
-    rows, left = table_cells(table, _ROWS, _PRINTERS)
+    rows, left_columns = table_cells(table, _ROW_TABLE, _PRINTERS)
     classes = [
         "chosen" if row.chosen else "recommended" if row.recommended else ""
         for row in table.applicable
     ]
-    head, advice = render(table, _HEAD, _PRINTERS), render(table, _ADVICE, _PRINTERS)
-    return TableParts(head, rows, left, classes, advice)
+    header, advice = (
+        render(table, _HEADER_LINES, _PRINTERS),
+        render(table, _ADVICE_LINES, _PRINTERS),
+    )
+    return TableParts(header, rows, left_columns, classes, advice)

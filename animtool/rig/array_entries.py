@@ -59,7 +59,9 @@ class ArrayReader:
         ref = ArrayRef(text, path, key)
         try:
             if self._fits(at, ref, role, shape):
-                message = _value_fault(role, self.archives.stored(path, key), count)
+                message = _value_fault(
+                    role, self.archives.load_stored(path, key), count
+                )
                 if message is not None:
                     self.document.add("RIG027", at, f"{text!r} {message}")
         except ValueError as error:

@@ -79,7 +79,7 @@ def ascending_faults(
     document: Document, at: Location, values: list[float]
 ) -> Iterator[int]:
     """Record and yield the points of a curve that do not ascend."""
-    for k, previous in list(document.descents(at, values, 0)):
+    for k, previous in list(document.not_ascending(at, values, 0)):
         message = f"{values[k]:g} is not greater than {values[previous]:g}"
         document.add("RIG016", (*at, k), message, "values ascend")
         yield k

@@ -106,7 +106,7 @@ class PartReader:
             inbetweens: list[Inbetween] = []
             weights = [step.at for step in shape.inbetweens]
             unordered_shapes = dict(
-                self.document.descents((*location, "inbetweens"), weights, "at")
+                self.document.not_ascending((*location, "inbetweens"), weights, "at")
             )
             for k, step in enumerate(shape.inbetweens):
                 inbetween_location = (*location, "inbetweens", k)

@@ -18,7 +18,7 @@ from animtool.documents.arrays import (
     ArrayHeader,
     load_array,
 )
-from animtool.documents.references import reference
+from animtool.documents.references import resolve_path
 
 
 def saved(folder: Path) -> Path:
@@ -59,7 +59,7 @@ def test_references_that_lead_nowhere(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     for name in ("loop/x.npz", "a\0b"):
         with pytest.raises(ValueError, match=r"."):
-            array_header(reference(tmp_path, [tmp_path], name), "x")
+            array_header(resolve_path(tmp_path, [tmp_path], name), "x")
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:

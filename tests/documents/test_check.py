@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
 from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
-from animtool.documents.forms import EntryForms
+from animtool.documents.forms import EntryExamples
 from animtool.documents.model_faults import MAX_REPLACED
 
 
@@ -47,7 +47,7 @@ class Shown(FileModel):
 
     crate: Annotated[
         dict[str, dict[str, object]] | None,
-        EntryForms({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
+        EntryExamples({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
     ] = key("A shape.", {"box": {"size": [2, 2, 2]}}, default=None)
     items: list[Square] = key("Squares.", [{"type": "square"}], default=[])
     take: File | None = key("A take.", {"file": "a.bvh"}, default=None)
@@ -191,7 +191,7 @@ def test_no_fault_is_noted_of_a_stand_in(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\n- 5")
     box = validate_document(read, Box)
     assert len(box.items) == 2
-    assert read.doubts == {("items", 0, "side"), ("items", 1)}
+    assert read.placeholders == {("items", 0, "side"), ("items", 1)}
     for place in (("items", 0, "side"), ("items", 1, "type"), ("items", 1)):
         read.add("X", place, "is odd")
     assert [fault.code for fault in read.faults] == ["DOC022", "DOC022"]
@@ -210,8 +210,8 @@ def test_entries_without_a_name_that_is_known(tmp_path: Path) -> None:
 
 def test_what_does_not_ascend(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x")
-    read.doubts.add(("items", 1, "at"))
-    found = list(read.descents(("items",), [3, 9, 2, 4, 4], "at"))
+    read.placeholders.add(("items", 1, "at"))
+    found = list(read.not_ascending(("items",), [3, 9, 2, 4, 4], "at"))
     assert found == [(2, 0), (4, 3)]
 
 

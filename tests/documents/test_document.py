@@ -322,7 +322,7 @@ def test_places_of_what_is_not_there(tmp_path: Path) -> None:
 
 def test_what_is_odd_is_no_fault(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, "a: 1\nb: 2\n"))
-    document.doubts.add(("b",))
+    document.placeholders.add(("b",))
     document.note("RIG101", ("a",), "is odd")
     document.note("RIG101", ("b",), "is odd")
     document.check()

@@ -92,8 +92,8 @@ def test_places_are_those_of_the_text() -> None:
     document = document_of(text, PATH)
     assert document.position(("a", 1, "b")) == (3, 11)
     assert document.position(("c",)) == (4, 8)
-    assert document.written(("a", 1, "b")) == "2.50"
-    assert document.written(("c",)) is None
+    assert document.source_text(("a", 1, "b")) == "2.50"
+    assert document.source_text(("c",)) is None
 
 
 def test_faults_have_their_lines() -> None:

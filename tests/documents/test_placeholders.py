@@ -18,7 +18,7 @@ from animtool.documents.placeholders import (
     fields_at,
     fields_of,
     placeholder_of,
-    with_value_at,
+    set_value_at,
 )
 from animtool.rig.joint_schema import JointModel
 from animtool.rig.schema import RigModel
@@ -74,5 +74,5 @@ def test_the_type_of_a_place() -> None:
 
 def test_replacing() -> None:
     value = {"parts": [{"size": "x"}]}
-    with_value_at(value, ("parts", 0, "size"), 2)
+    set_value_at(value, ("parts", 0, "size"), 2)
     assert value == {"parts": [{"size": 2}]}

@@ -22,7 +22,7 @@ class Cord:
     kind: str = key("Kind.", "silk", "hemp", choices=("hemp", "silk"))
 
 
-@with_fields(Cord, "kind", "mass", before="name")
+@with_fields(Cord, "kind", "mass", before_key="name")
 class CordModel(FileModel):
     """A cord."""
 

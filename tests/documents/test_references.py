@@ -9,18 +9,18 @@ from animtool.cli.main import run
 from animtool.core.config import project_roots
 from animtool.core.files.reading import recorded_inputs
 from animtool.documents.document import document_of
-from animtool.documents.references import reference, resolve_input, resolve_reference
+from animtool.documents.references import resolve_input, resolve_path, resolve_reference
 
 
 def test_references_stay_in_the_roots(tmp_path: Path) -> None:
     folder, library = tmp_path / "a", tmp_path / "library"
     folder.mkdir()
-    assert reference(folder, [tmp_path], "../x.npz") == tmp_path / "x.npz"
-    assert reference(folder, [folder, library], "../library/x") == library / "x"
+    assert resolve_path(folder, [tmp_path], "../x.npz") == tmp_path / "x.npz"
+    assert resolve_path(folder, [folder, library], "../library/x") == library / "x"
     (folder / "way").symlink_to(tmp_path)
     for name in ("../x.npz", "/etc/passwd", "b/../../x", "way/x.npz", "../ab/x"):
         with pytest.raises(ValueError, match="leads out"):
-            reference(folder, [folder], name)
+            resolve_path(folder, [folder], name)
 
 
 def refused(path: Path, name: str) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from animtool.core.errors import FormatError
 from animtool.documents.document import read_document
-from animtool.documents.yaml_slips import MAX_SCANNED_CHARACTERS, find_slip
+from animtool.documents.yaml_slips import MAX_SCANNED_CHARACTERS, find_typing_mistake
 
 SLIPS = [
     # text, line and column, what the hint shows
@@ -68,8 +68,10 @@ def test_a_slip_is_reported_where_it_was_made(
     ],
 )
 def test_sound_lines_have_no_slip(text: str) -> None:
-    assert find_slip(text, len(text.splitlines())) is None
+    assert find_typing_mistake(text, len(text.splitlines())) is None
 
 
 def test_long_texts_are_not_read_again() -> None:
-    assert find_slip("a: {b}.c\n" * (MAX_SCANNED_CHARACTERS // 9 + 1), 1) is None
+    assert (
+        find_typing_mistake("a: {b}.c\n" * (MAX_SCANNED_CHARACTERS // 9 + 1), 1) is None
+    )

@@ -182,12 +182,12 @@ class _Checker:
     """Looks up the names of a template."""
 
     def __init__(self, template: Template) -> None:
-        self.printers = {**text.PRINTED, **template.printers, "names": str}
+        self.printers = {**text.DEFAULT_PRINTERS, **template.printers, "names": str}
 
     def lines(self, scope: tuple[Any, ...], lines: Sequence[Line]) -> None:
         for line in lines:
             if isinstance(line, str):
-                self._part(scope, text._parsed_template(line))
+                self._part(scope, text._parse_template(line))
                 continue
             name, _, spec = line.name.partition(":")
             kinds = self._value(scope, name)

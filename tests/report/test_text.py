@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import animtool.cli
-from animtool.report.text import PRINTED, Each, Table, render
+from animtool.report.text import DEFAULT_PRINTERS, Each, Table, render
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def test_templates_name_printers_that_there_are(path: Path) -> None:
     nodes = [*ast.walk(ast.parse(path.read_text("utf-8")))]
     keys = [key for node in nodes if isinstance(node, ast.Dict) for key in node.keys]
     known = {key.value for key in keys if isinstance(key, ast.Constant)} | {
-        *PRINTED,
+        *DEFAULT_PRINTERS,
         "names",
     }
     texts = [

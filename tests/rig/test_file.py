@@ -19,7 +19,7 @@ from support.suite import examples
 
 from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import Document, read_document
-from animtool.documents.yaml_values import Marks
+from animtool.documents.yaml_values import SourceMarks
 from animtool.maths import so3
 from animtool.rig.file import load_rig, parse_rig
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
@@ -550,7 +550,7 @@ def test_any_edits_give_a_rig_or_faults(
     for _ in range(data.draw(st.integers(1, 4))):
         edit(root, data)
     marks = document.marks()
-    edited = Document(path, root, lambda: Marks(marks.positions * 9, {}))
+    edited = Document(path, root, lambda: SourceMarks(marks.positions * 9, {}))
     joints: list[Any] = []
     faults: list[Any] = []
     try:

@@ -28,7 +28,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.document import Document, Location, document_of, read_text
 from animtool.documents.fields import MAX_NUMBER
-from animtool.documents.yaml_values import Marks
+from animtool.documents.yaml_values import SourceMarks
 from animtool.maths.so3 import exp, to_matrix
 
 # Names of a value in other programs, in order of preference.
@@ -86,7 +86,7 @@ def _parse_toml(text: str, path: Path) -> Document:
     for key, inner in value.items():
         line = starts.get(key, 1)
         positions += [(line, 1)] * (1 + _node_count(inner))
-    return Document(path, value, lambda: Marks(positions, {}))
+    return Document(path, value, lambda: SourceMarks(positions, {}))
 
 
 def _node_count(value: Any) -> int:

@@ -158,7 +158,7 @@ def _read_arrays(
     if (header.kind == "f") != (key == "uv"):
         dtype_text = "floats" if key == "uv" else "whole numbers"
         raise ValueError(f"{key!r} does not hold {dtype_text}")
-    stored = archives.stored(path, key)
+    stored = archives.load_stored(path, key)
     if header.kind == "f" and np.isinf(stored).any():
         raise ValueError(f"{key!r} contains an infinity")
     texts = {
@@ -198,7 +198,7 @@ def _observation_rate(
         raise ValueError(
             f"has no number 'fs', the frame rate; set it with {argument('fps')}"
         )
-    stored_rates = archives.stored(path, "fs").ravel()
+    stored_rates = archives.load_stored(path, "fs").ravel()
     low, high = _RATE_RANGE
     if stored_rates.size != 1 or not low <= float(stored_rates[0]) <= high:
         rates = listed(stored_rates.tolist())

@@ -146,7 +146,7 @@ def _read_arrays(
     if not frames or not count or frames * count > MAX_POSITIONS:
         raise _format_error(path, f"{key} has {frames} frames of {count} landmarks")
     scale = 1.0 if width == 2 else _unit_meters(key, unit)
-    points = np.array(archives.stored(path, key), np.float64) * scale
+    points = np.array(archives.load_stored(path, key), np.float64) * scale
     notices = []
     # NaN marks missing values; infinite ones count as missing too.
     infinite = np.isinf(points).any(axis=-1)
@@ -191,7 +191,7 @@ def _capture_rate(
     if "fs" not in array_names:
         hint = f"set it with {argument('source.fps')}"
         raise _format_error(path, "states no rate (fs)", hint)
-    stored_rates = archives.stored(path, "fs").ravel()
+    stored_rates = archives.load_stored(path, "fs").ravel()
     try:
         return parse_rate(rate_from_float(float(stored_rates[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:

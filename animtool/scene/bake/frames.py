@@ -19,7 +19,7 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
-from animtool.documents.document import positioned
+from animtool.documents.document import with_position
 from animtool.edit.between import TakeSampler
 from animtool.edit.resample import (
     SampleTimes,
@@ -221,7 +221,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         cut_key = None if shot.places_media else "shot.cut"
         hint += "; change cut, or start, the number of the take's first frame"
         fault = Fault("SCN042", message, source_path, (), hint, where=cut_key)
-        raise OptionError(positioned(fault))
+        raise OptionError(with_position(fault))
     cut = [frame for frame in missing_frames if shot.cut_in <= frame <= shot.cut_out]
     handles = [frame for frame in missing_frames if frame not in cut]
     notices = []
@@ -241,7 +241,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
             fault = Fault(
                 code, message, source_path, (), remedy, warning, where=cut_key
             )
-            notices.append(positioned(fault))
+            notices.append(with_position(fault))
     return notices
 
 

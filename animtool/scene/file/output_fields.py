@@ -211,7 +211,7 @@ class OutputReader:
     def _file(self, location: Location, name: str) -> Path:
         """Return a file to write."""
         path = resolve_reference(
-            self._document, location, name, self._roots, written=True
+            self._document, location, name, self._roots, is_output=True
         )
         return Path(name) if path is None else path
 

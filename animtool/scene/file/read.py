@@ -19,7 +19,7 @@ from animtool.documents.check import (
     FileModel,
     check_version,
     record_of_options,
-    renamed_options,
+    rename_options,
     validate_document,
 )
 from animtool.documents.document import Document, Location, read_document
@@ -388,7 +388,7 @@ class _PassReader:
             fault = error.faults[0]
             document.add(fault.code, location, fault.message, fault.hint)
             return None
-        values = renamed_options(document, location, values, "scene")
+        values = rename_options(document, location, values, "scene")
         converted_values = self.units.pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
@@ -399,7 +399,7 @@ class _PassReader:
         _check_pass(self.keys, location, pass_, options)
         for output_name in getattr(options, "writes", ()):
             resolve_reference(
-                document, location, str(output_name), self.output_roots, written=True
+                document, location, str(output_name), self.output_roots, is_output=True
             )
         if faults:
             return None

@@ -431,7 +431,7 @@ class EntryReader:
     def output(self, location: Location, name: str) -> None:
         """Record a fault if a file cannot be written."""
         path = resolve_reference(
-            self.document, location, name, self.roots, written=True
+            self.document, location, name, self.roots, is_output=True
         )
         self.sound &= path is not None
 

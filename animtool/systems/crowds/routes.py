@@ -259,7 +259,8 @@ def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
         ]
         border = grid.facing_border(goal)
         seeds_around = np.union1d(
-            nearby_nodes, border[grid.components.ravel()[border] == goal_component]
+            nearby_nodes,
+            border[grid.components.ravel()[border] == goal_component],
         )
     seeds = np.concatenate([nodes[first], seeds_around]).astype(np.int64)
     starts = np.linalg.norm(

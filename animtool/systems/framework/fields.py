@@ -24,7 +24,7 @@ from animtool.documents.fields import (
     shared_key,
     with_fields,
 )
-from animtool.documents.forms import EntryForms
+from animtool.documents.forms import EntryExamples
 from animtool.sim.contact import Contact, Material
 
 # A name of a table with its options.
@@ -47,7 +47,7 @@ ArrayEntry = Annotated[Name, EntryPart.ARRAY]
 NameEntry = Annotated[str | Integer, EntryPart.NAMES]
 ForceEntry = Annotated[Named, EntryPart.FORCE]
 # Syntax of shapes.
-SHAPE_FORMS = EntryForms(
+SHAPE_FORMS = EntryExamples(
     {
         "box": {"size": [1, 1, 1]},
         "capsule": {"radius": 0.1, "length": 0.5},
@@ -209,7 +209,7 @@ class _MaterialModel(FileModel):
 
 
 @with_fields(Contact)
-@with_fields(Contact, "name", before="shape")
+@with_fields(Contact, "name", before_key="shape")
 class SystemColliderModel(PlacedModel, _MaterialModel):
     """A collider, or a region in which particles are removed."""
 
@@ -231,7 +231,7 @@ class _Entries:
 ColliderEntries = Annotated[Sequence[Any], _Entries]
 
 
-@with_fields(Contact, "margin", before="mesh")
+@with_fields(Contact, "margin", before_key="mesh")
 class CharacterModel(_MaterialModel):
     """A moving character to collide with: capsules of its rig, or a mesh."""
 

@@ -126,7 +126,7 @@ class SavedStates:
         arrays: _Arrays = {}
         lengths = set()
         for key in names:
-            values = arrays[key] = archives.stored(path, f"{prefix}state/{key}")
+            values = arrays[key] = archives.load_stored(path, f"{prefix}state/{key}")
             expected_array, axis = expected.get(key, values), metadata.axes.get(key)
             shape = list(expected_array.shape)
             if axis is not None and values.ndim == expected_array.ndim:

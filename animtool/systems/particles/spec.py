@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @with_fields(Emission)
-@with_fields(Emission, "name", before="place")
+@with_fields(Emission, "name", before_key="place")
 class EmitterModel(PlacedModel, RecordModel):
     """A source of particles."""
 

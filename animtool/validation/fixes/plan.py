@@ -10,7 +10,7 @@ from pathlib import Path
 from animtool.core.errors import Fault
 from animtool.core.readers import READERS, USD
 from animtool.core.record import dataclass
-from animtool.documents.yaml_values import SUFFIXES
+from animtool.documents.yaml_values import DOCUMENT_FILE_SUFFIXES
 from animtool.validation.fixes.draft import FileDraft, FixStep, has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report
@@ -102,7 +102,7 @@ def has_fixes(path: Path) -> bool:
     >>> [has_fixes(Path(name)) for name in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
     [True, True, False, False]
     """
-    return path.suffix.lower() in SUFFIXES or is_layer(path)
+    return path.suffix.lower() in DOCUMENT_FILE_SUFFIXES or is_layer(path)
 
 
 def _open_draft(path: Path) -> FileDraft:

@@ -84,7 +84,7 @@ def open_scene(
     ``given`` are values of its variables that a batch gives.
     """
     values = SceneValues() if batch_values is None else batch_values
-    scene = scene_of_document(document, values.values, parts=values.parts)
+    scene = scene_of_document(document, values.values, parts=values.component_names)
     path = str(document.path)
     checked_file = CheckedFile(Kind.SCENE)
     if not scene.sources:
