@@ -56,15 +56,17 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     """
     from animtool.validation.run import match_files
 
-    options = ValidateOptions(**read_values(ValidateOptions, params)).resolved()
+    options = ValidateOptions(
+        **read_values(ValidateOptions, params)
+    ).with_profile_levels()
     report_options = ReportOptions(**read_values(ReportOptions, params))
     for message in clash_messages(report_options):
         raise click.UsageError(f"{message}.")
     files, match_warnings = match_files(listed_paths(paths))
     path_warnings = [
-        options.of(warning)
+        options.with_severity(warning)
         for warning in match_warnings
-        if options.counts(warning.code)
+        if options.selects(warning.code)
     ]
     console.faults(path_warnings)
     if report_options.diff:
@@ -146,7 +148,7 @@ def _show_difference(
         fixed_identities |= {_identity(fault) for fault, _ in plan.mended}
         has_changes = True
         console.result(*plan.difference().removesuffix("\n").split("\n"))
-        for path in plan.after.outputs():
+        for path in plan.draft.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not report_options.exit_zero:
             code = ExitCode.FINDINGS

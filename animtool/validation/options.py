@@ -1,4 +1,4 @@
-"""Options of validation: selected codes and severities."""
+"""Options of validation: selected codes, severities, and reports."""
 
 from __future__ import annotations
 
@@ -59,24 +59,24 @@ class ValidateOptions:
     )
     levels: Mapping[str, Severity | None] = field(default_factory=dict)
 
-    def counts(self, code: str) -> bool:
+    def selects(self, code: str) -> bool:
         """Return whether a code is selected.
 
-        >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
+        >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).selects("RIG201")
         False
         """
         selected_length = _prefix_length(code, self.select) if self.select else 0
         if selected_length < 0 or selected_length <= _prefix_length(code, self.ignore):
             return False
-        level = _longest_prefix(code, self.levels)
-        if level is None or self.levels[level] is not None:
+        level_prefix = _longest_prefix(code, self.levels)
+        if level_prefix is None or self.levels[level_prefix] is not None:
             return True
         # A more specific selection overrides the profile.
         return max(
             selected_length, _prefix_length(code, self.severity)
-        ) >= _prefix_length_of(level)
+        ) >= _prefix_length_of(level_prefix)
 
-    def of(self, fault: Fault) -> Fault:
+    def with_severity(self, fault: Fault) -> Fault:
         """Return a finding with its configured severity."""
         longest_prefix = _longest_prefix(fault.code, self.severity)
         if longest_prefix is not None:
@@ -85,7 +85,7 @@ class ValidateOptions:
         level = None if longest_prefix is None else self.levels[longest_prefix]
         return fault if level is None else replace(fault, severity=level)
 
-    def resolved(self) -> ValidateOptions:
+    def with_profile_levels(self) -> ValidateOptions:
         """Return these options with the levels of the named profile.
 
         Raises:
@@ -176,10 +176,10 @@ class ReportOptions:
     )
 
 
-def _longest_prefix(code: str, beginnings: Iterable[str]) -> str | None:
+def _longest_prefix(code: str, prefixes: Iterable[str]) -> str | None:
     """Return the longest matching prefix of a code, in current or old spelling."""
     matching_prefixes = [
-        prefix for prefix in beginnings if code.startswith(current_codes(prefix))
+        prefix for prefix in prefixes if code.startswith(current_codes(prefix))
     ]
     return max(matching_prefixes, key=_prefix_length_of, default=None)
 
@@ -189,14 +189,14 @@ def _prefix_length_of(prefix: str) -> int:
     return len(current_codes(prefix)[0])
 
 
-def _prefix_length(code: str, beginnings: Iterable[str]) -> int:
+def _prefix_length(code: str, prefixes: Iterable[str]) -> int:
     """Return the length of the longest matching prefix of a code, -1 for none."""
-    longest_prefix = _longest_prefix(code, beginnings)
+    longest_prefix = _longest_prefix(code, prefixes)
     return -1 if longest_prefix is None else _prefix_length_of(longest_prefix)
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
-    """Refuse prefixes that match no code."""
+    """Raise OptionError if a prefix matches no code (VAL005)."""
     faults = []
     for prefix in (*options.select, *options.ignore, *options.severity):
         if prefix and any(
@@ -207,10 +207,10 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         if prefix and any(code.startswith(prefix) for code in rules):
             continue
         message = f"no code matches {prefix!r}"
-        meant = corrected_code(prefix, rules)
+        corrected = corrected_code(prefix, rules)
         hint = nearest(prefix, list(rules))
-        if meant is not None:
-            hint = f"did you mean {meant!r}, with digits?"
+        if corrected is not None:
+            hint = f"did you mean {corrected!r}, with digits?"
         elif hint.startswith("allowed"):
             hint = "animtool explain lists them"
         faults.append(Fault("VAL005", message, path, (), hint))

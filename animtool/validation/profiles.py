@@ -128,26 +128,26 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
         raise _profile_error(error.faults[0].message, str(path)) from error
     except ValueError as error:
         raise _profile_error(f"cannot be read: {error}", str(path)) from error
-    table_of_tool = table.get("validate")
-    if isinstance(table_of_tool, dict):
-        return {"severity": table_of_tool.get("severity", {})}
+    settings = table.get("validate")
+    if isinstance(settings, dict):
+        return {"severity": settings.get("severity", {})}
     return table
 
 
-def _parse_levels(table: Mapping[str, Any], path: str) -> Levels:
-    for key in table:
+def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
+    for key in profile:
         if key not in _PROFILE_KEYS:
             raise _profile_error(
                 f"unknown key {key!r}", path, f"allowed: {', '.join(_PROFILE_KEYS)}"
             )
-    version = table.get("profile", _VERSION)
+    version = profile.get("profile", _VERSION)
     if version != _VERSION:
         raise _profile_error(f"profile is {version!r}", path, f"write {_VERSION}")
-    base = table.get("extends", "default")
+    base = profile.get("extends", "default")
     if not isinstance(base, str) or base not in PROFILES:
         hint = f"allowed: {', '.join(PROFILES)}"
         raise _profile_error(f"extends is {base!r}", path, hint)
-    severities = table.get("severity", {})
+    severities = profile.get("severity", {})
     if not isinstance(severities, dict):
         hint = "write codes and severities, such as USD25: note"
         raise _profile_error(
@@ -162,9 +162,7 @@ def _parse_levels(table: Mapping[str, Any], path: str) -> Levels:
     base_levels = {
         code: level
         for code, level in PROFILES[base].levels.items()
-        if not any(
-            code.startswith(current_codes(file_levels)) for file_levels in levels
-        )
+        if not any(code.startswith(current_codes(prefix)) for prefix in levels)
     }
     return {**base_levels, **levels}
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """Return the files that paths match, each once, in path order.
 
-    See `animtool.core.files.reading.files_meant`; folders are searched for all file
+    See `animtool.core.files.reading.matching_files`; folders are searched for all file
     names that animtool knows.
     """
     return match_files(paths)[0]
@@ -64,8 +64,8 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
             unmatched_patterns.append(fault)
     if not files:
-        shown_paths = ", ".join(texts) or "nothing"
-        message = f"no file to check in {shown_paths}"
+        paths_text = ", ".join(texts) or "nothing"
+        message = f"no file to check in {paths_text}"
         hint = "animtool checks .rig.yaml, .clip.yaml, .scene.yaml, .bvh and .usda; "
         hint += "animtool explain VAL006 lists all names"
         suggestion = nearest_file(Path(texts[0])) if texts else None
@@ -84,16 +84,16 @@ class IgnoreEntries:
     """The ``ignore`` entries of a file, and how often each matched."""
 
     document: Document  # the file
-    used: list[int]  # number of findings hidden by each entry
+    match_counts: list[int]  # number of findings hidden by each entry
 
     @classmethod
-    def of(cls, document: Document) -> IgnoreEntries:
+    def from_document(cls, document: Document) -> IgnoreEntries:
         """Return the entries of a document; its reader refuses malformed ones."""
         return cls(document, [0] * len(_entries(document)))
 
     def hide(self, faults: list[Fault]) -> list[Fault]:
         """Return the findings that no entry matches."""
-        return [fault for fault in faults if not self._hides(fault)]
+        return [fault for fault in faults if not self._is_hidden(fault)]
 
     def entry_faults(self) -> Iterator[Fault]:
         """Yield faults of the entries after all findings were matched."""
@@ -106,39 +106,42 @@ class IgnoreEntries:
                 yield self.document.fault(
                     "VAL002", ("ignore", i, "code"), message, hint
                 )
-            elif not self.used[i]:
+            elif not self.match_counts[i]:
                 location_text = f" at {entry['where']}" if entry.get("where") else ""
                 message = f"nothing here has {code}{location_text}"
                 hint = "remove it"
                 fault = self.document.fault("VAL001", ("ignore", i), message, hint)
                 yield replace(fault, severity=Severity.WARNING)
 
-    def _hides(self, fault: Fault) -> bool:
+    def _is_hidden(self, fault: Fault) -> bool:
         if fault.path != str(self.document.path):
             return False
-        spellings = self._spellings(fault.where or "")
+        location_variants = self._location_variants(fault.where or "")
         is_hidden = False
         for i, entry in enumerate(_entries(self.document)):
             pattern = entry.get("where")
             if fault.code in current_codes(entry["code"]) and (
                 not pattern
-                or any(_matches_location(pattern, spelling) for spelling in spellings)
+                or any(
+                    _matches_location(pattern, location)
+                    for location in location_variants
+                )
             ):
-                self.used[i] += 1
+                self.match_counts[i] += 1
                 is_hidden = True
         return is_hidden
 
-    def _spellings(self, where: str) -> list[str]:
+    def _location_variants(self, where: str) -> list[str]:
         """Return a location with list entries by number, and by name."""
         node: Any = self.document.value
         text = ""
         for key, index in _LOCATION_STEP.findall(where):
             if index.isdigit() and isinstance(node, list) and int(index) < len(node):
                 node = node[int(index)]
-                names = (
+                entry_names = (
                     [node[n] for n in _NAME_KEYS if n in node] if _is_map(node) else []
                 )
-                text += f"[{names[0] if names else index}]"
+                text += f"[{entry_names[0] if entry_names else index}]"
             else:
                 text += f".{key}" if key else f"[{index}]"
                 node = node.get(key) if _is_map(node) else None
@@ -258,7 +261,7 @@ def validate(
 
     Raises:
         FormatError: A path has a null byte (IO001).
-        NothingFoundError: No file to check (VAL006).
+        NoMatchError: No file to check (VAL006).
         OptionError: Unknown code (VAL005), unsupported file type (IO002), or malformed
             project settings.
     """
@@ -273,43 +276,45 @@ def validate_files(
 
     The result does not depend on the number of processes.
     """
-    options = (options or ValidateOptions()).resolved()
+    options = (options or ValidateOptions()).with_profile_levels()
     check_codes(options)
     files = tuple(dict.fromkeys(files))
-    folders = {path.parent: path for path in files}
-    projects = {folder: settings_of(path) for folder, path in folders.items()}
+    file_by_folder = {path.parent: path for path in files}
+    projects = {folder: settings_of(path) for folder, path in file_by_folder.items()}
     settings = [options.merged_over(projects[path.parent]) for path in files]
     _, failed_rules = all_rules()
-    by_scene = values_of_batches(files)
+    values_by_scene = values_of_batches(files)
     values = (
-        [by_scene.get(path.resolve()) for path in files]
-        if by_scene
+        [values_by_scene.get(path.resolve()) for path in files]
+        if values_by_scene
         else [None] * len(files)
     )
-    by_file = _findings_of_files(
+    faults_by_file = _findings_of_files(
         files, settings, values, _process_count(options.jobs, len(files))
     )
     names = {path.resolve(): str(path) for path in files}
-    findings = {_with_file_name(fault, names) for faults in by_file for fault in faults}
+    findings = {
+        _with_file_name(fault, names) for faults in faults_by_file for fault in faults
+    }
     return Report(files, tuple(sorted(findings, key=_sort_key)), failed_rules)
 
 
-def _process_count(jobs: int | None, files: int) -> int:
+def _process_count(jobs: int | None, file_count: int) -> int:
     if jobs is not None:
-        return max(1, min(jobs, files))
-    return max(1, min(os.cpu_count() or 1, files // MIN_FILES_PER_PROCESS))
+        return max(1, min(jobs, file_count))
+    return max(1, min(os.cpu_count() or 1, file_count // MIN_FILES_PER_PROCESS))
 
 
 def _findings_of_files(
     files: Sequence[Path],
     settings: Sequence[ValidateOptions],
     values: Sequence[SceneValues | None],
-    processes: int,
+    process_count: int,
 ) -> Iterator[list[Fault]]:
     faults = None
     # Which file crashed before is known only in this process.
-    if processes > 1 and not has_crashed():
-        faults = _findings_in_processes(files, settings, values, processes)
+    if process_count > 1 and not has_crashed():
+        faults = _findings_in_processes(files, settings, values, process_count)
     yield from map(_check_file, files, settings, values) if faults is None else faults
 
 
@@ -317,7 +322,7 @@ def _findings_in_processes(
     files: Sequence[Path],
     settings: Sequence[ValidateOptions],
     values: Sequence[SceneValues | None],
-    processes: int,
+    process_count: int,
 ) -> list[list[Fault]] | None:
     """Return the reported findings of each file, from several processes.
 
@@ -330,7 +335,7 @@ def _findings_in_processes(
     # Fresh processes: forking a process with threads may deadlock.
     context = get_context("spawn")
     try:
-        with ProcessPoolExecutor(processes, context, follow_parent) as pool:
+        with ProcessPoolExecutor(process_count, context, follow_parent) as pool:
             with without_interrupts(), without_main():
                 results = pool.map(
                     _check_file, files, settings, values, chunksize=CHUNK_FILES
@@ -354,9 +359,9 @@ def _check_file(
         faults = findings_in(checked_file)
         options = options.with_profile(checked_file.profile)
     return [
-        options.of(fault)
+        options.with_severity(fault)
         for fault in faults
-        if options.counts(fault.code) or _is_unreadable(fault, str(path))
+        if options.selects(fault.code) or _is_unreadable(fault, str(path))
     ]
 
 
@@ -366,7 +371,7 @@ def _is_unreadable(fault: Fault, path: str) -> bool:
 
 
 def findings_in(checked: CheckedFile) -> list[Fault]:
-    """Return all findings in a checked file, whether selected or not."""
+    """Return the findings of all rules in a file, selected or not, without ignored."""
     faults = list(checked.faults)
     rules, _ = all_rules()
     for rule in rules.values():
@@ -374,7 +379,7 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
             faults += _run_rule(rule, checked)
     if checked.document is None:
         return faults
-    ignores = IgnoreEntries.of(checked.document)
+    ignores = IgnoreEntries.from_document(checked.document)
     faults = ignores.hide(faults)
     # Refused parts may hide findings that an entry is meant for.
     return [*faults, *(ignores.entry_faults() if checked.subject is not None else ())]
@@ -411,7 +416,9 @@ def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
     """Return the findings of a rule; a crash is a finding, too."""
     try:
         return [
-            f for s in _rule_subjects(rule, checked_file) for f in _faults_of(rule, s)
+            fault
+            for subject in _rule_subjects(rule, checked_file)
+            for fault in _faults_of(rule, subject)
         ]
     except Exception as error:
         path = (

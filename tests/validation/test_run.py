@@ -203,7 +203,7 @@ def test_an_entry_may_have_the_code_of_an_earlier_version(tmp_path: Path) -> Non
     path = tmp_path / "a.clip.yaml"
     path.write_text("clip: animtool/1\nignore: [{code: CLIP203, why: a cut}]\n")
     faults = [Fault(code, "odd", str(path)) for code in ("MOT202", "MOT203", "MOT208")]
-    ignores = IgnoreEntries.of(read_document(path))
+    ignores = IgnoreEntries.from_document(read_document(path))
     assert ignores.hide(faults) == faults[2:]
     assert list(ignores.entry_faults()) == []
 

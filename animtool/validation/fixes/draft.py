@@ -22,19 +22,19 @@ class FileDraft(Protocol):
 
     @property
     def checked(self) -> CheckedFile:
-        """The content as a subject of rules."""
+        """The content, parsed for the rules to check."""
 
     @property
     def findings(self) -> Sequence[Fault]:
         """Findings in the content."""
 
-    def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
+    def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings to fix in the next step."""
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the content with the findings of `batch` fixed."""
 
-    def finish(self, cases: Sequence[Fault], /) -> FixStep:
+    def finish(self, findings: Sequence[Fault], /) -> FixStep:
         """Return the content with the deferred findings fixed."""
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
@@ -59,8 +59,8 @@ class FixStep:
     """The result of one step."""
 
     draft: FileDraft  # the content after the step
-    done: Sequence[tuple[Fault, str]] = ()  # fixed findings, and how
-    refused: Sequence[tuple[Fault, str]] = ()  # findings that were not fixed, and why
+    fixed_findings: Sequence[tuple[Fault, str]] = ()  # fixed findings, and how
+    unfixed_findings: Sequence[tuple[Fault, str]] = ()  # other findings, and why
 
 
 # Fixes of documents by code; USD layers have a separate table.
@@ -80,7 +80,7 @@ class NotFixedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FixEdits:
-    """Edits that fix a finding."""
+    """Text edits and new arrays that fix a finding."""
 
     description: str  # description of the fix for the report
     edits: tuple[Edit, ...]  # edits of the file's text
@@ -88,7 +88,7 @@ class FixEdits:
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
 
 
-# Raises NotMendedError if the fix would not be safe.
+# Raises NotFixedError if the fix would not be safe.
 Fix = Callable[[CheckedFile, Fault], FixEdits]
 
 

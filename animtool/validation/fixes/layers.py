@@ -29,7 +29,7 @@ class LayerDraft:
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The content as a subject of rules."""
+        """The content, parsed for the rules to check."""
         from animtool.usd.fixes.target import edited_layer
 
         with edited_layer(self.path, self.content):
@@ -40,14 +40,14 @@ class LayerDraft:
         """Findings in the layer."""
         return findings_in(self.checked)
 
-    def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
+    def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings of the first code to fix, deepest prims first.
 
         The extent of a prim depends on its descendants.
         """
-        codes = {fault.code for fault in cases}
+        codes = {fault.code for fault in findings}
         first_code = next(code for code in EDITS_BY_CODE if code in codes)
-        with_code = (fault for fault in cases if fault.code == first_code)
+        with_code = (fault for fault in findings if fault.code == first_code)
         return sorted(with_code, key=lambda fault: -(fault.where or "").count("/"))
 
     def step(self, faults: Sequence[Fault]) -> FixStep:

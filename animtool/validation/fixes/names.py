@@ -53,7 +53,7 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
     except AnimtoolError:
         # A file that cannot be parsed may use any name in it.
         return next(name for name in names if name in text)
-    if not _may_mean(path, value, rig):
+    if not _may_refer_to(path, value, rig):
         return None
     texts = list(_keys_and_texts(value))
     return next((name for name in names if _is_used(name, texts)), None)
@@ -61,8 +61,8 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
 
 def _is_used(name: str, texts: Sequence[str]) -> bool:
     """Return whether a name occurs in keys or values, or in part of one."""
-    part = re.compile(rf"(?:^|[/\[#,]){re.escape(name)}(?:$|[/.\]#,])")
-    return any(part.search(text) for text in texts)
+    pattern = re.compile(rf"(?:^|[/\[#,]){re.escape(name)}(?:$|[/.\]#,])")
+    return any(pattern.search(text) for text in texts)
 
 
 def _keys_and_texts(value: Any) -> Iterator[str]:
@@ -70,12 +70,12 @@ def _keys_and_texts(value: Any) -> Iterator[str]:
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
-        for key, inner in value.items():
+        for key, child in value.items():
             yield str(key)
-            yield from _keys_and_texts(inner)
+            yield from _keys_and_texts(child)
     elif isinstance(value, list):
-        for inner in value:
-            yield from _keys_and_texts(inner)
+        for child in value:
+            yield from _keys_and_texts(child)
 
 
 def _other_documents(rig: Path) -> Iterator[Path]:
@@ -84,7 +84,7 @@ def _other_documents(rig: Path) -> Iterator[Path]:
             yield file.path
 
 
-def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
+def _may_refer_to(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
     """Return whether names in a file may refer to a rig."""
     rig_name = value.get("rig")
     if not isinstance(rig_name, str):
@@ -95,7 +95,7 @@ def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
 
 
 def _is_same_rig(other_path: Path, rig: Path) -> bool:
-    """Return whether a rig is the given one, or a sidecar."""
+    """Return whether a path is the rig, or a sidecar that may refer to it."""
     if other_path == rig:
         return True
     if READERS.get(other_path.suffix.lower()) is not DOCUMENT:
@@ -136,8 +136,10 @@ def make_names_legal(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with every name of a list made legal for USD."""
     rig = _complete_rig(checked)
     key = str(pointer_of(fault)[0])
-    old = [name for name in group_names(rig, key) if legal_usd_name(name) != name]
-    return _rename_entries(rig, key, old)
+    illegal_names = [
+        name for name in group_names(rig, key) if legal_usd_name(name) != name
+    ]
+    return _rename_entries(rig, key, illegal_names)
 
 
 def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
@@ -172,69 +174,76 @@ def _complete_rig(checked: CheckedFile) -> RigSubject:
     return rig
 
 
-def _rename_entries(rig: RigSubject, key: str, old: list[str]) -> FixEdits:
-    for path, name in files_naming(rig.document.path, old):
+def _rename_entries(rig: RigSubject, key: str, old_names: list[str]) -> FixEdits:
+    for path, name in files_naming(rig.document.path, old_names):
         raise NotFixedError(f"{path.name} also uses {name!r}")
-    new = _unused_names(old, group_names(rig, key))
-    renamings = [f"{name!r} to {new[name]!r}" for name in old]
-    remedy = f"renames {counted(len(old), 'name')} of {key}: {listed(renamings, 3)}"
-    return FixEdits(remedy, tuple(rename_edits(rig.document.value, key, new)))
+    new_names = _unused_names(old_names, group_names(rig, key))
+    renamings = [f"{name!r} to {new_names[name]!r}" for name in old_names]
+    remedy = (
+        f"renames {counted(len(old_names), 'name')} of {key}: {listed(renamings, 3)}"
+    )
+    return FixEdits(remedy, tuple(rename_edits(rig.document.value, key, new_names)))
 
 
-def _unused_names(old: list[str], names: list[str]) -> dict[str, str]:
-    """Return a unique USD name for each old one."""
-    new: dict[str, str] = {}
-    other_names = {legal_usd_name(name) for name in names if name not in old} | {*names}
-    for name in old:
-        used_names = {*other_names, *new.values()}
+def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
+    """Return a unique, legal USD name for each old name."""
+    new_names: dict[str, str] = {}
+    other_names = {legal_usd_name(name) for name in names if name not in old_names} | {
+        *names
+    }
+    for name in old_names:
+        used_names = {*other_names, *new_names.values()}
         candidate, number = legal_usd_name(name), 2
         while candidate in used_names:
             candidate, number = f"{legal_usd_name(name)}_{number}", number + 1
-        new[name] = candidate
-    return new
+        new_names[name] = candidate
+    return new_names
 
 
 def rename_edits(
-    value: Mapping[str, Any], key: str, new: Mapping[str, str]
+    value: Mapping[str, Any], key: str, new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename entries of a list, wherever a rig file names them."""
-    for use in NAME_PATHS[key]:
-        for value_path, name in _names_at(value, tuple(use.split("/")), ()):
-            if use.endswith("{}"):
-                if name in new:
-                    yield Rename(value_path, new[name])
+    for path_pattern in NAME_PATHS[key]:
+        for value_path, name in _names_at(value, tuple(path_pattern.split("/")), ()):
+            if path_pattern.endswith("{}"):
+                if name in new_names:
+                    yield Rename(value_path, new_names[name])
                 continue
-            joint, part = name, ""
-            if use.endswith("drives/*/joint"):
-                joint, part = split_part(name, DRIVEN_PARTS)
-            elif use.endswith("driven/by"):
-                joint, part = split_coordinate(name)
-            if joint in new:
+            joint, coordinate = name, ""
+            if path_pattern.endswith("drives/*/joint"):
+                joint, coordinate = split_part(name, DRIVEN_PARTS)
+            elif path_pattern.endswith("driven/by"):
+                joint, coordinate = split_coordinate(name)
+            if joint in new_names:
                 yield Replace(
-                    value_path, f"{new[joint]}.{part}" if part else new[joint]
+                    value_path,
+                    f"{new_names[joint]}.{coordinate}"
+                    if coordinate
+                    else new_names[joint],
                 )
     if key == "joints":
-        yield from _expression_edits(value, new)
-    for value_path, where in _names_at(value, ("ignore", "*", "where"), ()):
-        location = where
-        for old, name in new.items():
+        yield from _expression_edits(value, new_names)
+    for value_path, ignore_location in _names_at(value, ("ignore", "*", "where"), ()):
+        location = ignore_location
+        for old_name, new_name in new_names.items():
             lists = "|".join(_LIST_NAMES[key])
             location = re.sub(
-                rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", location
+                rf"\b({lists})\[{re.escape(old_name)}\]", rf"\1[{new_name}]", location
             )
-        if location != where:
+        if location != ignore_location:
             yield Replace(value_path, location)
 
 
 def _expression_edits(
-    value: Mapping[str, Any], new: Mapping[str, str]
+    value: Mapping[str, Any], new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename joints in expressions of drivers."""
-    for use in EXPRESSION_PATHS:
-        for location, text in _names_at(value, tuple(use.split("/")), ()):
+    for path_pattern in EXPRESSION_PATHS:
+        for location, text in _names_at(value, tuple(path_pattern.split("/")), ()):
             expression = parse_expression(text, coordinates=True)
             new_expression = expression.renamed(
-                renamed_coordinates(expression.names, new)
+                renamed_coordinates(expression.names, new_names)
             )
             if new_expression != expression:
                 yield Replace(location, new_expression.text)

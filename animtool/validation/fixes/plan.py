@@ -21,7 +21,7 @@ class PlannedFix:
     """A file and its fixed content."""
 
     path: Path  # the file
-    after: FileDraft  # its content after the fixes
+    draft: FileDraft  # its content after the fixes
     # Fixed findings in order, with their fixes.
     mended: list[tuple[Fault, str]] = field(default_factory=list)
     # Findings with a fix that remain, and why.
@@ -29,7 +29,7 @@ class PlannedFix:
 
     def difference(self) -> str:
         """Return the changes as text."""
-        return self.after.difference()
+        return self.draft.difference()
 
 
 def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
@@ -38,41 +38,45 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     A fix is kept if its finding disappears and no new one appears.
     """
     plan = PlannedFix(path, _open_draft(path))
-    options = options.with_profile(plan.after.checked.profile)
+    options = options.with_profile(plan.draft.checked.profile)
     unfixable_findings: set[tuple[str, str | None, str]] = set()
-    while cases := list(_open_cases(plan.after.findings, options, unfixable_findings)):
-        batch = plan.after.batch(cases)
-        step = plan.after.step(batch)
-        reason = _reason_to_reject(plan.after, step)
-        if step.done and not reason:
-            plan.after = step.draft
-            plan.mended.extend(step.done)
+    while findings := list(
+        _untried_findings(plan.draft.findings, options, unfixable_findings)
+    ):
+        findings_to_fix = plan.draft.batch(findings)
+        step = plan.draft.step(findings_to_fix)
+        reason = _reason_to_reject(plan.draft, step)
+        if step.fixed_findings and not reason:
+            plan.draft = step.draft
+            plan.mended.extend(step.fixed_findings)
             # Other findings may have moved, and may be fixable now.
             unfixable_findings.clear()
             plan.left.clear()
             continue
-        unfixable_findings.update(map(_fault_key, batch))
-        plan.left.extend(step.refused)
-        plan.left.extend((fault, reason) for fault, _ in step.done)
-    final = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
-    plan.after = final.draft
-    plan.mended.extend(final.done)
+        unfixable_findings.update(map(_fault_key, findings_to_fix))
+        plan.left.extend(step.unfixed_findings)
+        plan.left.extend((fault, reason) for fault, _ in step.fixed_findings)
+    final_step = plan.draft.finish(
+        list(_untried_findings(plan.draft.findings, options, set()))
+    )
+    plan.draft = final_step.draft
+    plan.mended.extend(final_step.fixed_findings)
     return plan
 
 
 def with_fixable(report: Report) -> Report:
     """Return a report that marks findings with a safe fix."""
-    cases: dict[str, list[Fault]] = {}
+    fixable_by_path: dict[str, list[Fault]] = {}
     for fault in report.findings:
         if fault.path is None or is_package(Path(fault.path)):
             continue
         if not has_fixes(Path(fault.path)):
             continue
         if has_fix(fault.code):
-            cases.setdefault(fault.path, []).append(fault)
+            fixable_by_path.setdefault(fault.path, []).append(fault)
     fixable_faults = (
         fault
-        for path, faults in cases.items()
+        for path, faults in fixable_by_path.items()
         for fault in _open_draft(Path(path)).fixable(faults)
     )
     return replace(report, fixable=frozenset(fixable_faults))
@@ -116,14 +120,14 @@ def _open_draft(path: Path) -> FileDraft:
     return TextDraft.read(path)
 
 
-def _open_cases(
+def _untried_findings(
     faults: Sequence[Fault],
     options: ValidateOptions,
     known_unfixable: set[tuple[str, str | None, str]],
 ) -> Iterator[Fault]:
     """Yield selected findings that have a fix and were not tried yet."""
     for fault in faults:
-        is_fixable = has_fix(fault.code) and options.counts(fault.code)
+        is_fixable = has_fix(fault.code) and options.selects(fault.code)
         if is_fixable and _fault_key(fault) not in known_unfixable:
             yield fault
 
@@ -132,17 +136,20 @@ def _fault_key(fault: Fault) -> tuple[str, str | None, str]:
     return fault.code, fault.where, fault.message
 
 
-def _reason_to_reject(before: FileDraft, step: FixStep) -> str:
+def _reason_to_reject(old_draft: FileDraft, step: FixStep) -> str:
     """Return why a step is rejected: findings remain or appear; empty if accepted."""
-    if not step.done:
+    if not step.fixed_findings:
         return ""
-    old_counts = Counter(fault.code for fault in before.findings)
+    old_counts = Counter(fault.code for fault in old_draft.findings)
     new_counts = Counter(fault.code for fault in step.draft.findings)
     added_codes = sorted(
         code for code in new_counts if new_counts[code] > old_counts[code]
     )
     if added_codes:
         return f"the fix would cause {added_codes[0]}"
-    if any(new_counts[fault.code] >= old_counts[fault.code] for fault, _ in step.done):
+    if any(
+        new_counts[fault.code] >= old_counts[fault.code]
+        for fault, _ in step.fixed_findings
+    ):
         return "the finding would remain"
     return ""

@@ -1,4 +1,4 @@
-"""Writes fixed files: all of them or none."""
+"""Writes fixed files atomically: all of them, or none."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def plan_files(report: Report, options: ValidateOptions) -> Iterator[PlannedFix]
 
     The report is that of `validate_files` with the same options.
     """
-    options = options.resolved()
+    options = options.with_profile_levels()
     for path in _with_fixes(report):
         yield _plan_file(path, options)
 
@@ -63,7 +63,7 @@ def fix_files(
     Raises:
         OutputError: A file cannot be written.
     """
-    options = (options or ValidateOptions()).resolved()
+    options = (options or ValidateOptions()).with_profile_levels()
     report = validate_files(files, options)
     fixable_files = _with_fixes(report)
     kept_files = [path for path in fixable_files if is_layer(path) and not overwrite]
@@ -79,9 +79,11 @@ def fix_files(
     with atomic_outputs():
         for plan in plans:
             if plan.mended:
-                plan.after.write(plan.path)
-    unpack = "packages are not edited: unpack it, and fix its layers"
-    packages = [f"{path}: {unpack}" for path in _with_fixes(report, packed=True)]
+                plan.draft.write(plan.path)
+    package_note = "packages are not edited: unpack it, and fix its layers"
+    packages = [
+        f"{path}: {package_note}" for path in _with_fixes(report, packages=True)
+    ]
     notes = (*_unfixed_findings(report, kept_files), *packages)
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
@@ -114,12 +116,12 @@ def fix_copy(
     """
     from animtool.usd.fixes.target import check_copy, refuse_composed_layers
 
-    options = (options or ValidateOptions()).resolved()
+    options = (options or ValidateOptions()).with_profile_levels()
     check_copy(source, output)
     check_outputs([output], [source], overwrite=overwrite)
     refuse_composed_layers(source, output)
     plan = _plan_file(source, options)
-    notes = plan.after.write(output)
+    notes = plan.draft.write(output)
     report = validate_files([output], options)
     return FixResult((plan,), replace(report, mended=tuple(plan.mended)), tuple(notes))
 
@@ -128,12 +130,14 @@ def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     return plan_file(path, options.merged_over(settings_of(path)))
 
 
-def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
+def _with_fixes(report: Report, *, packages: bool = False) -> list[Path]:
     """Return files, or packages, with fixable findings."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable_files = (path for path in report.files if str(path) in named_paths)
     return [
-        path for path in fixable_files if has_fixes(path) and is_package(path) is packed
+        path
+        for path in fixable_files
+        if has_fixes(path) and is_package(path) is packages
     ]
 
 

@@ -73,8 +73,8 @@ def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
 def normalize_weights(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with normalized weights in a new npz.
 
-    Every reader of the file normalises the weights anyway. The npz that contains them
-    now may belong to another rig too, and stays unchanged.
+    Every reader of the file normalises the weights anyway. Other rigs may use the
+    current npz, so it stays unchanged.
     """
     rig: RigSubject = checked.subject
     pointer = pointer_of(fault)
@@ -115,7 +115,7 @@ class TextDraft:
 
     path: Path  # the file
     text: str  # its content
-    before: str  # the file's original text
+    original_text: str  # the file's original text
     # Arrays of new npz files that the text refers to, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
     fixed_by_arrays: frozenset[str] = (
@@ -130,7 +130,7 @@ class TextDraft:
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The text as a subject of rules."""
+        """The text, parsed for the rules to check."""
         return open_document(document_of(self.text, self.path))
 
     @cached_property
@@ -138,9 +138,9 @@ class TextDraft:
         """Findings in the text."""
         return findings_in(self.checked)
 
-    def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
+    def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the first finding: its fix may move the others."""
-        return cases[:1]
+        return findings[:1]
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the text with a finding fixed, unless that writes arrays.
@@ -150,31 +150,31 @@ class TextDraft:
         """
         fault = faults[0]
         try:
-            mend = self._fix_edits(fault)
-            text = apply_edits(self.text, self.path, mend.edits)
-            if mend.arrays:
+            fix = self._fix_edits(fault)
+            text = apply_edits(self.text, self.path, fix.edits)
+            if fix.arrays:
                 return FixStep(self)
             new_draft = replace(self, text=text)
             # Check that it can be read.
             _ = new_draft.findings
         except (NotFixedError, EditError, AnimtoolError) as error:
-            return FixStep(self, refused=[(fault, str(error))])
-        return FixStep(new_draft, [(fault, mend.description)])
+            return FixStep(self, unfixed_findings=[(fault, str(error))])
+        return FixStep(new_draft, [(fault, fix.description)])
 
-    def finish(self, cases: Sequence[Fault]) -> FixStep:
+    def finish(self, findings: Sequence[Fault]) -> FixStep:
         """Return the text with those findings fixed that need new arrays."""
         text, fixes = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
-        for fault in cases:
+        for fault in findings:
             try:
-                mend = self._fix_edits(fault)
-                if not mend.arrays:
+                fix = self._fix_edits(fault)
+                if not fix.arrays:
                     continue
-                text = apply_edits(text, self.path, mend.edits)
+                text = apply_edits(text, self.path, fix.edits)
             except (NotFixedError, EditError):
                 continue
-            fixes.append((fault, mend.description))
-            for path, arrays in mend.arrays.items():
+            fixes.append((fault, fix.description))
+            for path, arrays in fix.arrays.items():
                 new_arrays.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in fixes)
         return FixStep(
@@ -194,7 +194,10 @@ class TextDraft:
         """Return the changes as a unified diff."""
         name = self.path.as_posix()
         lines = difflib.unified_diff(
-            _split_lines(self.before), _split_lines(self.text), f"a/{name}", f"b/{name}"
+            _split_lines(self.original_text),
+            _split_lines(self.text),
+            f"a/{name}",
+            f"b/{name}",
         )
         return "".join(
             line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n"
@@ -218,7 +221,7 @@ class TextDraft:
         return ()
 
     def _check_arrays(self) -> None:
-        """Refuse arrays that do not read back equal."""
+        """Raise OutputError if written arrays do not read back equal."""
         if not self.arrays:
             return
         findings = {*self.fixed_by_arrays, "RIG018", "RIG019"}

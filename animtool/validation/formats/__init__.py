@@ -33,9 +33,9 @@ def written(
     Args:
         report: The report.
         form: Name in `FORMATS`.
-        repeats: Print repeated findings of a file as text, too. Other formats always
-            contain all findings.
-        calling: Spelling of arguments.
+        repeats: Whether the text format includes repeated findings of a file. Other
+            formats always contain all findings.
+        calling: Returns the spelling of an argument in the caller's interface.
     """
     if form == "text":
         return text_report(report, repeats=repeats, calling=calling)

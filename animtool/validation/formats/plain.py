@@ -30,7 +30,7 @@ from animtool.core.values import plain_value
 from animtool.report.text import Each, Template
 from animtool.validation.run import Report
 
-_Kind: TypeAlias = tuple[str | None, str, Severity]
+_RepeatKey: TypeAlias = tuple[str | None, str, Severity]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
     """Return the findings to print; without a line, only the first of a kind."""
     sources = SourceLineCache()
     counts = Counter(map(_repeat_key, report.findings))
-    index_of_kind: dict[_Kind, Fault] = {}
+    first_of_kind: dict[_RepeatKey, Fault] = {}
     shown_findings = []
     for fault in report.findings:
         kind = _repeat_key(fault)
@@ -98,12 +98,12 @@ def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
             shown_findings.append(
                 ShownFinding(fault, excerpt=excerpt_lines(fault, sources))
             )
-        elif index_of_kind.setdefault(kind, fault) is fault:
+        elif first_of_kind.setdefault(kind, fault) is fault:
             shown_findings.append(ShownFinding(fault, counts[kind] - 1))
     return shown_findings
 
 
-def _repeat_key(fault: Fault) -> _Kind:
+def _repeat_key(fault: Fault) -> _RepeatKey:
     """Return the key that repeated findings of a file share."""
     return fault.path, fault.code, fault.severity
 
@@ -159,13 +159,13 @@ def json_report(report: Report) -> str:
 
 def junit_report(report: Report) -> str:
     """Return a JUnit suite of all files; warnings and notes are system output."""
-    by_file: dict[str, list[Fault]] = defaultdict(list)
+    faults_by_file: dict[str, list[Fault]] = defaultdict(list)
     for fault in report.findings:
-        by_file[fault.path or "animtool"].append(fault)
-    names = dict.fromkeys([*map(str, report.files), *sorted(by_file)])
+        faults_by_file[fault.path or "animtool"].append(fault)
+    names = dict.fromkeys([*map(str, report.files), *sorted(faults_by_file)])
     unreadable_files = report.unreadable()
     cases = (
-        _junit_case(name, by_file[name], unreadable=name in unreadable_files)
+        _junit_case(name, faults_by_file[name], unreadable=name in unreadable_files)
         for name in names
     )
     return junit_xml("animtool validate", cases)

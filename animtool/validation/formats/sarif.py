@@ -81,12 +81,12 @@ def _result_object(
     }
     if fault.path is None:
         return {**result, "partialFingerprints": _fingerprint(fault, None)}
-    physical: dict[str, Any] = {"artifactLocation": _file_uri(fault.path)}
+    physical_location: dict[str, Any] = {"artifactLocation": _file_uri(fault.path)}
     line = None
     if fault.lines:
         line = sources.line(fault.path, fault.lines[0])
-        physical["region"] = _region_object(fault, line)
-    location: dict[str, Any] = {"physicalLocation": physical}
+        physical_location["region"] = _region_object(fault, line)
+    location: dict[str, Any] = {"physicalLocation": physical_location}
     if fault.where:
         location["logicalLocations"] = [{"fullyQualifiedName": fault.where}]
     result["locations"] = [location]
@@ -105,10 +105,10 @@ def _region_object(fault: Fault, line: str | None) -> dict[str, Any]:
 
 def _file_uri(path: str) -> dict[str, str]:
     """Return a file as a URI, relative if its path is."""
-    pure = PurePath(path)
-    if pure.is_absolute():
-        return {"uri": pure.as_uri()}
-    return {"uri": quote(os.fsencode(pure.as_posix()))}
+    pure_path = PurePath(path)
+    if pure_path.is_absolute():
+        return {"uri": pure_path.as_uri()}
+    return {"uri": quote(os.fsencode(pure_path.as_posix()))}
 
 
 def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:

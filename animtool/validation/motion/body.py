@@ -10,10 +10,11 @@ from animtool.core.array_types import BoolArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
 
 # Words for feet, alone or in compounds, but not as in flyWHEEL.
-_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
-_FOOT = re.compile(
-    rf"(?<![A-Za-z])(?:{_WORDS})|{'|'.join(w.capitalize() for w in _WORDS.split('|'))}"
-    rf"|(?<![A-Za-z])(?:{_WORDS.upper()})"
+_FOOT_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
+_FOOT_PATTERN = re.compile(
+    rf"(?<![A-Za-z])(?:{_FOOT_WORDS})"
+    rf"|{'|'.join(word.capitalize() for word in _FOOT_WORDS.split('|'))}"
+    rf"|(?<![A-Za-z])(?:{_FOOT_WORDS.upper()})"
 )
 # Fraction of the joints below the one that carries the body; targets and props next to
 # it have fewer [1].
@@ -28,11 +29,11 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
     >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
     """
-    feet = [i for i, name in enumerate(names) if _FOOT.search(name)]
+    feet = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
     return np.array(feet, np.int64)
 
 
-def carriers(subject: MotionSubject) -> tuple[int, ...]:
+def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
     """Return the joints that move the complete body, from the first root to the hips.
 
     Below a static root, or a root with the path of a walk, another joint carries the
@@ -41,29 +42,29 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
     rig = subject.take.rig
     if not rig.roots:
         return ()
-    feet = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
-    steps = _subtree_counts(rig.parents, feet)
-    joints = _subtree_counts(rig.parents, np.ones(len(feet), bool))
-    chain, size = [int(rig.roots[0])], 1
+    is_foot = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
+    feet_below = _subtree_counts(rig.parents, is_foot)
+    joints_below = _subtree_counts(rig.parents, np.ones(len(is_foot), bool))
+    chain, carrier_count = [int(rig.roots[0])], 1
     moving_joints = set(subject.moving.tolist())
     while True:
         children = np.flatnonzero(rig.parents == chain[-1]).tolist()
-        bodies = [
+        body_children = [
             child
             for child in children
-            if joints[child] >= BODY_FRACTION * joints[chain[0]]
-            and 2 * steps[child] > np.count_nonzero(feet)
+            if joints_below[child] >= BODY_FRACTION * joints_below[chain[0]]
+            and 2 * feet_below[child] > np.count_nonzero(is_foot)
         ]
-        if not bodies:
-            return tuple(chain[:size])
-        chain.append(bodies[0])
-        if bodies[0] in moving_joints:
-            size = len(chain)
+        if not body_children:
+            return tuple(chain[:carrier_count])
+        chain.append(body_children[0])
+        if body_children[0] in moving_joints:
+            carrier_count = len(chain)
 
 
 def hips_of(subject: MotionSubject) -> int:
     """Return the joint that carries the body; the first one without roots."""
-    return (carriers(subject) or (0,))[-1]
+    return (body_carriers(subject) or (0,))[-1]
 
 
 def _subtree_counts(parents: IntArray, values: BoolArray) -> IntArray:
@@ -102,17 +103,17 @@ def positioned_joints(subject: MotionSubject) -> BoolArray:
     These are roots, joints that carry the body, and the children of these.
     """
     parents = subject.take.rig.parents
-    carrier_joints = carriers(subject)
+    carrier_joints = body_carriers(subject)
     is_placed = parents < 0
     is_placed[list(carrier_joints)] = True
     return np.asarray(is_placed | np.isin(parents, carrier_joints[:-1]), bool)
 
 
-def body(subject: MotionSubject) -> BoolArray:
+def body_joints(subject: MotionSubject) -> BoolArray:
     """Return the joints below the one that carries the body ``(J,)``."""
     parents = subject.take.rig.parents
-    in_body = np.zeros(len(parents), bool)
-    in_body[hips_of(subject) : hips_of(subject) + 1] = True
+    is_body = np.zeros(len(parents), bool)
+    is_body[hips_of(subject) : hips_of(subject) + 1] = True
     for joint in range(1, len(parents)):
-        in_body[joint] |= parents[joint] >= 0 and in_body[parents[joint]]
-    return in_body
+        is_body[joint] |= parents[joint] >= 0 and is_body[parents[joint]]
+    return is_body

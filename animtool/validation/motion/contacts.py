@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.validation.motion.body import body, feet_of
+from animtool.validation.motion.body import body_joints, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
 Scalar = TypeVar("Scalar", np.float64, np.bool_)
@@ -30,14 +30,14 @@ CARRYING_HEIGHT = 0.05
 # A body crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk is
 # this close to the ground; considered are joints that rest this far above the feet
 # [size].
-LYING_HEIGHT, ABOVE_FEET = 0.12, 0.15
+LYING_HEIGHT, MIN_HEIGHT_ABOVE_FEET = 0.12, 0.15
 # The same applies this long before and after: feet take or release the weight while a
 # body goes down or gets up [s]. The ground is the lowest foot height within the second
 # interval, since in the air a knee may be as low as the feet.
 TRANSITION_SECONDS, STRIDE_SECONDS = 0.15, 0.3
 # Fraction of a foot's contacts at one height if its ground is flat; and at two heights
 # together and each, if part of the take floats or is on a step [1].
-AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
+ONE_HEIGHT_FRACTION, TWO_HEIGHTS_FRACTION, EACH_HEIGHT_FRACTION = 0.5, 0.85, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,24 +48,24 @@ class FootStances:
         feet: Indices of the foot joints ``(E,)``.
         partners: Column of the opposite foot, or the foot's own ``(E,)``.
         ground: Contact height of each foot ``(E,)`` [m].
-        level: Whether most contacts of a foot are at that height ``(E,)``.
-        same_height: Whether a foot has the contact height of its opposite ``(E,)``.
+        is_level: Whether most contacts of a foot are at that height ``(E,)``.
+        has_same_height: Whether a foot has the contact height of its opposite ``(E,)``.
         floor: The lower of two common contact heights, else the ground; infinite for
             more than two ``(E,)`` [m].
-        carries: Whether no other joint is much lower ``(F, E)``.
-        near: Whether a foot carries the body near flat ground ``(F, E)``.
-        static: Whether it carries the body without moving ``(F, E)``.
+        is_carrying: Whether no other joint is much lower ``(F, E)``.
+        is_near: Whether a foot carries the body near flat ground ``(F, E)``.
+        is_static: Whether it carries the body without moving ``(F, E)``.
     """
 
     feet: IntArray
     partners: IntArray
     ground: FloatArray
-    level: BoolArray
-    same_height: BoolArray
+    is_level: BoolArray
+    has_same_height: BoolArray
     floor: FloatArray
-    carries: BoolArray
-    near: BoolArray
-    static: BoolArray
+    is_carrying: BoolArray
+    is_near: BoolArray
+    is_static: BoolArray
 
 
 def contacts_of(subject: MotionSubject) -> FootStances | None:
@@ -74,33 +74,48 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
     if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
     heights = subject.heights[:, feet]
-    lowest = subject.heights[:, body(subject)].min(axis=1, keepdims=True)
-    carries = heights < lowest + CARRYING_HEIGHT * subject.size
-    carries &= ~_is_lying(subject, feet)[:, None]
-    static = carries & _is_static(subject, subject.positions[:, feet])
+    lowest = subject.heights[:, body_joints(subject)].min(axis=1, keepdims=True)
+    is_carrying = heights < lowest + CARRYING_HEIGHT * subject.size
+    is_carrying &= ~_is_lying(subject, feet)[:, None]
+    is_static = is_carrying & _is_static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
     is_flat = np.zeros(len(feet), bool)
-    for e in range(len(feet)):
-        is_static = heights[static[:, e], e]
-        if len(is_static) >= max(MIN_CONTACTS, MIN_CONTACT_FRACTION * subject.frames):
-            ground[e], fraction = _common_height(
-                is_static, PLANTED_HEIGHT * subject.size
+    for column in range(len(feet)):
+        static_heights = heights[is_static[:, column], column]
+        if len(static_heights) >= max(
+            MIN_CONTACTS, MIN_CONTACT_FRACTION * subject.frames
+        ):
+            ground[column], fraction = _common_height(
+                static_heights, PLANTED_HEIGHT * subject.size
             )
-            is_flat[e] = fraction > AT_ONE_HEIGHT
-            floor[e] = _lower_ground_height(is_static, PLANTED_HEIGHT * subject.size)
+            is_flat[column] = fraction > ONE_HEIGHT_FRACTION
+            floor[column] = _lower_ground_height(
+                static_heights, PLANTED_HEIGHT * subject.size
+            )
         else:
-            ground[e] = np.percentile(heights[:, e], 5)
-            is_low = np.abs(heights[:, e] - ground[e]) < PLANTED_HEIGHT * subject.size
-            is_flat[e] = is_low.mean() > MIN_LOW_FRACTION
-            floor[e] = ground[e] if is_flat[e] else np.inf
+            ground[column] = np.percentile(heights[:, column], 5)
+            is_low = (
+                np.abs(heights[:, column] - ground[column])
+                < PLANTED_HEIGHT * subject.size
+            )
+            is_flat[column] = is_low.mean() > MIN_LOW_FRACTION
+            floor[column] = ground[column] if is_flat[column] else np.inf
     partners = _opposite_feet(subject, feet)
-    level, tolerance = is_flat, PLANTED_HEIGHT * subject.size
-    is_flat = level & _is_at_opposite_height(ground, partners, tolerance)
+    is_level, tolerance = is_flat, PLANTED_HEIGHT * subject.size
+    is_flat = is_level & _is_at_opposite_height(ground, partners, tolerance)
     floor[~_is_at_opposite_height(floor, partners, tolerance)] = np.inf
-    is_near = carries & is_flat & (np.abs(heights - ground) < tolerance)
+    is_near = is_carrying & is_flat & (np.abs(heights - ground) < tolerance)
     return FootStances(
-        feet, partners, ground, level, is_flat, floor, carries, is_near, static
+        feet,
+        partners,
+        ground,
+        is_level,
+        is_flat,
+        floor,
+        is_carrying,
+        is_near,
+        is_static,
     )
 
 
@@ -130,15 +145,15 @@ def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
     """
     first_height, fraction = _common_height(heights, tolerance)
     other_heights = heights[np.abs(heights - first_height) > 2.0 * tolerance]
-    if len(other_heights) < AT_EACH * len(heights):
-        return first_height if fraction > AT_ONE_HEIGHT else np.inf
+    if len(other_heights) < EACH_HEIGHT_FRACTION * len(heights):
+        return first_height if fraction > ONE_HEIGHT_FRACTION else np.inf
     second_height, second_fraction = _common_height(other_heights, tolerance)
     second_fraction *= len(other_heights) / len(heights)
-    if second_fraction < AT_EACH:
-        return first_height if fraction > AT_ONE_HEIGHT else np.inf
+    if second_fraction < EACH_HEIGHT_FRACTION:
+        return first_height if fraction > ONE_HEIGHT_FRACTION else np.inf
     return (
         min(first_height, second_height)
-        if fraction + second_fraction > AT_TWO_HEIGHTS
+        if fraction + second_fraction > TWO_HEIGHTS_FRACTION
         else np.inf
     )
 
@@ -146,40 +161,43 @@ def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
 def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
     """Return frames in which joints other than feet are near the ground ``(F,)``."""
     parents = subject.take.rig.parents
-    other_joints = body(subject)
-    leg = set(feet.tolist())
+    other_joints = body_joints(subject)
+    leg_joints = set(feet.tolist())
     for joint in range(len(parents)):
-        if parents[joint] in leg:
-            leg.add(joint)
-    other_joints[list(leg)] = False
+        if parents[joint] in leg_joints:
+            leg_joints.add(joint)
+    other_joints[list(leg_joints)] = False
     if subject.has_rest:
         rest_heights = subject.rest @ subject.up
         other_joints &= (
-            rest_heights > rest_heights[feet].min() + ABOVE_FEET * subject.rest_size
+            rest_heights
+            > rest_heights[feet].min() + MIN_HEIGHT_ABOVE_FEET * subject.rest_size
         )
     if not other_joints.any():
         return np.zeros(subject.frames, bool)
-    lowest = subject.heights[:, feet].min(axis=1)
-    trunk = subject.heights[:, other_joints].min(axis=1)
-    ground = _frame_windows(lowest, STRIDE_SECONDS / subject.interval).min(axis=1)
-    lies = trunk < ground + LYING_HEIGHT * subject.size
+    lowest_foot = subject.heights[:, feet].min(axis=1)
+    lowest_other = subject.heights[:, other_joints].min(axis=1)
+    ground = _frame_windows(lowest_foot, STRIDE_SECONDS / subject.interval).min(axis=1)
+    is_lying = lowest_other < ground + LYING_HEIGHT * subject.size
     return np.asarray(
-        _frame_windows(lies, TRANSITION_SECONDS / subject.interval).any(axis=1)
+        _frame_windows(is_lying, TRANSITION_SECONDS / subject.interval).any(axis=1)
     )
 
 
-def _frame_windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
+def _frame_windows(values: NDArray[Scalar], half_width: float) -> NDArray[Scalar]:
     """Return sliding windows over frames, padded at the ends ``(F, W)``."""
-    frames = round(reach)
-    padded_values = np.pad(values, frames, mode="edge")
-    return sliding_window_view(padded_values, 2 * frames + 1)
+    pad = round(half_width)
+    padded_values = np.pad(values, pad, mode="edge")
+    return sliding_window_view(padded_values, 2 * pad + 1)
 
 
 def _opposite_feet(subject: MotionSubject, feet: IntArray) -> IntArray:
     """Return the opposite foot of each foot, or itself ``(E,)``."""
-    columns = {int(joint): e for e, joint in enumerate(feet)}
+    columns = {int(joint): column for column, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
-    return np.array([columns.get(joint, e) for e, joint in enumerate(partners)])
+    return np.array(
+        [columns.get(joint, column) for column, joint in enumerate(partners)]
+    )
 
 
 def _is_at_opposite_height(
@@ -191,14 +209,14 @@ def _is_at_opposite_height(
 
 
 def displacements_around(
-    subject: MotionSubject, points: FloatArray, span: float
+    subject: MotionSubject, points: FloatArray, seconds: float
 ) -> tuple[FloatArray, IntArray]:
     """Return displacements of points ``(F, E, 3)`` around each frame, and their spans.
 
-    span: approximate interval [s]. Returns displacements ``(F, E, 3)`` [m] and frame
+    seconds: approximate interval [s]. Returns displacements ``(F, E, 3)`` [m] and frame
     counts ``(F,)``.
     """
-    count, half_span = len(points), max(1, round(0.5 * span / subject.interval))
+    count, half_span = len(points), max(1, round(0.5 * seconds / subject.interval))
     frames_before = np.clip(np.arange(count) - half_span, 0, count - 1)
     frames_after = np.clip(np.arange(count) + half_span, 0, count - 1)
     return points[frames_after] - points[frames_before], frames_after - frames_before

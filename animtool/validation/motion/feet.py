@@ -71,10 +71,10 @@ def _velocity_ratios(
     travels, steps = displacements_around(subject, points, VELOCITY_SECONDS)
     velocities = travels / (steps * subject.interval)[:, None, None]
     feet, hips = velocities[:, :-1], velocities[:, -1]
-    speeds = np.where(contacts.near, np.linalg.norm(feet, axis=2), np.inf)
+    speeds = np.where(contacts.is_near, np.linalg.norm(feet, axis=2), np.inf)
     stance_velocity = feet[np.arange(len(feet)), speeds.argmin(axis=1)]
     hip_speed = np.linalg.norm(hips, axis=1)
-    is_used = contacts.near.any(axis=1) & (hip_speed > MIN_HIP_SPEED * subject.size)
+    is_used = contacts.is_near.any(axis=1) & (hip_speed > MIN_HIP_SPEED * subject.size)
     foot_along_hips = np.einsum("fc,fc->f", stance_velocity, hips)[is_used]
     return np.asarray(foot_along_hips / hip_speed[is_used] ** 2), np.asarray(
         hip_speed[is_used]
@@ -118,11 +118,11 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     ):
         return
     speeds, slides = _foot_speeds(subject, contacts.feet)
-    speeds = np.where(contacts.carries, speeds, np.inf)
+    speeds = np.where(contacts.is_carrying, speeds, np.inf)
     slowest = speeds.min(axis=1)
     slides = _slowest_slides(subject, contacts, speeds, slides)
     is_fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
-    is_sliding = contacts.near.any(axis=1) & is_fast
+    is_sliding = contacts.is_near.any(axis=1) & is_fast
     lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     long_slides = []
     for first, end in runs(is_sliding):
@@ -178,7 +178,7 @@ def _slowest_slides(
     is_resting, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
     for top_column in sorted(set(top_columns)):
         columns = np.flatnonzero(np.array(top_columns) == top_column)
-        is_near = contacts.near[:, columns]
+        is_near = contacts.is_near[:, columns]
         speed = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
         slide = np.where(is_near, slides[:, columns], 0.0).max(axis=1)
         is_resting = np.where(speed < slowest, slide, is_resting)
@@ -213,7 +213,7 @@ def _is_skid(
 
     ``speeds``: of the slowest foot ``(F,)`` [m/s].
     """
-    is_airborne = ~np.asarray(contacts.near.any(axis=1))
+    is_airborne = ~np.asarray(contacts.is_near.any(axis=1))
     window = max(1, round(SKID_SECONDS / subject.interval))
     start_speed, end_speed = float(speeds[first]), float(speeds[last])
     lands = (
@@ -236,7 +236,7 @@ def _slide_length(
     """
     half_window = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
     part = slice(max(first - half_window, 0), last + half_window + 1)
-    feet = contacts.feet[contacts.near[first : last + 1].any(axis=0)]
+    feet = contacts.feet[contacts.is_near[first : last + 1].any(axis=0)]
     level = subject.level(feet)[part]
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
@@ -248,8 +248,8 @@ def _travel_scale_fault(
     scale = travel_scale(subject, contacts)
     if scale is None:
         return
-    frame = int(contacts.near.any(axis=1).argmax())
-    joint = int(contacts.feet[int(contacts.near[frame].argmax())])
+    frame = int(contacts.is_near.any(axis=1).argmax())
+    joint = int(contacts.feet[int(contacts.is_near[frame].argmax())])
     direction = "along with" if scale > 1.0 else "back against"
     message = (
         f"planted feet slide {direction} the body: it travels {scale:.2g} times as far "

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.maths.runs import runs
-from animtool.validation.motion.body import body, feet_of, hips_of
+from animtool.validation.motion.body import body_joints, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
     PLANTED_HEIGHT,
@@ -66,10 +66,10 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
     """Yield a fault if all contacts are offset from the ground at 0."""
     if not subject.has_rest:
         return
-    contact_counts = contacts.static.sum(axis=0)
+    contact_counts = contacts.is_static.sum(axis=0)
     min_contacts = max(MIN_CONTACTS, round(MIN_CONTACT_SECONDS / subject.interval))
     feet_with_contacts = np.flatnonzero(
-        (contact_counts >= min_contacts) & contacts.same_height
+        (contact_counts >= min_contacts) & contacts.has_same_height
     )
     if not len(feet_with_contacts):
         return
@@ -95,7 +95,9 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
     if not rests_at_zero and abs(offset) > OTHER_ORIGIN_OFFSET * subject.size:
         return
     joint = int(contacts.feet[feet_with_contacts[nearest_foot]])
-    frame = int(np.flatnonzero(contacts.static[:, feet_with_contacts].any(axis=1))[0])
+    frame = int(
+        np.flatnonzero(contacts.is_static[:, feet_with_contacts].any(axis=1))[0]
+    )
     side = "below" if offset < 0.0 else "above"
     message = (
         f"the feet are {abs(offset):.3g} m {side} the ground, 0 of the up axis; "
@@ -186,7 +188,7 @@ def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fau
         return
     depth, e, first, deepest = max(sunk)
     joint = int(contacts.feet[e])
-    foot_text = "it" if contacts.same_height[e] else "the other one"
+    foot_text = "it" if contacts.has_same_height[e] else "the other one"
     message = (
         f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
         f"ground from frame {subject.at(first)} to {subject.at(deepest)}; the ground "
@@ -204,12 +206,12 @@ def _ground_of_pairs(
     If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
     is the ground of both.
     """
-    ground, has_ground = contacts.ground.copy(), contacts.same_height.copy()
+    ground, has_ground = contacts.ground.copy(), contacts.has_same_height.copy()
     if not subject.has_rest or has_ground.all():
         return ground, has_ground
     _, shared_ground, rests_at_zero = _clearances(subject, contacts.feet)
     higher = np.maximum(ground, ground[contacts.partners])
-    split = contacts.level & contacts.level[contacts.partners] & ~has_ground
+    split = contacts.is_level & contacts.is_level[contacts.partners] & ~has_ground
     split &= np.abs(higher - shared_ground) < PLANTED_HEIGHT * subject.size
     if rests_at_zero:
         ground, has_ground = np.where(split, higher, ground), has_ground | split
@@ -223,11 +225,11 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
         return
     ground = float(contacts.floor[has_floor].min())
     clearance = subject.heights[:, contacts.feet[has_floor]] - contacts.floor[has_floor]
-    lowest = subject.heights[:, body(subject)].min(axis=1) - ground
+    lowest = subject.heights[:, body_joints(subject)].min(axis=1) - ground
     is_airborne = (clearance.min(axis=1) > AIR_HEIGHT * subject.size) & (
         lowest > AIR_HEIGHT * subject.size
     )
-    static = contacts.static[:, has_floor]
+    static = contacts.is_static[:, has_floor]
     # A file without units may contain a person, whatever its numbers.
     body_size = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
     max_frames = MAX_JUMP_SECONDS * np.sqrt(body_size / PERSON_SIZE)

@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.record import dataclass
 from animtool.maths.pops import rotation_pops, translation_pops
-from animtool.validation.motion.body import carriers
+from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
 # Visible displacement of joints against their parents, where rigs may slide and stretch
@@ -62,7 +62,7 @@ def _find_pops(
     subject: MotionSubject, min_shift: float, *, roots: bool
 ) -> list[_PopSteps]:
     """Return rotation and translation pops, of roots or of all other joints."""
-    moving_joints = [*subject.take.rig.roots, *carriers(subject)]
+    moving_joints = [*subject.take.rig.roots, *body_carriers(subject)]
     rotating_joints, translating_joints = (
         np.flatnonzero(np.isin(joints, moving_joints) == roots)
         for joints in (subject.turning, subject.moving)

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed
 from animtool.maths import so3
-from animtool.validation.motion.body import carriers, feet_of
+from animtool.validation.motion.body import body_carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
 # Shorter takes only show a pose, in which a foot may be static [frame].
@@ -373,7 +373,7 @@ def _neighbor_moves(
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never rotate while their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
-    roots = {*subject.take.rig.roots, *carriers(subject)}
+    roots = {*subject.take.rig.roots, *body_carriers(subject)}
     # With a static root, parts were keyed one by one, and one arm may wave alone.
     if (subject.frames - 1) * subject.interval < MIN_SECONDS or roots.isdisjoint(
         [*subject.turning.tolist(), *subject.moving.tolist()]

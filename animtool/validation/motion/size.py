@@ -17,7 +17,12 @@ from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
-from animtool.validation.motion.body import body, feet_of, hips_of, positioned_joints
+from animtool.validation.motion.body import (
+    body_joints,
+    feet_of,
+    hips_of,
+    positioned_joints,
+)
 from animtool.validation.motion.subject import MotionSubject
 
 # Fraction by which a bone's length may change, and length below which a bone counts as
@@ -199,7 +204,7 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     Multiplied by that factor, its translation puts the lowest joint on the ground,
     however the body crouches or crawls.
     """
-    joints = subject.positions[:, body(subject)]
+    joints = subject.positions[:, body_joints(subject)]
     lowest = (joints @ subject.up).argmin(axis=1)
     points = joints[np.arange(len(joints)), lowest]
     for factor in UNIT_FACTORS:

@@ -82,7 +82,7 @@ def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
 def test_a_file_without_findings_is_not_touched(root: Path) -> None:
     for path in sorted((root / "rigs").glob("*/*.rig.yaml")):
         plan = plan_file(path, ValidateOptions())
-        assert plan.after.text == path.read_text("utf-8")
+        assert plan.draft.text == path.read_text("utf-8")
         assert not plan.mended
 
 

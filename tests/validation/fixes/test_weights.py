@@ -66,7 +66,7 @@ def test_no_file_is_written_over(loose: Path) -> None:
 def test_a_plan_writes_nothing(loose: Path) -> None:
     before = sorted(path.name for path in loose.parent.iterdir())
     plan = plan_file(loose, ValidateOptions())
-    assert [path.name for path in plan.after.arrays] == ["body_weights.npz"]
+    assert [path.name for path in plan.draft.arrays] == ["body_weights.npz"]
     assert "+" in plan.difference()
     assert sorted(path.name for path in loose.parent.iterdir()) == before
 
