@@ -149,7 +149,7 @@ def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
     """
     rig = _complete_rig(checked)
     key, number = pointer_of(fault)[:2]
-    entry = rig.written(str(key))[number]
+    entry = rig.file_entries(str(key))[number]
     names = group_names(rig, key)
     for name in (entry["name"], entry.get("mirror")):
         equal_names = [

@@ -63,7 +63,7 @@ def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
     """Return the file with a joint's rest pose taken from its bind pose."""
     rig: RigSubject = checked.subject
     pointer = pointer_of(fault)
-    entry = rig.written("joints")[pointer[1]]
+    entry = rig.file_entries("joints")[pointer[1]]
     pose = rig.document.value["bind"][entry["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
     edits = tuple(Add(pointer, key, pose[key]) for key in keys)

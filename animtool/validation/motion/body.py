@@ -46,7 +46,7 @@ def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
     feet_below = _subtree_counts(rig.parents, is_foot)
     joints_below = _subtree_counts(rig.parents, np.ones(len(is_foot), bool))
     chain, carrier_count = [int(rig.roots[0])], 1
-    moving_joints = set(subject.moving.tolist())
+    moving_joints = set(subject.translating_joints.tolist())
     while True:
         children = np.flatnonzero(rig.parents == chain[-1]).tolist()
         body_children = [

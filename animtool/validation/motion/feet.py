@@ -21,7 +21,7 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Body travel relative to foot travel.
 
-# Interval for measuring velocities [s].
+# Interval over which velocities are measured [s].
 VELOCITY_SECONDS = 0.1
 # Hips slower than this [size/s], or a shorter time [s], show no ratio. Feet that slide
 # less in total are not reported [size].
@@ -42,21 +42,27 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
     Above 1 the feet are dragged along; below 1 they slip back.
     """
     ratios, weights = _velocity_ratios(subject, contacts)
-    path = float(weights.sum()) * subject.interval / subject.size
+    hip_path = float(weights.sum()) * subject.interval / subject.size
     if len(ratios) * subject.interval < MIN_SECONDS:
         return None
     sort_order = np.argsort(ratios, kind="stable")
     totals = np.cumsum(weights[sort_order]) / weights.sum()
-    quartiles = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(sort_order) - 1)
-    low_quartile, middle, high_quartile = ratios[sort_order][quartiles].tolist()
-    is_dragged = (
-        low_quartile > MIN_ALONG and middle - low_quartile < EVEN_ALONG and middle < 1.0
+    percentile_indices = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(
+        0, len(sort_order) - 1
     )
-    slips_back = middle < MAX_AGAINST and high_quartile < MAX_AGAINST_QUARTILE
-    slips_back &= middle - low_quartile < EVEN_AGAINST * max(1.0, -middle)
-    if path * abs(middle) < MIN_SLIDE or not (is_dragged or slips_back):
+    low_ratio, median_ratio, high_ratio = ratios[sort_order][
+        percentile_indices
+    ].tolist()
+    is_dragged = (
+        low_ratio > MIN_ALONG
+        and median_ratio - low_ratio < EVEN_ALONG
+        and median_ratio < 1.0
+    )
+    is_slipping = median_ratio < MAX_AGAINST and high_ratio < MAX_AGAINST_QUARTILE
+    is_slipping &= median_ratio - low_ratio < EVEN_AGAINST * max(1.0, -median_ratio)
+    if hip_path * abs(median_ratio) < MIN_SLIDE or not (is_dragged or is_slipping):
         return None
-    return float(1.0 / (1.0 - middle))
+    return float(1.0 / (1.0 - median_ratio))
 
 
 def _velocity_ratios(
@@ -67,15 +73,17 @@ def _velocity_ratios(
     These are the components along the hips' velocity, and the hips' speeds [m/s]. Of
     the feet near the ground, the slowest one counts.
     """
-    points = subject.level(np.append(contacts.feet, hips_of(subject)))
-    travels, steps = displacements_around(subject, points, VELOCITY_SECONDS)
-    velocities = travels / (steps * subject.interval)[:, None, None]
-    feet, hips = velocities[:, :-1], velocities[:, -1]
-    speeds = np.where(contacts.is_near, np.linalg.norm(feet, axis=2), np.inf)
-    stance_velocity = feet[np.arange(len(feet)), speeds.argmin(axis=1)]
-    hip_speed = np.linalg.norm(hips, axis=1)
+    points = subject.ground_positions(np.append(contacts.feet, hips_of(subject)))
+    travels, step_counts = displacements_around(subject, points, VELOCITY_SECONDS)
+    velocities = travels / (step_counts * subject.interval)[:, None, None]
+    foot_velocities, hip_velocities = velocities[:, :-1], velocities[:, -1]
+    speeds = np.where(contacts.is_near, np.linalg.norm(foot_velocities, axis=2), np.inf)
+    stance_velocity = foot_velocities[
+        np.arange(len(foot_velocities)), speeds.argmin(axis=1)
+    ]
+    hip_speed = np.linalg.norm(hip_velocities, axis=1)
     is_used = contacts.is_near.any(axis=1) & (hip_speed > MIN_HIP_SPEED * subject.size)
-    foot_along_hips = np.einsum("fc,fc->f", stance_velocity, hips)[is_used]
+    foot_along_hips = np.einsum("fc,fc->f", stance_velocity, hip_velocities)[is_used]
     return np.asarray(foot_along_hips / hip_speed[is_used] ** 2), np.asarray(
         hip_speed[is_used]
     )
@@ -117,33 +125,38 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         or _travel_size(subject) < MIN_TRAVEL * subject.size
     ):
         return
-    speeds, slides = _foot_speeds(subject, contacts.feet)
+    speeds, slide_speeds = _foot_speeds(subject, contacts.feet)
     speeds = np.where(contacts.is_carrying, speeds, np.inf)
-    slowest = speeds.min(axis=1)
-    slides = _slowest_slides(subject, contacts, speeds, slides)
-    is_fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
+    slowest_speeds = speeds.min(axis=1)
+    slide_speeds = _slowest_slides(subject, contacts, speeds, slide_speeds)
+    is_fast = np.minimum(slowest_speeds, slide_speeds) > SLIDE_SPEED * subject.size
     is_sliding = contacts.is_near.any(axis=1) & is_fast
     lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     long_slides = []
-    for first, end in runs(is_sliding):
-        last_frame, seconds = end - 1, (end - first) * subject.interval
-        if _is_landing(slowest[first:end], lowest_heights[first:end]):
-            continue
-        if seconds <= MAX_SKID and _is_skid(
-            subject, contacts, slowest, first, last_frame
+    for first_frame, end_frame in runs(is_sliding):
+        last_frame, seconds = (
+            end_frame - 1,
+            (end_frame - first_frame) * subject.interval,
+        )
+        if _is_landing(
+            slowest_speeds[first_frame:end_frame], lowest_heights[first_frame:end_frame]
         ):
             continue
-        length = _slide_length(subject, contacts, first, last_frame)
+        if seconds <= MAX_SKID and _is_skid(
+            subject, contacts, slowest_speeds, first_frame, last_frame
+        ):
+            continue
+        length = _slide_length(subject, contacts, first_frame, last_frame)
         if length >= REPEATED_LENGTH * subject.size and seconds >= SLIDE_SECONDS:
-            long_slides.append((length, first, last_frame))
+            long_slides.append((length, first_frame, last_frame))
     if len(long_slides) < MIN_SLIDES and not any(
-        weight >= SLIDE_LENGTH * subject.size for weight, *_ in long_slides
+        slide_length >= SLIDE_LENGTH * subject.size for slide_length, *_ in long_slides
     ):
         yield from _travel_scale_fault(subject, contacts)
         return
-    length, first, last_frame = max(long_slides)
+    length, first_frame, last_frame = max(long_slides)
     joint = int(
-        contacts.feet[int(speeds[first : last_frame + 1].mean(axis=0).argmin())]
+        contacts.feet[int(speeds[first_frame : last_frame + 1].mean(axis=0).argmin())]
     )
     repeat_text = (
         f"; feet slide {len(long_slides) - 1} more times"
@@ -152,17 +165,18 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     )
     message = (
         f"planted foot {subject.take.rig.joints[joint].name!r} slides {length:.3g} m "
-        f"from frame {subject.at(first)} to {subject.at(last_frame)}{repeat_text}"
+        f"from frame {subject.time_text(first_frame)} to "
+        f"{subject.time_text(last_frame)}{repeat_text}"
     )
     hint = "hold it with IK, or make the cycle in place"
-    yield subject.fault("MOT208", joint, first, message, hint)
+    yield subject.fault("MOT208", joint, first_frame, message, hint)
 
 
 def _slowest_slides(
     subject: MotionSubject,
     contacts: FootStances,
     speeds: FloatArray,
-    slides: FloatArray,
+    slide_speeds: FloatArray,
 ) -> FloatArray:
     """Return the slide speed of the slowest foot on the ground ``(F,)``.
 
@@ -170,20 +184,24 @@ def _slowest_slides(
     heel that rotates about it does not slide.
     """
     feet, parents = contacts.feet.tolist(), subject.take.rig.parents
-    column_of = {foot: e for e, foot in enumerate(feet)}
+    column_of = {foot: column for column, foot in enumerate(feet)}
     top_columns: list[int] = []
-    for e, foot in enumerate(feet):
+    for column, foot in enumerate(feet):
         parent_column = column_of.get(int(parents[foot]))
-        top_columns.append(e if parent_column is None else top_columns[parent_column])
-    is_resting, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
+        top_columns.append(
+            column if parent_column is None else top_columns[parent_column]
+        )
+    slowest_slides, slowest_speeds = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
     for top_column in sorted(set(top_columns)):
         columns = np.flatnonzero(np.array(top_columns) == top_column)
         is_near = contacts.is_near[:, columns]
-        speed = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
-        slide = np.where(is_near, slides[:, columns], 0.0).max(axis=1)
-        is_resting = np.where(speed < slowest, slide, is_resting)
-        slowest = np.minimum(slowest, speed)
-    return is_resting
+        top_speeds = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
+        top_slides = np.where(is_near, slide_speeds[:, columns], 0.0).max(axis=1)
+        slowest_slides = np.where(
+            top_speeds < slowest_speeds, top_slides, slowest_slides
+        )
+        slowest_speeds = np.minimum(slowest_speeds, top_speeds)
+    return slowest_slides
 
 
 def _is_landing(speeds: FloatArray, heights: FloatArray) -> bool:
@@ -196,10 +214,14 @@ def _is_landing(speeds: FloatArray, heights: FloatArray) -> bool:
     >>> _is_landing(np.array([3.0, 2.0, 1.0]), np.array([0.01, 0.01, 0.01]))
     False
     """
-    rises = float(heights[-1] - heights[0])
-    changes = np.diff(speeds) * np.sign(rises)
-    slows = float(speeds.min()) < LANDING_RATIO * float(speeds.max())
-    return abs(rises) > LANDING_HEIGHT and slows and bool((changes >= 0.0).all())
+    height_change = float(heights[-1] - heights[0])
+    changes = np.diff(speeds) * np.sign(height_change)
+    is_slowing = float(speeds.min()) < LANDING_RATIO * float(speeds.max())
+    return (
+        abs(height_change) > LANDING_HEIGHT
+        and is_slowing
+        and bool((changes >= 0.0).all())
+    )
 
 
 def _is_skid(
@@ -216,15 +238,15 @@ def _is_skid(
     is_airborne = ~np.asarray(contacts.is_near.any(axis=1))
     window = max(1, round(SKID_SECONDS / subject.interval))
     start_speed, end_speed = float(speeds[first]), float(speeds[last])
-    lands = (
+    is_landing = (
         bool(is_airborne[max(first - window, 0) : first].any())
         and end_speed < SKID_RATIO * start_speed
     )
-    leaves = (
+    is_taking_off = (
         bool(is_airborne[last + 1 :][:window].any())
         and start_speed < SKID_RATIO * end_speed
     )
-    return lands or leaves
+    return is_landing or is_taking_off
 
 
 def _slide_length(
@@ -235,10 +257,12 @@ def _slide_length(
     The run is extended by half the interval of its speeds, before and after.
     """
     half_window = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
-    part = slice(max(first - half_window, 0), last + half_window + 1)
+    frame_slice = slice(max(first - half_window, 0), last + half_window + 1)
     feet = contacts.feet[contacts.is_near[first : last + 1].any(axis=0)]
-    level = subject.level(feet)[part]
-    return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
+    ground_positions = subject.ground_positions(feet)[frame_slice]
+    return float(
+        np.linalg.norm(np.diff(ground_positions, axis=0), axis=2).sum(axis=0).min()
+    )
 
 
 def _travel_scale_fault(
@@ -261,7 +285,7 @@ def _travel_scale_fault(
 
 def _travel_size(subject: MotionSubject) -> float:
     """Return the diagonal of the hips' path along the ground [m]."""
-    points = subject.level(np.array([hips_of(subject)]))[:, 0]
+    points = subject.ground_positions(np.array([hips_of(subject)]))[:, 0]
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
@@ -273,27 +297,31 @@ def _foot_speeds(
     The lower of the distances a short time before and after each frame counts, since a
     foot that reverses is not planted. Slides exclude rotation and lifting of the foot.
     """
-    count = subject.frames
+    frame_count = subject.frames
     max_offset = max(1, round(SPEED_SECONDS / subject.interval))
-    ground_positions, heights = subject.level(feet), subject.heights[:, feet]
+    ground_positions, heights = subject.ground_positions(feet), subject.heights[:, feet]
     rotations = subject.world.rotations[:, feet]
-    speeds = np.full((2, count, len(feet)), np.inf)
+    speeds = np.full((2, frame_count, len(feet)), np.inf)
     for sign in (-1, 1):
-        lengths = np.zeros((2, count, len(feet)))
+        max_distances = np.zeros((2, frame_count, len(feet)))
         for frame_offset in range(1, max_offset + 1):
-            other_frames = np.clip(np.arange(count) + sign * frame_offset, 0, count - 1)
-            length = np.linalg.norm(
+            other_frames = np.clip(
+                np.arange(frame_count) + sign * frame_offset, 0, frame_count - 1
+            )
+            distances = np.linalg.norm(
                 ground_positions[other_frames] - ground_positions, axis=2
             )
-            lift = LIFT_RATIO * np.abs(heights[other_frames] - heights)
+            lift_distances = LIFT_RATIO * np.abs(heights[other_frames] - heights)
             angles = so3.angle_between(rotations[other_frames], rotations)
-            lift += ROLL_LEVER * subject.size * angles
-            lengths = np.maximum(lengths, np.stack([length, length - lift]))
+            lift_distances += ROLL_LEVER * subject.size * angles
+            max_distances = np.maximum(
+                max_distances, np.stack([distances, distances - lift_distances])
+            )
         # The first frame has nothing before it, and the last one nothing after it.
-        seconds = np.abs(other_frames - np.arange(count)) * subject.interval
+        seconds = np.abs(other_frames - np.arange(frame_count)) * subject.interval
         has_neighbour = seconds > 0.0
         speeds[:, has_neighbour] = np.minimum(
             speeds[:, has_neighbour],
-            lengths[:, has_neighbour] / seconds[has_neighbour, None],
+            max_distances[:, has_neighbour] / seconds[has_neighbour, None],
         )
     return speeds[0], speeds[1]

@@ -55,8 +55,8 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     contacts = contacts_of(subject)
     if contacts is None or body_axis(subject):
         return
-    of_take = list(_constant_offset(subject, contacts))
-    yield from of_take or [
+    offset_faults = list(_constant_offset(subject, contacts))
+    yield from offset_faults or [
         *_deepest_foot(subject, contacts),
         *_floating_fault(subject, contacts),
     ]
@@ -123,28 +123,30 @@ def _clearances(
     parents, hips = rig.parents, hips_of(subject)
     min_clearance = np.zeros(len(feet))
     max_clearance = np.zeros(len(feet))
-    hangs = True
+    are_hanging = True
     foot_joints = set(feet_of(rig.names).tolist())
-    for e, joint in enumerate(feet.tolist()):
+    for column, joint in enumerate(feet.tolist()):
         is_toe = int(parents[joint]) in foot_joints
-        max_clearance[e] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size
+        max_clearance[column] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size
         if _is_hanging(
             rest_positions,
             heights,
             _leg_joints(parents.tolist(), foot_joints, hips, joint),
         ):
-            min_clearance[e] = heights[joint] - lowest
+            min_clearance[column] = heights[joint] - lowest
         else:
-            hangs = False
-    on_zero = hangs and -SUNK_DEPTH < 2.0 * lowest / rest_size < 2.0 * ZERO_TOLERANCE
-    if on_zero:
+            are_hanging = False
+    rests_at_zero = (
+        are_hanging and -SUNK_DEPTH < 2.0 * lowest / rest_size < 2.0 * ZERO_TOLERANCE
+    )
+    if rests_at_zero:
         min_clearance = max_clearance = heights[feet]
     else:
         min_clearance, max_clearance = (
             np.maximum(min_clearance, MIN_HEIGHT_FRACTION * max_clearance),
             np.maximum(min_clearance, max_clearance),
         )
-    return min_clearance * scale, max_clearance * scale, on_zero
+    return min_clearance * scale, max_clearance * scale, rests_at_zero
 
 
 def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
@@ -163,9 +165,11 @@ def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> lis
     return chain
 
 
-def _is_hanging(rest_heights: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
+def _is_hanging(
+    rest_positions: FloatArray, heights: FloatArray, leg: list[int]
+) -> bool:
     """Return whether a leg hangs straight down at rest."""
-    bones = np.linalg.norm(np.diff(rest_heights[leg], axis=0), axis=1)
+    bones = np.linalg.norm(np.diff(rest_positions[leg], axis=0), axis=1)
     return bool(
         heights[leg[-1]] - heights[leg[0]] > HANGING_FRACTION * bones.sum() > 0.0
     )
@@ -174,31 +178,32 @@ def _is_hanging(rest_heights: FloatArray, heights: FloatArray, leg: list[int]) -
 def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
-    ground, has_ground = _ground_of_pairs(subject, contacts)
+    ground, has_ground = _foot_ground(subject, contacts)
     depths = (ground - heights) * has_ground
     is_deep = depths > SUNK_DEPTH * subject.size
     min_frames = max(2, round(SUNK_SECONDS / subject.interval))
-    sunk = []
-    for e in range(len(contacts.feet)):
-        for first, end in runs(is_deep[:, e]):
-            if end - first >= min_frames:
-                depth = float(depths[first:end, e].max())
-                sunk.append((depth, e, first, end - 1))
-    if not sunk:
+    sunk_runs = []
+    for column in range(len(contacts.feet)):
+        for first_frame, end_frame in runs(is_deep[:, column]):
+            if end_frame - first_frame >= min_frames:
+                depth = float(depths[first_frame:end_frame, column].max())
+                sunk_runs.append((depth, column, first_frame, end_frame - 1))
+    if not sunk_runs:
         return
-    depth, e, first, deepest = max(sunk)
-    joint = int(contacts.feet[e])
-    foot_text = "it" if contacts.has_same_height[e] else "the other one"
+    depth, column, first_frame, last_frame = max(sunk_runs)
+    joint = int(contacts.feet[column])
+    foot_text = "it" if contacts.has_same_height[column] else "the other one"
     message = (
         f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
-        f"ground from frame {subject.at(first)} to {subject.at(deepest)}; the ground "
-        f"is at the height of {foot_text} in other frames, {ground[e]:.3g} m"
+        f"ground from frame {subject.time_text(first_frame)} to "
+        f"{subject.time_text(last_frame)}; the ground "
+        f"is at the height of {foot_text} in other frames, {ground[column]:.3g} m"
     )
     hint = "lift the root there, or hold the foot with IK"
-    yield subject.fault("MOT209", joint, first, message, hint)
+    yield subject.fault("MOT209", joint, first_frame, message, hint)
 
 
-def _ground_of_pairs(
+def _foot_ground(
     subject: MotionSubject, contacts: FootStances
 ) -> tuple[FloatArray, BoolArray]:
     """Return the ground height per foot, and whether it is known ``(E,)``.
@@ -210,11 +215,14 @@ def _ground_of_pairs(
     if not subject.has_rest or has_ground.all():
         return ground, has_ground
     _, shared_ground, rests_at_zero = _clearances(subject, contacts.feet)
-    higher = np.maximum(ground, ground[contacts.partners])
-    split = contacts.is_level & contacts.is_level[contacts.partners] & ~has_ground
-    split &= np.abs(higher - shared_ground) < PLANTED_HEIGHT * subject.size
+    higher_ground = np.maximum(ground, ground[contacts.partners])
+    is_split = contacts.is_level & contacts.is_level[contacts.partners] & ~has_ground
+    is_split &= np.abs(higher_ground - shared_ground) < PLANTED_HEIGHT * subject.size
     if rests_at_zero:
-        ground, has_ground = np.where(split, higher, ground), has_ground | split
+        ground, has_ground = (
+            np.where(is_split, higher_ground, ground),
+            has_ground | is_split,
+        )
     return ground, has_ground
 
 
@@ -225,9 +233,9 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
         return
     ground = float(contacts.floor[has_floor].min())
     clearance = subject.heights[:, contacts.feet[has_floor]] - contacts.floor[has_floor]
-    lowest = subject.heights[:, body_joints(subject)].min(axis=1) - ground
+    lowest_heights = subject.heights[:, body_joints(subject)].min(axis=1) - ground
     is_airborne = (clearance.min(axis=1) > AIR_HEIGHT * subject.size) & (
-        lowest > AIR_HEIGHT * subject.size
+        lowest_heights > AIR_HEIGHT * subject.size
     )
     static = contacts.is_static[:, has_floor]
     # A file without units may contain a person, whatever its numbers.
@@ -239,11 +247,12 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
             subject, static, clearance, first, last_frame
         ):
             continue
-        height = float(lowest[first : last_frame + 1].min())
+        height = float(lowest_heights[first : last_frame + 1].min())
         joint = int(contacts.feet[has_floor][clearance[first].argmin()])
         message = (
             f"no foot is closer than {height:.3g} m to the ground from frame "
-            f"{subject.at(first)} to {subject.at(last_frame)}, for {seconds:.2g} s; "
+            f"{subject.time_text(first)} to {subject.time_text(last_frame)}, for "
+            f"{seconds:.2g} s; "
             f"the ground is at their height in other frames, {ground:.3g} m"
         )
         hint = "lower the root there; no jump lasts that long"
@@ -270,17 +279,20 @@ def _is_climbing(
         clearance > AIR_HEIGHT * size,
         np.abs(clearance) < PLANTED_HEIGHT * size,
     )
-    steps = (static & is_high).any(axis=1) & (static & is_low).any(axis=1)
-    steps = np.asarray(steps)
-    if steps[max(first - window, 0) : first].any() or steps[last + 1 :][:window].any():
+    is_step = (static & is_high).any(axis=1) & (static & is_low).any(axis=1)
+    is_step = np.asarray(is_step)
+    if (
+        is_step[max(first - window, 0) : first].any()
+        or is_step[last + 1 :][:window].any()
+    ):
         return True
-    contacts_within, heights = static[first : last + 1], clearance[first : last + 1]
-    has_contact = np.flatnonzero(contacts_within.any(axis=0))
+    run_contacts, run_heights = static[first : last + 1], clearance[first : last + 1]
+    has_contact = np.flatnonzero(run_contacts.any(axis=0))
     for direction in (slice(None), slice(None, None, -1)):
-        first_contacts = np.argmax(contacts_within[direction], axis=0)
-        contacts = heights[direction][
-            first_contacts, np.arange(contacts_within.shape[1])
+        first_contacts = np.argmax(run_contacts[direction], axis=0)
+        contact_heights = run_heights[direction][
+            first_contacts, np.arange(run_contacts.shape[1])
         ][has_contact]
-        if len(has_contact) and float(np.ptp(contacts)) > STEP_HEIGHT * size:
+        if len(has_contact) and float(np.ptp(contact_heights)) > STEP_HEIGHT * size:
             return True
     return False

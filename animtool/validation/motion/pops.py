@@ -1,4 +1,4 @@
-"""Pops: single-frame discontinuities of joints and roots in smooth motion."""
+"""Detects pops: single-frame discontinuities of joints and roots."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _find_pops(
     moving_joints = [*subject.take.rig.roots, *body_carriers(subject)]
     rotating_joints, translating_joints = (
         np.flatnonzero(np.isin(joints, moving_joints) == roots)
-        for joints in (subject.turning, subject.moving)
+        for joints in (subject.rotating_joints, subject.translating_joints)
     )
     return [
         _rotation_pops(subject, rotating_joints),
@@ -90,15 +90,15 @@ def _pop_fault(
     }
     name = subject.take.rig.joints[joint].name
     steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in all_pops])
-    often = len(np.unique(steps))
+    step_count = len(np.unique(steps))
     message = (
         f"{name!r} jumps by {pops.size_text(step, column)} "
-        f"from frame {subject.at(step)} "
-        f"to {subject.at(step + 1)}, unlike the motion around it"
+        f"from frame {subject.time_text(step)} "
+        f"to {subject.time_text(step + 1)}, unlike the motion around it"
     )
     other_names = [other_name for other_name in names if other_name != name]
-    if often > 1:
-        message += f"; there are {often} such steps in total"
+    if step_count > 1:
+        message += f"; there are {step_count} such steps in total"
     if other_names:
         message += f"; also {listed(other_names)}"
     yield subject.fault(code, joint, step, message, hint)
@@ -108,7 +108,7 @@ def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _PopSteps:
     flags, amounts = rotation_pops(
         subject.rotation_steps[:, columns], subject.interval, _ignored_steps(subject)
     )
-    return _PopSteps(subject.turning[columns], flags, amounts, "rad")
+    return _PopSteps(subject.rotating_joints[columns], flags, amounts, "rad")
 
 
 def _shift_pops(
@@ -116,13 +116,13 @@ def _shift_pops(
 ) -> _PopSteps:
     size = subject.size
     flags, amounts = translation_pops(
-        subject.shifts[:, columns],
+        subject.translation_steps[:, columns],
         subject.interval,
         _ignored_steps(subject),
         min_shift * size,
         SHIFT_NOISE * size,
     )
-    return _PopSteps(subject.moving[columns], flags, amounts, "m")
+    return _PopSteps(subject.translating_joints[columns], flags, amounts, "m")
 
 
 def _ignored_steps(subject: MotionSubject) -> BoolArray:
@@ -137,7 +137,7 @@ def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
     pose = subject.joints_leaving_pose
     if not len(pose):
         return
-    first_code, second_code = subject.at(0), subject.at(1)
+    first_code, second_code = subject.time_text(0), subject.time_text(1)
     message = (
         f"frame {first_code} is an isolated pose: {len(pose)} joints jump to that of "
         f"frame {second_code}"

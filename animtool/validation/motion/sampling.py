@@ -38,25 +38,25 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     is_misaligned = (np.abs(offsets) > CODE_ROUNDING) & (
         np.abs(offsets) < REGULAR_SAMPLE
     )
-    astray = np.abs(offsets) > CODE_ROUNDING
-    if float(astray.mean()) < MIN_OFF_FRAME_FRACTION:
-        is_misaligned = astray
+    is_off_frame = np.abs(offsets) > CODE_ROUNDING
+    if float(is_off_frame.mean()) < MIN_OFF_FRAME_FRACTION:
+        is_misaligned = is_off_frame
     if is_misaligned.any():
-        farthest = int(np.where(is_misaligned, np.abs(offsets), 0.0).argmax())
+        farthest_sample = int(np.where(is_misaligned, np.abs(offsets), 0.0).argmax())
         message = (
             f"{np.count_nonzero(is_misaligned)} of {len(codes)} samples are off the "
-            f"frame, by up to {abs(offsets[farthest]):.3g} time codes, at "
-            f"{codes[farthest]:.10g}"
+            f"frame, by up to {abs(offsets[farthest_sample]):.3g} time codes, at "
+            f"{codes[farthest_sample]:.10g}"
         )
     else:
         steps = np.diff(codes)
         is_integral = np.abs(steps - np.round(steps)) < CODE_ROUNDING
         if not is_integral.all() or abs(offsets[0]) <= CODE_ROUNDING:
             return
-        farthest = 0
+        farthest_sample = 0
         message = f"all samples are {offsets[0]:+.3g} time codes off the frame"
     hint = "write them at whole time codes, where other tools sample"
-    yield subject.fault("MOT216", None, farthest, message, hint)
+    yield subject.fault("MOT216", None, farthest_sample, message, hint)
 
 
 def other_range(subject: MotionSubject) -> Iterator[Fault]:
@@ -142,7 +142,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     yield from _sample_gaps(subject)
     if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < MIN_JOINTS:
         return
-    ratios, is_lost = _double_steps(subject)
+    ratios, is_lost = _find_losses(subject)
     frames = np.flatnonzero(is_lost)
     if not len(frames):
         return
@@ -151,7 +151,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     repeat_text = f"; so are {len(frames) - 1} more steps" if len(frames) > 1 else ""
     message = (
         f"all joints move {ratios[step]:.0f} times as far from frame "
-        f"{subject.at(step)} to {subject.at(step + 1)} as nearby: "
+        f"{subject.time_text(step)} to {subject.time_text(step + 1)} as nearby: "
         f"{counted(count, 'frame')} lost{repeat_text}"
     )
     hint = "record or export the take again, or insert the missing frame"
@@ -163,8 +163,8 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
-    typical = float(np.median(gaps))
-    ratios = gaps / typical
+    typical_gap = float(np.median(gaps))
+    ratios = gaps / typical_gap
     is_even = np.abs(ratios - 1.0) < 0.25
     gap_indices = np.flatnonzero(ratios > GAP_RATIO)
     # Curve keys have any spacing; even sampling has few gaps.
@@ -176,8 +176,8 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
         f"; there are {len(gap_indices) - 1} more gaps" if len(gap_indices) > 1 else ""
     )
     message = (
-        f"no sample between time codes {subject.at(gap_index)} and "
-        f"{subject.at(gap_index + 1)}, though one is due every {typical:g}: "
+        f"no sample between time codes {subject.time_text(gap_index)} and "
+        f"{subject.time_text(gap_index + 1)}, though one is due every {typical_gap:g}: "
         f"{counted(count, 'sample')} lost{repeat_text}"
     )
     hint = "export the take again; USD interpolates across the gap"
@@ -186,16 +186,16 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
 
 def _animated_columns(subject: MotionSubject) -> IntArray:
     """Return the animated joints, twice if they both rotate and translate."""
-    return np.concatenate([subject.turning, subject.moving])
+    return np.concatenate([subject.rotating_joints, subject.translating_joints])
 
 
 def _step_vectors(subject: MotionSubject) -> FloatArray:
     """Return rotation and translation steps ``(F - 1, N, 3)``, scaled to one unit."""
-    shifts = subject.shifts * (2.0 / subject.size)
+    shifts = subject.translation_steps * (2.0 / subject.size)
     return np.concatenate([subject.rotation_steps, shifts], axis=1)
 
 
-def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
+def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     """Return each step's length in frames, and a mask of steps with loss ``(S,)``.
 
     A loss is a step that is far from the prediction of a single step by its two
@@ -204,38 +204,46 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     steps = _step_vectors(subject)
     count = len(steps)
     ratios, is_lost = np.ones(count), np.zeros(count, bool)
-    a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
-    near_steps, far_steps = 0.5 * (b + d), 0.5 * (a + e)
+    steps_before_2, steps_before_1, middle_steps, steps_after_1, steps_after_2 = (
+        steps[i : count - 4 + i] for i in range(5)
+    )
+    near_steps, far_steps = (
+        0.5 * (steps_before_1 + steps_after_1),
+        0.5 * (steps_before_2 + steps_after_2),
+    )
     predicted_step = _predicted_step(near_steps, far_steps, 0)
-    deviations = _squared_lengths(c - predicted_step)
-    pace = _squared_lengths(predicted_step)
+    deviations = _squared_lengths(middle_steps - predicted_step)
+    squared_steps = _squared_lengths(predicted_step)
     noise = (
         _typical_squares(deviations)
-        + (MIN_ROUGHNESS**2) * np.median(pace, axis=0)
+        + (MIN_ROUGHNESS**2) * np.median(squared_steps, axis=0)
         + MIN_NOISE**2
     )
-    shows_loss = pace > SHOWING_RATIO**2 * noise
-    shows_loss &= pace > 0.001 * pace.max(axis=1, keepdims=True)
+    shows_loss = squared_steps > SHOWING_RATIO**2 * noise
+    shows_loss &= squared_steps > 0.001 * squared_steps.max(axis=1, keepdims=True)
     showing_count = shows_loss.sum(axis=1)
     weighted_deviation = (shows_loss * deviations / noise).sum(axis=1)
-    paces = np.sqrt(pace.sum(axis=1))
+    total_steps = np.sqrt(squared_steps.sum(axis=1))
     is_possible = (showing_count >= MIN_FEW_STEPS) & (
         weighted_deviation > OUTLIER_RATIO**2 * showing_count
     )
-    is_possible &= paces > MIN_LOSS_PACE * np.median(paces)
-    is_possible &= ~(subject.cuts() | _next_to_static(subject))[2:-2]
-    goes_on = np.einsum("snc,snc->sn", c, predicted_step) < CONTRADICTING_STEPS * pace
-    contradicting_weight = (shows_loss * goes_on * pace).sum(axis=1) / np.maximum(
-        (shows_loss * pace).sum(axis=1), np.finfo(float).tiny
+    is_possible &= total_steps > MIN_LOSS_PACE * np.median(total_steps)
+    is_possible &= ~(subject.cuts() | _near_repeats(subject))[2:-2]
+    is_contradicting = (
+        np.einsum("snc,snc->sn", middle_steps, predicted_step)
+        < CONTRADICTING_STEPS * squared_steps
     )
+    contradicting_weight = (shows_loss * is_contradicting * squared_steps).sum(
+        axis=1
+    ) / np.maximum((shows_loss * squared_steps).sum(axis=1), np.finfo(float).tiny)
     is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
-    for frames in range(1, MAX_LOST_FRAMES + 1):
+    for lost_count in range(1, MAX_LOST_FRAMES + 1):
         remaining_squares = _squared_lengths(
-            c - _predicted_step(near_steps, far_steps, frames)
+            middle_steps - _predicted_step(near_steps, far_steps, lost_count)
         )
         weighted_remaining = (shows_loss * remaining_squares / noise).sum(axis=1)
         is_better = shows_loss & (remaining_squares < 0.5 * deviations)
-        joints = is_better.sum(axis=1)
+        better_count = is_better.sum(axis=1)
         max_remainder = (
             np.where(
                 contradicting_weight < MAX_CONTRADICTING_FEW,
@@ -246,35 +254,39 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
         )
         is_loss = (
             (weighted_remaining < max_remainder)
-            & (joints > MIN_JOINT_FRACTION * showing_count)
+            & (better_count > MIN_JOINT_FRACTION * showing_count)
             & (contradicting_weight < MAX_CONTRADICTING)
         )
         is_loss |= (weighted_remaining < CERTAIN_REMAINDER * weighted_deviation) & (
-            joints > CERTAIN_JOINTS * showing_count
+            better_count > CERTAIN_JOINTS * showing_count
         )
         is_few_loss = (weighted_remaining < MAX_FEW_REMAINDER * weighted_deviation) & (
-            joints == showing_count
+            better_count == showing_count
         )
-        is_few_loss &= (is_better * pace).sum(axis=1) > MIN_FEW_PACE * pace.sum(axis=1)
+        is_few_loss &= (is_better * squared_steps).sum(
+            axis=1
+        ) > MIN_FEW_PACE * squared_steps.sum(axis=1)
         is_few_loss &= _in_two_limbs(subject, is_better)
         is_loss = is_possible & np.where(
             showing_count >= MIN_JOINTS, is_loss, is_few_loss
         )
-        ratios[2:-2][is_loss & ~is_lost[2:-2]] = frames + 1.0
+        ratios[2:-2][is_loss & ~is_lost[2:-2]] = lost_count + 1.0
         is_lost[2:-2] |= is_loss
     return ratios, is_lost
 
 
-def _in_two_limbs(subject: MotionSubject, flagged: BoolArray) -> BoolArray:
+def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
     """Return rows in which joints of more than one limb are flagged ``(S,)``.
 
     A finger that jumps with its hand is no loss. A trunk that both rotates and moves as
-    far as in several steps counts as two limbs. ``flagged``: per column ``(S, N)``.
+    far as in several steps counts as two limbs. ``is_flagged``: per column ``(S, N)``.
     """
     limbs = limbs_of(subject.take.rig.parents)[_animated_columns(subject)]
-    moves = np.arange(len(limbs)) >= len(subject.turning)
-    limbs = np.where(moves & (limbs < 0), -2, limbs)
-    flags_by_limb = [flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
+    is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
+    limbs = np.where(is_translating & (limbs < 0), -2, limbs)
+    flags_by_limb = [
+        is_flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)
+    ]
     return np.asarray(np.sum(flags_by_limb, axis=0) > 1)
 
 
@@ -283,14 +295,17 @@ def _predicted_step(
 ) -> FloatArray:
     """Return the predicted step over lost frames, from its neighbours.
 
-    ``near`` and ``far``: means of the steps next to it and of those after these ``(S,
-    N, 3)``. A parabola through these and their mirror images is summed.
+    ``near_steps`` and ``far_steps`` ``(S, N, 3)``: means of the adjacent steps before
+    and after, and of the second ones. The prediction sums a parabola through these and
+    their mirror images.
     """
     near_position, far_position = 1.0 + 0.5 * lost_count, 2.0 + 0.5 * lost_count
-    bend = (far_steps - near_steps) / (far_position**2 - near_position**2)
-    level = near_steps - bend * near_position**2
+    curvature = (far_steps - near_steps) / (far_position**2 - near_position**2)
+    center_step = near_steps - curvature * near_position**2
     offsets = np.arange(lost_count + 1) - 0.5 * lost_count
-    return np.asarray((lost_count + 1) * level + bend * float((offsets**2).sum()))
+    return np.asarray(
+        (lost_count + 1) * center_step + curvature * float((offsets**2).sum())
+    )
 
 
 def _squared_lengths(vectors: FloatArray) -> FloatArray:
@@ -304,10 +319,13 @@ def _typical_squares(squares: FloatArray) -> FloatArray:
     This is the largest median of its block of rows and the two neighbouring blocks.
     """
     count = len(squares)
-    blocks = max(1, count // BLOCK_FRAMES)
-    block_edges = np.linspace(0, count, blocks + 1).astype(int)
+    block_count = max(1, count // BLOCK_FRAMES)
+    block_edges = np.linspace(0, count, block_count + 1).astype(int)
     medians = np.stack(
-        [np.median(squares[i:j], axis=0) for i, j in pairwise(block_edges.tolist())]
+        [
+            np.median(squares[start:end], axis=0)
+            for start, end in pairwise(block_edges.tolist())
+        ]
     )
     padded_medians = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
     largest_medians = np.maximum(
@@ -316,14 +334,16 @@ def _typical_squares(squares: FloatArray) -> FloatArray:
     return np.asarray(np.repeat(largest_medians, np.diff(block_edges), axis=0))
 
 
-def _next_to_static(subject: MotionSubject) -> BoolArray:
+def _near_repeats(subject: MotionSubject) -> BoolArray:
     """Return steps close to a repeated frame, where speed is unreliable."""
-    static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
-    windows = sliding_window_view(np.pad(static, REPEAT_WINDOW), 2 * REPEAT_WINDOW + 1)
+    is_static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
+    windows = sliding_window_view(
+        np.pad(is_static, REPEAT_WINDOW), 2 * REPEAT_WINDOW + 1
+    )
     return np.asarray(windows.any(axis=1))
 
 
-def _static_steps(subject: MotionSubject) -> BoolArray | None:
+def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
     """Return steps that repeat a frame within motion; None if that is common."""
     if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < 2:
         return None
@@ -334,23 +354,25 @@ def _static_steps(subject: MotionSubject) -> BoolArray | None:
     return np.asarray(speeds < STATIC_SPEED * np.median(moving_speeds))
 
 
-def _is_abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:
+def _is_abrupt(speeds: FloatArray, typical_speed: float, first: int, last: int) -> bool:
     """Return whether motion stops abruptly before a run of steps and resumes."""
     if first == 0 or last == len(speeds) - 1:
         return False
-    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_LOSS_PACE * typical)
+    return bool(
+        min(speeds[first - 1], speeds[last + 1]) > MIN_LOSS_PACE * typical_speed
+    )
 
 
 def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     """Return the repeated frames within motion, and whether they are regular."""
-    static = _static_steps(subject)
-    if static is None:
+    is_static = _repeated_steps(subject)
+    if is_static is None:
         return np.zeros(0, bool), False
     speeds = subject.speeds
     typical_speed = float(np.median(speeds[speeds > STATIC_SPEED * speeds.max()]))
-    is_repeat = np.zeros(len(static), bool)
+    is_repeat = np.zeros(len(is_static), bool)
     starts = []
-    for first, end in runs(static):
+    for first, end in runs(is_static):
         if _is_abrupt(speeds, typical_speed, first, end - 1):
             is_repeat[first:end] = True
             starts.append(first)
@@ -379,8 +401,8 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
         else ""
     )
     message = (
-        f"nothing moves from frame {subject.at(first_frame)} to "
-        f"{subject.at(end_frame)}, between frames that do{repeat_text}"
+        f"nothing moves from frame {subject.time_text(first_frame)} to "
+        f"{subject.time_text(end_frame)}, between frames that do{repeat_text}"
     )
     hint = "frames were lost and the last one repeated; record or export the take again"
     yield subject.fault("MOT206", None, first_frame, message, hint)

@@ -1,4 +1,4 @@
-"""Implausible values, and body sides that are swapped or static."""
+"""Implausible values, and left and right sides that are swapped or static."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
     joints = np.flatnonzero(is_zero.any(axis=0))
     if not len(joints):
         return
-    names = [subject.take.rig.joints[j].name for j in joints.tolist()]
+    names = [subject.take.rig.joints[joint].name for joint in joints.tolist()]
     frames = np.flatnonzero(is_zero.any(axis=1))
     message = (
         f"{listed([repr(name) for name in names])} scaled to 0 in "
-        f"{counted(len(frames), 'frame')}, first at {subject.at(int(frames[0]))}"
+        f"{counted(len(frames), 'frame')}, first at {subject.time_text(int(frames[0]))}"
     )
     hint = "everything below it vanishes; hide meshes with their visibility"
     yield subject.fault("MOT218", int(joints[0]), int(frames[0]), message, hint)
@@ -79,7 +79,7 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     other_names = [repr(other_name) for other_name in names if other_name != name]
     message = (
         f"shape {name!r} has weight {values[frame, shape]:.4g} at frame "
-        f"{subject.at(int(frame))}"
+        f"{subject.time_text(int(frame))}"
     )
     message += f"; also {listed(other_names)}" if other_names else ""
     is_percent = float(np.abs(values).max()) > PERCENT_WEIGHT
@@ -142,15 +142,16 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
     if subject.influencing is None:
         return
     rig = subject.take.rig
-    idle = [name for name in rig.names if name not in subject.influencing]
-    if not idle:
+    idle_names = [name for name in rig.names if name not in subject.influencing]
+    if not idle_names:
         return
     message = (
-        f"{counted(len(idle), 'joint')} of {len(rig.joints)} "
-        f"{'deforms' if len(idle) == 1 else 'deform'} no mesh: {listed(idle)}"
+        f"{counted(len(idle_names), 'joint')} of {len(rig.joints)} "
+        f"{'deforms' if len(idle_names) == 1 else 'deform'} no mesh: "
+        f"{listed(idle_names)}"
     )
     hint = "paint weights for them, or exclude them from the export"
-    yield subject.fault("MOT221", rig.index(idle[0]), None, message, hint)
+    yield subject.fault("MOT221", rig.index(idle_names[0]), None, message, hint)
 
 
 # A joint is static if it rotates by less in all frames; its opposite is active if it
@@ -190,8 +191,8 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     pairs = _side_pairs(subject)
     if not pairs:
         return
-    of_take = list(_full_take_swap(subject, pairs))
-    yield from of_take or _side_swaps(subject, pairs)
+    full_take_faults = list(_full_take_swap(subject, pairs))
+    yield from full_take_faults or _side_swaps(subject, pairs)
 
 
 def _full_take_swap(
@@ -205,15 +206,17 @@ def _full_take_swap(
     left_hip, right_hip = hips
     positions = subject.positions
     feet = feet_of(subject.take.rig.names)
-    trunk_direction = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
-    upwards = trunk_direction - positions[:, feet].mean(axis=1)
-    left_direction = np.cross(upwards, facing_direction)
+    hip_centers = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
+    up_directions = hip_centers - positions[:, feet].mean(axis=1)
+    left_direction = np.cross(up_directions, facing_direction)
     left_distance = np.einsum(
         "fc,fc->f", left_direction, positions[:, left_hip] - positions[:, right_hip]
     )
     is_used = np.linalg.norm(facing_direction, axis=1) > MIN_FACING * subject.size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
-    is_used &= upwards @ subject.up > MIN_UPRIGHT * np.linalg.norm(upwards, axis=1)
+    is_used &= up_directions @ subject.up > MIN_UPRIGHT * np.linalg.norm(
+        up_directions, axis=1
+    )
     if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
         return
     is_swapped = is_used & (left_distance < 0.0)
@@ -243,10 +246,10 @@ def _facing_direction(subject: MotionSubject) -> FloatArray | None:
     toes = np.array(toe_joints)
     bones = subject.positions[:, toes] - subject.positions[:, rig.parents[toes]]
     height_gain = bones @ subject.up
-    level = bones - height_gain[..., None] * subject.up
+    horizontal_bones = bones - height_gain[..., None] * subject.up
     # Toes of a hanging or raised foot point down.
-    lies = np.abs(height_gain) < np.linalg.norm(level, axis=2)
-    return np.asarray(np.where(lies[..., None], level, 0.0).mean(axis=1))
+    is_flat = np.abs(height_gain) < np.linalg.norm(horizontal_bones, axis=2)
+    return np.asarray(np.where(is_flat[..., None], horizontal_bones, 0.0).mean(axis=1))
 
 
 def _hip_pair(
@@ -264,10 +267,10 @@ def _hip_pair(
                 chain.append(joint)
             joint = rig.joints[joint].parent
         # Joints nearest to the root may be at its position.
-        for top in reversed(chain):
-            bone = subject.rest[top] - subject.rest[partners[top]]
+        for joint_in_chain in reversed(chain):
+            bone = subject.rest[joint_in_chain] - subject.rest[partners[joint_in_chain]]
             if np.linalg.norm(bone) > MIN_FACING * subject.size:
-                return top, partners[top]
+                return joint_in_chain, partners[joint_in_chain]
     return None
 
 
@@ -276,8 +279,8 @@ def _side_swaps(
 ) -> Iterator[Fault]:
     """Yield the step at which joints of two sides swap their motion."""
     rotations = subject.take.motion.rotations
-    moves = set(rotations.animated.tolist())
-    pairs = [pair for pair in pairs if moves.issuperset(pair)]
+    moving_joints = set(rotations.animated.tolist())
+    pairs = [pair for pair in pairs if moving_joints.issuperset(pair)]
     if not pairs or subject.frames < MIN_STEPS:
         return
     left_rotations = rotations.gather(np.array([pair[0] for pair in pairs]))
@@ -287,41 +290,45 @@ def _side_swaps(
         steps, so3.angle_between(right_rotations[1:], right_rotations[:-1])
     )
     from_same_side, from_other_side = _side_deviations(left_rotations, right_rotations)
-    same_side_back, across_back = (
+    reverse_from_same, reverse_from_other = (
         reverse_deviation[::-1]
         for reverse_deviation in _side_deviations(
             left_rotations[::-1], right_rotations[::-1]
         )
     )
-    from_other_side = np.minimum(from_other_side, across_back)
-    swaps = (from_same_side > MIN_SWAP_ANGLE) & (
+    from_other_side = np.minimum(from_other_side, reverse_from_other)
+    is_swapped = (from_same_side > MIN_SWAP_ANGLE) & (
         from_other_side < MAX_SWAP_RATIO * from_same_side
     )
-    swaps &= (
-        _neighbor_moves(steps, from_same_side, same_side_back)
+    is_swapped &= (
+        _neighbor_moves(steps, from_same_side, reverse_from_same)
         & ~subject.cuts()[:, None]
     )
-    is_far = np.where(swaps, from_same_side, 0.0).sum(axis=1) > MIN_TOTAL_SWAP_ANGLE
-    are_many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
+    is_large_swap = (
+        np.where(is_swapped, from_same_side, 0.0).sum(axis=1) > MIN_TOTAL_SWAP_ANGLE
+    )
+    has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
     is_certain = (from_same_side > MIN_SINGLE_EXCHANGE) & (
         from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
     )
-    swaps &= (is_far & are_many)[:, None] | is_certain
-    swap_steps = np.flatnonzero(swaps.any(axis=1))
+    is_swapped &= (is_large_swap & has_enough_pairs)[:, None] | is_certain
+    swap_steps = np.flatnonzero(is_swapped.any(axis=1))
     if not len(swap_steps):
         return
     step = int(swap_steps[0])
     names = [
         f"{subject.take.rig.names[pairs[i][0]]!r} and "
         f"{subject.take.rig.names[pairs[i][1]]!r}"
-        for i in np.flatnonzero(swaps[step]).tolist()
+        for i in np.flatnonzero(is_swapped[step]).tolist()
     ]
     until_text = (
-        f", until frame {subject.at(int(swap_steps[1]))}" if len(swap_steps) > 1 else ""
+        f", until frame {subject.time_text(int(swap_steps[1]))}"
+        if len(swap_steps) > 1
+        else ""
     )
-    message = f"{listed(names)} swap at frame {subject.at(step + 1)}{until_text}"
+    message = f"{listed(names)} swap at frame {subject.time_text(step + 1)}{until_text}"
     hint = "swap their channels there; markers of the two sides were mixed up"
-    joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
+    joint = pairs[int(np.flatnonzero(is_swapped[step])[0])][0]
     yield subject.fault("MOT210", joint, step, message, hint)
 
 
@@ -329,25 +336,25 @@ def _side_deviations(
     left: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the deviation of sides from their own motion, and from each other's."""
-    same_side = np.minimum(
+    same_side_deviations = np.minimum(
         _extrapolation_error(left, left), _extrapolation_error(right, right)
     )
-    return same_side, np.maximum(
+    return same_side_deviations, np.maximum(
         _extrapolation_error(left, right), _extrapolation_error(right, left)
     )
 
 
-def _extrapolation_error(side: FloatArray, other_side: FloatArray) -> FloatArray:
+def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> FloatArray:
     """Return the angle of rotations from the extrapolation of others.
 
     ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others either stay or continue
     to rotate as in the previous step: the smaller difference counts.
     """
-    rotations_per_step = so3.multiply(other_side[1:-1], so3.conjugate(other_side[:-2]))
-    predicted_side = other_side[:-1].copy()
-    predicted_side[1:] = so3.multiply(rotations_per_step, other_side[1:-1])
-    errors = so3.angle_between(side[1:], predicted_side)
-    return np.minimum(errors, so3.angle_between(side[1:], other_side[:-1]))
+    rotations_per_step = so3.multiply(predictors[1:-1], so3.conjugate(predictors[:-2]))
+    predicted_side = predictors[:-1].copy()
+    predicted_side[1:] = so3.multiply(rotations_per_step, predictors[1:-1])
+    errors = so3.angle_between(rotations[1:], predicted_side)
+    return np.minimum(errors, so3.angle_between(rotations[1:], predictors[:-1]))
 
 
 def _neighbor_moves(
@@ -376,7 +383,7 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     roots = {*subject.take.rig.roots, *body_carriers(subject)}
     # With a static root, parts were keyed one by one, and one arm may wave alone.
     if (subject.frames - 1) * subject.interval < MIN_SECONDS or roots.isdisjoint(
-        [*subject.turning.tolist(), *subject.moving.tolist()]
+        [*subject.rotating_joints.tolist(), *subject.translating_joints.tolist()]
     ):
         return
     ranges = np.zeros(len(subject.take.rig.joints))

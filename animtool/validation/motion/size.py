@@ -60,24 +60,28 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
     subject = subject.without_first_pose
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
-    locations = positioned_joints(subject)
+    is_positioned = positioned_joints(subject)
     largest: tuple[float, int, int, float, float] | None = None
-    count = 0
+    bone_count = 0
     channel = subject.take.motion.translations
-    for a, j in enumerate(channel.animated.tolist()):
-        joint = subject.take.rig.joints[j]
+    for column, joint_index in enumerate(channel.animated.tolist()):
+        joint = subject.take.rig.joints[joint_index]
         rest_length = math.hypot(*joint.translation)
-        slides = joint.type is JointType.PRISMATIC
-        if slides or locations[j] or rest_length <= MIN_BONE_LENGTH * subject.rest_size:
+        is_prismatic = joint.type is JointType.PRISMATIC
+        if (
+            is_prismatic
+            or is_positioned[joint_index]
+            or rest_length <= MIN_BONE_LENGTH * subject.rest_size
+        ):
             continue
-        lengths = np.linalg.norm(channel.values[:, a], axis=1)
+        lengths = np.linalg.norm(channel.values[:, column], axis=1)
         strains = np.abs(lengths / rest_length - 1.0)
         frame = int(strains.argmax())
         if strains[frame] > MAX_STRETCH:
-            count += 1
+            bone_count += 1
             strain = (
                 float(strains[frame]),
-                j,
+                joint_index,
                 frame,
                 float(lengths[frame]),
                 rest_length,
@@ -85,14 +89,16 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
             largest = strain if largest is None or strain[0] > largest[0] else largest
     if largest is None:
         return
-    _, j, frame, length, rest_length = largest
-    repeat_text = f"; {count - 1} more bones change too" if count > 1 else ""
+    _, joint_index, frame, length, rest_length = largest
+    repeat_text = f"; {bone_count - 1} more bones change too" if bone_count > 1 else ""
     message = (
-        f"the bone to {subject.take.rig.joints[j].name!r} is {length:.3g} m long at "
-        f"frame {subject.at(frame)}, but {rest_length:.3g} m at rest{repeat_text}"
+        f"the bone to {subject.take.rig.joints[joint_index].name!r} is {length:.3g} m "
+        "long at "
+        f"frame {subject.time_text(frame)}, but {rest_length:.3g} m at "
+        f"rest{repeat_text}"
     )
     hint = "translations replace those of the rest pose; they are not added"
-    yield subject.fault("MOT212", j, frame, message, hint)
+    yield subject.fault("MOT212", joint_index, frame, message, hint)
 
 
 def _bone_factor(subject: MotionSubject) -> float | None:
@@ -126,17 +132,19 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
         message = (
-            f"the bones are {_factor(factor)} as long as those of the rig at rest: "
+            f"the bones are {_factor_text(factor)} as long as those of the rig at "
+            "rest: "
             "the animation uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)
         return
-    root_and_factor = _root_factor(subject)
-    if root_and_factor is not None:
-        root, factor = root_and_factor
+    root_factor = _root_factor(subject)
+    if root_factor is not None:
+        root, factor = root_factor
         message = (
-            f"the root {subject.take.rig.joints[root].name!r} is {_factor(factor)} as "
+            f"the root {subject.take.rig.joints[root].name!r} is "
+            f"{_factor_text(factor)} as "
             "high as at rest: its translation uses another unit"
         )
         hint = "convert the root's translations to the unit of the rig"
@@ -162,7 +170,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         return
     message = (
         f"the character spans {_length_text(size)}; "
-        f"{_factor(fitting_units[0])} the size it would "
+        f"{_factor_text(fitting_units[0])} the size it would "
         f"span {_length_text(size * fitting_units[0])}"
     )
     unit = subject.take.rig.meters_per_unit
@@ -178,17 +186,17 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
     if not subject.has_rest or not _is_character(subject):
         return None
     rig = subject.take.rig
-    moving_roots = set(subject.moving.tolist())
+    moving_roots = set(subject.translating_joints.tolist())
     heights = subject.rest @ subject.up
-    legs = float(heights[hips_of(subject)] - heights[feet_of(rig.names)].min())
+    leg_length = float(heights[hips_of(subject)] - heights[feet_of(rig.names)].min())
     min_height = 0.1 * subject.rest_size
     for root in sorted({*rig.roots, hips_of(subject)} & moving_roots):
         rest_height = float(heights[root])
         rests_at_hips = rest_height < min_height
-        if max(rest_height, legs) < min_height:
+        if max(rest_height, leg_length) < min_height:
             continue
         height = float(np.median(subject.heights[:, root]))
-        ratio = height / (legs if rests_at_hips else rest_height)
+        ratio = height / (leg_length if rests_at_hips else rest_height)
         # At 1/100 of its height, a root is at 0, like a root with another origin.
         factor = _low_factor(subject, root) if ratio < 1.0 else _height_factor(ratio)
         if factor is None and not rests_at_hips:
@@ -204,9 +212,9 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     Multiplied by that factor, its translation puts the lowest joint on the ground,
     however the body crouches or crawls.
     """
-    joints = subject.positions[:, body_joints(subject)]
-    lowest = (joints @ subject.up).argmin(axis=1)
-    points = joints[np.arange(len(joints)), lowest]
+    body_positions = subject.positions[:, body_joints(subject)]
+    lowest_joints = (body_positions @ subject.up).argmin(axis=1)
+    points = body_positions[np.arange(len(body_positions)), lowest_joints]
     for factor in UNIT_FACTORS:
         lift = (factor - 1.0) * subject.positions[:, root]
         heights_above = (points + lift) @ subject.up
@@ -220,7 +228,9 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
             > MIN_TREAD_FRACTION * subject.size
         ):
             continue
-        previous_positions = joints[np.arange(len(joints) - 1) + 1, lowest[:-1]]
+        previous_positions = body_positions[
+            np.arange(len(body_positions) - 1) + 1, lowest_joints[:-1]
+        ]
         steps = previous_positions + lift[1:] - points[:-1] - lift[:-1]
         is_slow = (
             np.linalg.norm(steps, axis=1)
@@ -251,10 +261,10 @@ def _is_character(subject: MotionSubject) -> bool:
     return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
 
 
-def _factor(factor: float) -> str:
+def _factor_text(factor: float) -> str:
     """Return a factor as text.
 
-    >>> _factor(100.0), _factor(0.01)
+    >>> _factor_text(100.0), _factor_text(0.01)
     ('100 times', '1/100')
     """
     return f"{factor:.3g} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"

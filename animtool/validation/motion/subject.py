@@ -85,18 +85,18 @@ class MotionSubject:
         return float(np.median(np.diff(self.times))) / float(self.take.clock.fps)
 
     @cached_property
-    def _pace(self) -> FloatArray:
+    def _step_rates(self) -> FloatArray:
         """Length of each time step relative to the typical one ``(F - 1,)``."""
         steps = np.diff(self.times)
         return np.asarray(np.median(steps) / steps if len(steps) else steps)
 
     @property
-    def turning(self) -> IntArray:
+    def rotating_joints(self) -> IntArray:
         """Indices of the rotating joints ``(A,)``."""
         return self.take.motion.rotations.animated
 
     @property
-    def moving(self) -> IntArray:
+    def translating_joints(self) -> IntArray:
         """Indices of the joints that translate against their parents ``(B,)``."""
         return self.take.motion.translations.animated
 
@@ -108,13 +108,13 @@ class MotionSubject:
         """
         values = self.take.motion.rotations.values
         vectors = so3.log(so3.multiply(values[1:], so3.conjugate(values[:-1])))
-        return np.asarray(vectors * self._pace[:, None, None])
+        return np.asarray(vectors * self._step_rates[:, None, None])
 
     @cached_property
-    def shifts(self) -> FloatArray:
+    def translation_steps(self) -> FloatArray:
         """Translation from each frame to the next ``(F - 1, B, 3)`` [m]."""
-        moves = np.diff(self.take.motion.translations.values, axis=0)
-        return np.asarray(moves * self._pace[:, None, None])
+        steps = np.diff(self.take.motion.translations.values, axis=0)
+        return np.asarray(steps * self._step_rates[:, None, None])
 
     @cached_property
     def speeds(self) -> FloatArray:
@@ -123,11 +123,15 @@ class MotionSubject:
         The root of the sum of squares of rotations [rad] and of translations [half the
         size].
         """
-        rotation_steps = np.einsum(
+        squared_rotations = np.einsum(
             "fjc,fjc->f", self.rotation_steps, self.rotation_steps
         )
-        moves = np.einsum("fjc,fjc->f", self.shifts, self.shifts)
-        return np.asarray(np.sqrt(rotation_steps + moves * (2.0 / self.size) ** 2))
+        squared_translations = np.einsum(
+            "fjc,fjc->f", self.translation_steps, self.translation_steps
+        )
+        return np.asarray(
+            np.sqrt(squared_rotations + squared_translations * (2.0 / self.size) ** 2)
+        )
 
     @cached_property
     def joints_leaving_pose(self) -> IntArray:
@@ -135,14 +139,14 @@ class MotionSubject:
 
         Empty if that frame is part of the motion.
         """
-        if self.frames < POSE_STEPS or not len(self.turning) or self.cuts()[0]:
+        if self.frames < POSE_STEPS or not len(self.rotating_joints) or self.cuts()[0]:
             return np.zeros(0, np.int64)
-        sizes = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
-        largest_after = sizes[1:].max(axis=0)
-        leaves_pose = (sizes[0] > POSE_ANGLE) & (
-            sizes[0] > POSE_STEP_RATIO * largest_after
+        step_angles = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
+        largest_after = step_angles[1:].max(axis=0)
+        leaves_pose = (step_angles[0] > POSE_ANGLE) & (
+            step_angles[0] > POSE_STEP_RATIO * largest_after
         )
-        joints = np.asarray(self.turning[leaves_pose])
+        joints = np.asarray(self.rotating_joints[leaves_pose])
         return joints if len(joints) >= POSE_JOINTS else joints[:0]
 
     @cached_property
@@ -230,7 +234,7 @@ class MotionSubject:
         """Heights of the joints above the origin ``(F, J)`` [m]."""
         return np.asarray(self.positions @ self.up)
 
-    def level(self, joints: IntArray) -> FloatArray:
+    def ground_positions(self, joints: IntArray) -> FloatArray:
         """Return horizontal joint positions ``(F, len(joints), 3)`` [m]."""
         points = self.positions[:, joints]
         return np.asarray(points - (points @ self.up)[..., None] * self.up)
@@ -244,6 +248,6 @@ class MotionSubject:
             else self.intended_cuts.copy()
         )
 
-    def at(self, frame: int) -> str:
+    def time_text(self, frame: int) -> str:
         """Return the time code of a frame for a message."""
         return f"{self.times[frame]:.10g}"

@@ -23,25 +23,25 @@ NEAR_HALF_ROTATION = math.radians(178.0)
 
 def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
     """Yield keys 180° from the previous one: the direction is ambiguous (CLIP202)."""
-    for i, channel in enumerate(subject.clip.channels):
+    for channel_index, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
         angles = so3.angle_between(channel.values[:-1], channel.values[1:])
-        for k in np.flatnonzero(angles > NEAR_HALF_ROTATION).tolist():
-            if channel.interps[k] is Interp.STEP:
+        for key in np.flatnonzero(angles > NEAR_HALF_ROTATION).tolist():
+            if channel.interps[key] is Interp.STEP:
                 continue
             message = (
-                f"{channel.target!r} rotates {math.degrees(angles[k]):.1f}° from "
-                f"frame {channel.times[k]:g} to {channel.times[k + 1]:g}: the "
+                f"{channel.target!r} rotates {math.degrees(angles[key]):.1f}° from "
+                f"frame {channel.times[key]:g} to {channel.times[key + 1]:g}: the "
                 "direction is ambiguous"
             )
             hint = (
                 "add a key between them, or use euler: XYZ, which rotates by the "
                 "written angles"
             )
-            location = ("channels", i, "keys", k + 1, "v")
+            location = ("channels", channel_index, "keys", key + 1, "v")
             fault = subject.fault("CLIP202", location, message, hint)
-            yield replace(fault, frame=float(channel.times[k]))
+            yield replace(fault, frame=float(channel.times[key]))
 
 
 # Maps values to their excess over a limit, signed or unsigned.
@@ -60,7 +60,7 @@ MIN_FAR_ANGLE, NEAR_ROTATION = math.radians(150.0), math.radians(90.0)
 # short path is below 60 degrees [rad]; two angles flip by 180 degrees if the third is
 # as close.
 WRAP_ANGLE, WRAP_SHORT_PATH = math.radians(300.0), math.radians(60.0)
-# A speed that continues at this fraction before or after is a spin [1].
+# Motion that continues before or after at this fraction of the speed is a spin [1].
 SPIN_RATIO = 0.5
 DEGREE = "\N{DEGREE SIGN}"
 # Ends of a cycle that differ by less look equal [rad]; of the value range [1].
@@ -70,7 +70,7 @@ CYCLE_TOLERANCE = 1e-3
 def overshoot(subject: ClipSubject) -> Iterator[Fault]:
     """Yield curves that exceed limits between keys within them (CLIP205)."""
     times = np.array(subject.frames)
-    for i, channel in enumerate(subject.clip.channels):
+    for channel_index, channel in enumerate(subject.clip.channels):
         excess = _excess_function(channel, subject.rig)
         if excess is None or len(channel.times) < 2:
             continue
@@ -78,23 +78,23 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
             np.abs(excess(_channel_values(channel, channel.times))) <= LIMIT_TOLERANCE
         )
         excess_at_times = np.abs(excess(_channel_values(channel, times)))
-        segments = np.searchsorted(channel.times, times, "right") - 1
-        for k in np.flatnonzero(is_inside[:-1] & is_inside[1:]).tolist():
+        segment_of_frame = np.searchsorted(channel.times, times, "right") - 1
+        for key in np.flatnonzero(is_inside[:-1] & is_inside[1:]).tolist():
             frames = np.flatnonzero(
-                (segments == k) & (excess_at_times > LIMIT_TOLERANCE)
+                (segment_of_frame == key) & (excess_at_times > LIMIT_TOLERANCE)
             )
             if len(frames):
                 message = _excess_text(
-                    channel, k, times[frames], excess_at_times[frames]
+                    channel, key, times[frames], excess_at_times[frames]
                 )
                 hint = "use tangents: auto_clamped, shorter handles, or a key between"
-                location = ("channels", i, "keys", k)
+                location = ("channels", channel_index, "keys", key)
                 fault = subject.fault("CLIP205", location, message, hint)
                 yield replace(fault, frame=float(times[frames[0]]))
 
 
 def _excess_text(
-    channel: ClipChannel, k: int, frames: FloatArray, excess: FloatArray
+    channel: ClipChannel, key: int, frames: FloatArray, excess: FloatArray
 ) -> str:
     """Return text on the frames of a segment that exceed limits."""
     largest = float(excess.max())
@@ -102,7 +102,7 @@ def _excess_text(
     amount_text = (
         f"{math.degrees(largest):.3g}\N{DEGREE SIGN}" if is_angle else f"{largest:.3g}"
     )
-    key_frames = f"{channel.times[k]:g} and {channel.times[k + 1]:g}"
+    key_frames = f"{channel.times[key]:g} and {channel.times[key + 1]:g}"
     frames_text = f"frame {frames[0]:g}"
     if len(frames) > 1:
         frames_text = f"frames {frames[0]:g} to {frames[-1]:g}"
@@ -116,20 +116,22 @@ def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
     """Return a function of how far a channel's values exceed its target's limits."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
-        control = next(c for c in rig.controls if c.name == name)
+        control = next(
+            rig_control for rig_control in rig.controls if rig_control.name == name
+        )
         lower, upper = control.low, control.high
         if lower is None or upper is None:
             return None
         limits = RangeLimit(lower, upper)
         return lambda values: limits.excess(values[:, 0])
-    joint, _, part = name.rpartition(".")
-    if kind != "joint" or part not in {"angle", "slide", "rotation"}:
+    joint, _, coordinate = name.rpartition(".")
+    if kind != "joint" or coordinate not in {"angle", "slide", "rotation"}:
         return None
     match rig.joints[rig.index(joint)].limits:
-        case RangeLimit() as limits if part != "rotation":
+        case RangeLimit() as limits if coordinate != "rotation":
             return lambda values: limits.excess(values[:, 0])
-        case BallLimit() as ball if part == "rotation":
-            return ball.excess
+        case BallLimit() as ball_limit if coordinate == "rotation":
+            return ball_limit.excess
         case _:
             return None
 
@@ -142,55 +144,57 @@ def _channel_values(channel: ClipChannel, times: FloatArray) -> FloatArray:
 
 def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
     """Yield angles that rotate a full circle from one key to the next (CLIP206)."""
-    for i, channel in enumerate(subject.clip.channels):
+    for channel_index, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
-        flips = np.union1d(_flip_keys(channel), _wrap_keys(channel, subject.rig))
-        if not len(flips):
+        flip_keys = np.union1d(_flip_keys(channel), _wrap_keys(channel, subject.rig))
+        if not len(flip_keys):
             continue
-        k = int(flips[0])
-        message = _round_text(channel, k)
-        if len(flips) > 1:
-            frames = listed([f"{channel.times[j + 1]:g}" for j in flips[1:].tolist()])
-            message += f"; {len(flips) - 1} more times, up to frames {frames}"
-        location = ("channels", i, "keys", k + 1, "v")
-        hint = _unwrapping_hint(channel, k, subject.units.angle)
+        first_key = int(flip_keys[0])
+        message = _full_circle_text(channel, first_key)
+        if len(flip_keys) > 1:
+            frames = listed(
+                [f"{channel.times[key + 1]:g}" for key in flip_keys[1:].tolist()]
+            )
+            message += f"; {len(flip_keys) - 1} more times, up to frames {frames}"
+        location = ("channels", channel_index, "keys", first_key + 1, "v")
+        hint = _unwrapping_hint(channel, first_key, subject.units.angle)
         fault = subject.fault("CLIP206", location, message, hint)
-        yield replace(fault, frame=float(channel.times[k]))
+        yield replace(fault, frame=float(channel.times[first_key]))
 
 
-def _round_text(channel: ClipChannel, k: int) -> str:
+def _full_circle_text(channel: ClipChannel, key: int) -> str:
     """Return text on an angle that rotates a full circle after a key."""
     first_angles, second_angles = (
-        np.degrees(channel.values[k]),
-        np.degrees(channel.values[k + 1]),
+        np.degrees(channel.values[key]),
+        np.degrees(channel.values[key + 1]),
     )
     axis = int(np.argmax(np.abs(second_angles - first_angles)))
-    frames = float(channel.times[k + 1] - channel.times[k])
+    frames = float(channel.times[key + 1] - channel.times[key])
     angle = abs(float(second_angles[axis] - first_angles[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
         f"{channel.target!r}{name} rotates by {angle:.4g}{DEGREE}, from "
-        f"{first_angles[axis]:.5g}{DEGREE} at frame {channel.times[k]:g} to "
+        f"{first_angles[axis]:.5g}{DEGREE} at frame {channel.times[key]:g} to "
         f"{second_angles[axis]:.5g}{DEGREE} "
-        f"at frame {channel.times[k + 1]:g}, {angle / frames:.3g}{DEGREE} per frame; "
+        f"at frame {channel.times[key + 1]:g}, {angle / frames:.3g}{DEGREE} per frame; "
         "the "
-        f"shortest path is {math.degrees(_shortest_rotation(channel, k)):.3g}{DEGREE}"
+        f"shortest path is {math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE}"
     )
 
 
-def _unwrapping_hint(channel: ClipChannel, k: int, unit: float) -> str:
+def _unwrapping_hint(channel: ClipChannel, key: int, unit: float) -> str:
     """Return how to write the next key so that rotation takes the short path.
 
     unit: angle unit of the file [rad].
     """
-    first, second = channel.values[k], channel.values[k + 1]
+    first, second = channel.values[key], channel.values[key + 1]
     nearer_angles = first + np.remainder(second - first + math.pi, math.tau) - math.pi
-    equivalent = _nearer_angles(channel, first, second)
-    if equivalent is not None and _value_distance(first, equivalent) < _value_distance(
-        first, nearer_angles
-    ):
-        nearer_angles = equivalent
+    equivalent_angles = _nearer_angles(channel, first, second)
+    if equivalent_angles is not None and _value_distance(
+        first, equivalent_angles
+    ) < _value_distance(first, nearer_angles):
+        nearer_angles = equivalent_angles
     current_text, nearer_text = (
         ", ".join(f"{value / unit:.6g}" for value in values)
         for values in (second, nearer_angles)
@@ -208,9 +212,12 @@ def _flip_keys(channel: ClipChannel) -> IntArray:
     """Return the keys of a sampled curve after which angles wrap."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
     is_far = (np.abs(np.diff(channel.values, axis=0)) > MIN_FAR_ANGLE).any(axis=1)
-    flips = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
-    return flips[
-        [_shortest_rotation(channel, k) < NEAR_ROTATION for k in flips.tolist()]
+    candidates = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
+    return candidates[
+        [
+            _shortest_rotation(channel, key) < NEAR_ROTATION
+            for key in candidates.tolist()
+        ]
     ]
 
 
@@ -229,46 +236,50 @@ def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
     before and after.
     """
-    steps, is_moving = np.diff(channel.values, axis=0), _interpolated_keys(channel)
-    short_path = np.remainder(steps + math.pi, math.tau) - math.pi
+    steps, is_interpolated = (
+        np.diff(channel.values, axis=0),
+        _interpolated_keys(channel),
+    )
+    short_steps = np.remainder(steps + math.pi, math.tau) - math.pi
     is_wrap = (
         (np.abs(steps) > WRAP_ANGLE)
-        & (np.abs(short_path) > CYCLE_TOLERANCE)
-        & is_moving[:, None]
+        & (np.abs(short_steps) > CYCLE_TOLERANCE)
+        & is_interpolated[:, None]
     )
-    limits = _range_of(channel, rig)
-    wrapping_axes = [
-        k
-        for k, axis in np.argwhere(is_wrap).tolist()
-        if _wraps_after(channel, k, axis, float(short_path[k, axis]), limits)
+    limits = _angle_limits(channel, rig)
+    wrap_keys = [
+        key
+        for key, axis in np.argwhere(is_wrap).tolist()
+        if _wraps_after(channel, key, axis, float(short_steps[key, axis]), limits)
     ]
     # Necessary condition of `_nearer_angles`, which is too slow for every key.
     is_twisted = np.abs(steps[:, ::2]).min(axis=1) > MIN_FAR_ANGLE
-    flipping_axes = [
-        k
-        for k in np.flatnonzero(is_moving & is_twisted).tolist()
-        if _nearer_angles(channel, channel.values[k], channel.values[k + 1]) is not None
+    flip_keys = [
+        key
+        for key in np.flatnonzero(is_interpolated & is_twisted).tolist()
+        if _nearer_angles(channel, channel.values[key], channel.values[key + 1])
+        is not None
     ]
-    return np.unique(np.array([*wrapping_axes, *flipping_axes], np.int64))
+    return np.unique(np.array([*wrap_keys, *flip_keys], np.int64))
 
 
 def _wraps_after(
     channel: ClipChannel,
-    k: int,
+    key: int,
     axis: int,
     short_path: float,
     limits: RangeLimit | None,
 ) -> bool:
-    """Return whether an axis wraps after a key; ``short`` is the short path."""
+    """Return whether an axis wraps after a key; ``short_path`` is its shortest step."""
     values = channel.values[:, axis]
-    first_value, second_value = float(values[k]), float(values[k + 1])
+    first_value, second_value = float(values[key]), float(values[key + 1])
     if limits is not None and not limits.low <= first_value + short_path <= limits.high:
         return False
-    rates_around = np.diff(values) / np.diff(channel.times)
-    neighbours = [
-        float(rates_around[j]) for j in (k - 1, k + 1) if 0 <= j < len(rates_around)
+    rates = np.diff(values) / np.diff(channel.times)
+    neighbour_rates = [
+        float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)
     ]
-    if any(rate / rates_around[k] >= SPIN_RATIO for rate in neighbours):
+    if any(rate / rates[key] >= SPIN_RATIO for rate in neighbour_rates):
         return False
     if (
         first_value * second_value < 0
@@ -277,13 +288,15 @@ def _wraps_after(
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(neighbours) == 2 and all(rate * short_path > 0 for rate in neighbours)
+    return len(neighbour_rates) == 2 and all(
+        rate * short_path > 0 for rate in neighbour_rates
+    )
 
 
-def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
+def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
     """Return the angle limits of a pin joint; None without limits."""
-    joint, _, part = channel.target.removeprefix("joint/").rpartition(".")
-    if part != "angle":
+    joint, _, coordinate = channel.target.removeprefix("joint/").rpartition(".")
+    if coordinate != "angle":
         return None
     limits = rig.joints[rig.index(joint)].limits
     return limits if isinstance(limits, RangeLimit) else None
@@ -299,32 +312,34 @@ def _nearer_angles(
     """
     if len(second) != 3 or len(set(channel.euler)) < 3:
         return None
-    equivalent = np.array(
+    equivalent_angles = np.array(
         [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
     )
-    equivalent = first + np.remainder(equivalent - first + math.pi, math.tau) - math.pi
+    equivalent_angles = (
+        first + np.remainder(equivalent_angles - first + math.pi, math.tau) - math.pi
+    )
     steps = np.abs(second - first)
     is_twisted = steps[[0, 2]].min() > MIN_FAR_ANGLE
     return (
-        equivalent
-        if is_twisted and _value_distance(first, equivalent) < WRAP_SHORT_PATH
+        equivalent_angles
+        if is_twisted and _value_distance(first, equivalent_angles) < WRAP_SHORT_PATH
         else None
     )
 
 
-def _shortest_rotation(channel: ClipChannel, k: int) -> float:
+def _shortest_rotation(channel: ClipChannel, key: int) -> float:
     """Return the rotation angle between two keys [rad]."""
     if not channel.euler:
-        angle_step = float(channel.values[k + 1, 0] - channel.values[k, 0])
+        angle_step = float(channel.values[key + 1, 0] - channel.values[key, 0])
         return abs(math.remainder(angle_step, math.tau))
-    first, second = _channel_values(channel, channel.times[k : k + 2])
+    first, second = _channel_values(channel, channel.times[key : key + 2])
     return float(so3.angle_between(first[None], second[None])[0])
 
 
 def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
     """Yield channels with a discontinuity where their cycle repeats (CLIP207)."""
     clip = subject.clip
-    for i, channel in enumerate(clip.channels):
+    for channel_index, channel in enumerate(clip.channels):
         for key, extrapolation, is_reached in (
             ("pre", channel.pre, float(clip.first) < channel.times[0]),
             ("post", channel.post, float(clip.last) > channel.times[-1]),
@@ -344,7 +359,9 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
                 "give both the same value, or use cycle_offset to continue from the "
                 "last"
             )
-            yield subject.fault("CLIP207", ("channels", i, key), message, hint)
+            yield subject.fault(
+                "CLIP207", ("channels", channel_index, key), message, hint
+            )
 
 
 def _is_closed(channel: ClipChannel) -> bool:

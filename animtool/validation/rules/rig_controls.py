@@ -36,31 +36,36 @@ _ZERO: FloatArray = np.zeros(1)
 class _ControlSweep:
     """Every control swept over its range, one after the other."""
 
-    moving_control: list[Control]  # the moving control of each frame ``(F,)``
-    keyed: dict[str, FloatArray]  # values of all controls ``(F,)``
+    moving_controls: list[Control]  # the moving control of each frame ``(F,)``
+    control_values: dict[str, FloatArray]  # values of all controls ``(F,)``
     driven: DrivenValues  # resulting values
 
-    def spread(self, values: FloatArray) -> FloatArray:
+    def broadcast(self, values: FloatArray) -> FloatArray:
         """Return a value for each frame ``(F,)``."""
-        return np.broadcast_to(values, len(self.moving_control))
+        return np.broadcast_to(values, len(self.moving_controls))
 
-    def keys(self, frame: int) -> str:
+    def frame_text(self, frame: int) -> str:
         """Return the control values of a frame."""
-        name = self.moving_control[frame].name
-        return f"{name!r} at {float(self.keyed[name][frame]):g}"
+        name = self.moving_controls[frame].name
+        return f"{name!r} at {float(self.control_values[name][frame]):g}"
 
-    def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
+    def worst_frames(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
         """Yield controls with an excess, and their worst frame."""
         # Values that are not finite are a fault of the expression (RIG207).
-        absolute = self.spread(np.where(np.isfinite(excess), np.abs(excess), 0.0))
-        worst_by_control: dict[str, int] = {}
-        for frame in np.flatnonzero(absolute > LIMIT_TOLERANCE).tolist():
-            name = self.moving_control[frame].name
-            largest_so_far = worst_by_control.get(name)
-            if largest_so_far is None or absolute[frame] > absolute[largest_so_far]:
-                worst_by_control[name] = frame
-        for frame in worst_by_control.values():
-            yield self.moving_control[frame], frame
+        absolute_excess = self.broadcast(
+            np.where(np.isfinite(excess), np.abs(excess), 0.0)
+        )
+        worst_frames: dict[str, int] = {}
+        for frame in np.flatnonzero(absolute_excess > LIMIT_TOLERANCE).tolist():
+            name = self.moving_controls[frame].name
+            worst_frame = worst_frames.get(name)
+            if (
+                worst_frame is None
+                or absolute_excess[frame] > absolute_excess[worst_frame]
+            ):
+                worst_frames[name] = frame
+        for frame in worst_frames.values():
+            yield self.moving_controls[frame], frame
 
 
 def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
@@ -68,12 +73,13 @@ def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     sweep = _sweep_controls(rig)
     for joint in rig.rig.joints:
         excess = _limit_excess(joint, sweep.driven.targets)
-        for control, frame in sweep.worst(excess):
+        for control, frame in sweep.worst_frames(excess):
             excess_text = value_text(
-                rig, joint, abs(float(sweep.spread(excess)[frame]))
+                rig, joint, abs(float(sweep.broadcast(excess)[frame]))
             )
             message = (
-                f"{sweep.keys(frame)} drives {joint.name!r} {excess_text} beyond its "
+                f"{sweep.frame_text(frame)} drives {joint.name!r} {excess_text} "
+                "beyond its "
             )
             message += "limits"
             location = _affecting_drive(rig, control, f"joint/{joint.name}.")
@@ -92,10 +98,10 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
         excess = (
             unclamped_values - np.clip(unclamped_values, control.low, control.high)
         ) / range_width
-        for driving_control, frame in sweep.worst(excess):
+        for driving_control, frame in sweep.worst_frames(excess):
             message = (
-                f"{sweep.keys(frame)} drives {control.name!r} to "
-                f"{float(sweep.spread(unclamped_values)[frame]):.4g}; its range is "
+                f"{sweep.frame_text(frame)} drives {control.name!r} to "
+                f"{float(sweep.broadcast(unclamped_values)[frame]):.4g}; its range is "
                 f"{control.low:g} to {control.high:g}"
             )
             location = _affecting_drive(rig, driving_control, f"control/{control.name}")
@@ -108,42 +114,52 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
     sweep = _sweep_controls(rig)
     values = sweep.driven.controls
     for control in rig.rig.controls:
-        for k, drive in enumerate(control.drives):
+        for drive_index, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
                 contribution = drive.evaluate(control.name, values)
             inputs = (
                 (control.name,) if drive.expression is None else drive.expression.names
             )
             # If another drive's value is undefined, that drive is at fault.
-            inputs_finite = np.all(
-                [sweep.spread(np.isfinite(values[n])) for n in inputs], axis=0
+            has_finite_inputs = np.all(
+                [
+                    sweep.broadcast(np.isfinite(values[input_name]))
+                    for input_name in inputs
+                ],
+                axis=0,
             )
-            is_undefined = sweep.spread(~np.isfinite(contribution)) & inputs_finite
+            is_undefined = (
+                sweep.broadcast(~np.isfinite(contribution)) & has_finite_inputs
+            )
             if not is_undefined.any():
                 continue
-            by_moved = is_undefined & [
-                moving_control.name in inputs for moving_control in sweep.moving_control
+            is_input_moving = is_undefined & [
+                moving_control.name in inputs
+                for moving_control in sweep.moving_controls
             ]
-            frame = int((by_moved if by_moved.any() else is_undefined).argmax())
-            control_in_frame = sweep.moving_control[frame]
-            value = float(sweep.keyed[control_in_frame.name][frame])
-            text = drive.expression.text if drive.expression else ""
+            frame = int(
+                (is_input_moving if is_own_input.any() else is_undefined).argmax()
+            )
+            control_in_frame = sweep.moving_controls[frame]
+            value = float(sweep.control_values[control_in_frame.name][frame])
+            expression_text = drive.expression.text if drive.expression else ""
             message = (
-                f"{text!r} is undefined where {control_in_frame.name!r} is {value:g}"
+                f"{expression_text!r} is undefined where {control_in_frame.name!r} "
+                f"is {value:g}"
             )
             hint = "avoid division by 0; log and sqrt need more than 0"
-            location = (*rig.at("controls", control.name), "drives", k)
+            location = (*rig.at("controls", control.name), "drives", drive_index)
             yield rig.fault("RIG207", location, message, hint)
 
 
 def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
     """Yield correctives that no control pose activates (RIG208)."""
     # Shapes driven by joint coordinates move without controls.
-    moving_control = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
+    joint_driven_shapes = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
     correctives = [
         shape
         for shape in rig.rig.shapes
-        if shape.combine and not moving_control.intersection(shape.combine)
+        if shape.combine and not joint_driven_shapes.intersection(shape.combine)
     ]
     driven_shapes = {
         drive.target.removeprefix("shape/")
@@ -203,22 +219,22 @@ def _sweep_controls(rig: RigSubject) -> _ControlSweep:
     ranges = {control.name: _sampled_values(control) for control in controls}
     count = sum(map(len, ranges.values()))
     keyed_values: dict[str, FloatArray] = {}
-    moving_control: list[Control] = []
+    moving_controls: list[Control] = []
     for control in controls:
         values = np.full(count, control.default)
         samples = ranges[control.name]
-        values[len(moving_control) : len(moving_control) + len(samples)] = samples
-        moving_control += [control] * len(samples)
+        values[len(moving_controls) : len(moving_controls) + len(samples)] = samples
+        moving_controls += [control] * len(samples)
         keyed_values[control.name] = values
     with np.errstate(all="ignore"):
         driven_values = evaluate_controls(controls, keyed_values)
-    return _ControlSweep(moving_control, keyed_values, driven_values)
+    return _ControlSweep(moving_controls, keyed_values, driven_values)
 
 
 def _sampled_values(control: Control) -> FloatArray:
     if control.low is None or control.high is None:
         return np.zeros(0)
-    corners = [x for drive in control.drives for x, _ in drive.curve]
+    corners = [corner for drive in control.drives for corner, _ in drive.curve]
     samples = np.linspace(control.low, control.high, SWEEP_SAMPLES)
     values = np.concatenate([samples, np.array(corners, np.float64)])
     # `numpy.unique` would import numpy.ma.
@@ -228,29 +244,31 @@ def _sampled_values(control: Control) -> FloatArray:
 def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
     """Return how far controls drive a joint beyond its limits ``(F,)`` or ``(1,)``."""
     if isinstance(joint.limits, RangeLimit):
-        part = "slide" if joint.type == "prismatic" else "angle"
-        value = targets.get(f"joint/{joint.name}.{part}")
+        coordinate = "slide" if joint.type == "prismatic" else "angle"
+        value = targets.get(f"joint/{joint.name}.{coordinate}")
         return _ZERO if value is None else joint.limits.excess(value)
     if isinstance(joint.limits, BallLimit):
         names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
         contributions = [targets.get(name, _ZERO) for name in names]
-        if not any(name in targets for name in names) or _well_within(
+        if not any(name in targets for name in names) or _is_within_limits(
             joint.limits, contributions
         ):
             return _ZERO
         rotation = so3.exp(np.stack(np.broadcast_arrays(*contributions), axis=-1))
-        finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
-        return joint.limits.excess(np.where(finite, rotation, so3.IDENTITY))
+        is_finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
+        return joint.limits.excess(np.where(is_finite, rotation, so3.IDENTITY))
     return _ZERO
 
 
-def _well_within(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
+def _is_within_limits(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
     """Return whether rotations are too small to exceed swing and twist limits.
 
     Swing and twist are at most as large as the rotation. Most rotations are small, and
     the full computation is slow.
     """
-    largest_angle = float(np.sqrt(sum(np.abs(part).max() ** 2 for part in axis_values)))
+    largest_angle = float(
+        np.sqrt(sum(np.abs(values).max() ** 2 for values in axis_values))
+    )
     twist_low, twist_high = limits.twist or (-np.inf, np.inf)
     return largest_angle <= min(
         *(limits.swing or (np.inf, np.inf)), -twist_low, twist_high
@@ -260,9 +278,9 @@ def _well_within(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
 def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location:
     """Return the drive of a control that affects a target, or the control."""
     location = rig.at("controls", control.name)
-    for k, drive in enumerate(control.drives):
+    for drive_index, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):
-            return (*location, "drives", k)
+            return (*location, "drives", drive_index)
     return location
 
 

@@ -49,34 +49,34 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
     """Yield drivers without a value for some inputs (RIG224)."""
-    for key, kind, rig_parts in (
+    for key, kind, elements in (
         ("joints", "joint", rig.rig.joints),
         ("shapes", "shape", rig.rig.shapes),
         ("controls", "control", rig.rig.controls),
     ):
-        for part in rig_parts:
-            if part.driven is None or part.name in rig.mirrored:
+        for element in elements:
+            if element.driven is None or element.name in rig.mirrored:
                 continue
-            inputs = _input_samples(rig, part.driven)
-            is_undefined = ~np.isfinite(part.driven.evaluate(inputs))
+            inputs = _input_samples(rig, element.driven)
+            is_undefined = ~np.isfinite(element.driven.evaluate(inputs))
             if not is_undefined.any():
                 continue
-            frame = int(
+            sample = int(
                 np.argmax(
                     np.broadcast_to(
                         is_undefined, MAX_POSES + INPUT_SAMPLES * len(inputs)
                     )
                 )
             )
-            sample_count = [
-                f"{name} is {values[frame] / part.driven.unit_of(name):.4g}"
+            input_texts = [
+                f"{name} is {values[sample] / element.driven.unit_of(name):.4g}"
                 for name, values in inputs.items()
             ]
-            message = f"the driver of {kind} {part.name!r} is undefined where "
-            message += " and ".join(sample_count) or "it has no inputs"
+            message = f"the driver of {kind} {element.name!r} is undefined where "
+            message += " and ".join(input_texts) or "it has no inputs"
             hint = "avoid division by 0; log and sqrt need more than 0"
             yield rig.fault(
-                "RIG224", (*rig.at(key, part.name), "driven"), message, hint
+                "RIG224", (*rig.at(key, element.name), "driven"), message, hint
             )
 
 
@@ -88,9 +88,9 @@ def _driver_values(rig: RigSubject, driver: Driver) -> FloatArray:
 
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
     """Return sampled values of a driver's inputs: each over its range, then all."""
-    random = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     names = driver.names
-    ranges = {}
+    samples = {}
     for i, name in enumerate(names):
         lower, upper = _input_range(rig.rig, name)
         rest_value = min(max(0.0, lower), upper)
@@ -98,17 +98,17 @@ def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
         values[INPUT_SAMPLES * i : INPUT_SAMPLES * (i + 1)] = np.linspace(
             lower, upper, INPUT_SAMPLES
         )
-        values[INPUT_SAMPLES * len(names) :] = random.uniform(lower, upper, MAX_POSES)
-        ranges[name] = values
-    return ranges
+        values[INPUT_SAMPLES * len(names) :] = rng.uniform(lower, upper, MAX_POSES)
+        samples[name] = values
+    return samples
 
 
 def _input_range(rig: Rig, name: str) -> tuple[float, float]:
     """Return the range of a driver input [rad], [m], [1]."""
-    joint_name, part = split_coordinate(name)
+    joint_name, coordinate = split_coordinate(name)
     if not joint_name:
         control = next(
-            rig_control for rig_control in rig.controls if rig_control.name == name
+            candidate for candidate in rig.controls if candidate.name == name
         )
         if control.low is None or control.high is None:
             return control.default, control.default
@@ -119,10 +119,10 @@ def _input_range(rig: Rig, name: str) -> tuple[float, float]:
     if not isinstance(limits, BallLimit):
         return (
             (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
-            if part == SLIDE
+            if coordinate == SLIDE
             else (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
         )
-    if part == TWIST:
+    if coordinate == TWIST:
         return limits.twist or (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
     cone = max(limits.swing) if limits.swing else UNLIMITED_ANGLE
-    return (0.0, cone) if part == SWING else (-cone, cone)
+    return (0.0, cone) if coordinate == SWING else (-cone, cone)

@@ -34,8 +34,8 @@ def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
                 value = 0.0 if joint.mimic is None else joint.mimic.offset
                 if lower - LIMIT_TOLERANCE <= value <= upper + LIMIT_TOLERANCE:
                     continue
-                ends = [value_text(rig, joint, end) for end in (lower, upper)]
-                range_text = " to ".join(ends)
+                limit_texts = [value_text(rig, joint, end) for end in (lower, upper)]
+                range_text = " to ".join(limit_texts)
                 message = (
                     f"the limits of {joint.name!r} are {range_text}, which exclude its "
                     "rest pose"
@@ -43,8 +43,8 @@ def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
             case BallLimit(twist=(lower, upper)) if (
                 not lower <= LIMIT_TOLERANCE or not upper >= -LIMIT_TOLERANCE
             ):
-                ends = [value_text(rig, joint, end) for end in (lower, upper)]
-                range_text = " to ".join(ends)
+                limit_texts = [value_text(rig, joint, end) for end in (lower, upper)]
+                range_text = " to ".join(limit_texts)
                 message = (
                     f"the twist limits of {joint.name!r} are {range_text}, which "
                     "exclude its rest pose"
@@ -62,8 +62,10 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
         match joint.limits:
             case RangeLimit(lower, upper):
                 is_locked = upper - lower <= LIMIT_TOLERANCE
-            case BallLimit(swing=(a, b), twist=(lower, upper)):
-                is_locked = max(a, b, upper - lower) <= LIMIT_TOLERANCE
+            case BallLimit(swing=(first_swing, second_swing), twist=(lower, upper)):
+                is_locked = (
+                    max(first_swing, second_swing, upper - lower) <= LIMIT_TOLERANCE
+                )
             case _:
                 continue
         if is_locked and joint.name not in rig.mirrored:
@@ -97,17 +99,17 @@ def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
-        leader = rig.rig.joints[rig.rig.index(joint.mimic.joint)]
-        if not isinstance(leader.limits, RangeLimit) or joint.name in rig.mirrored:
+        source = rig.rig.joints[rig.rig.index(joint.mimic.joint)]
+        if not isinstance(source.limits, RangeLimit) or joint.name in rig.mirrored:
             continue
-        for leader_limit in (leader.limits.low, leader.limits.high):
-            value = joint.mimic.gain * leader_limit + joint.mimic.offset
+        for source_limit in (source.limits.low, source.limits.high):
+            value = joint.mimic.gain * source_limit + joint.mimic.offset
             if abs(float(joint.limits.excess(np.array(value)))) <= LIMIT_TOLERANCE:
                 continue
             lower, upper = joint.limits.low, joint.limits.high
             message = (
                 f"{joint.name!r} reaches {value_text(rig, joint, value)} where "
-                f"{leader.name!r} is at {value_text(rig, leader, leader_limit)}; its "
+                f"{source.name!r} is at {value_text(rig, source, source_limit)}; its "
                 f"limits are {value_text(rig, joint, lower)} to "
                 f"{value_text(rig, joint, upper)}"
             )
@@ -126,10 +128,12 @@ def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
     return f"{value / unit:.4g}{name}"
 
 
-def _bone_direction(rig: RigSubject, i: int) -> FloatArray | None:
+def _bone_direction(rig: RigSubject, joint_index: int) -> FloatArray | None:
     """Return the direction of a joint's only bone in its rest frame, if it has one."""
-    child_offsets = [rig.rig.joints[child].translation for child in rig.children[i]]
-    child_offsets += rig.rig.joints[i].tips
+    child_offsets = [
+        rig.rig.joints[child].translation for child in rig.children[joint_index]
+    ]
+    child_offsets += rig.rig.joints[joint_index].tips
     if len(child_offsets) != 1:
         return None
     length = math.hypot(*child_offsets[0])
@@ -142,8 +146,8 @@ def _axis_text(axis: FloatArray) -> str:
 
 # A bind pose that differs by less than this fraction of the rig's size, and by a
 # smaller angle, is rounding.
-SLIP_FRACTION = 1e-3
-SLIP_ANGLE = math.radians(0.5)
+BIND_ROUNDING_FRACTION = 1e-3
+BIND_ROUNDING_ANGLE = math.radians(0.5)
 
 
 def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
@@ -158,8 +162,8 @@ def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         has_no_stretch = pose.stretch is None
         if (
             has_no_stretch
-            and distance <= SLIP_FRACTION * rig.size
-            and angle <= SLIP_ANGLE
+            and distance <= BIND_ROUNDING_FRACTION * rig.size
+            and angle <= BIND_ROUNDING_ANGLE
         ):
             message = (
                 f"the bind pose of {name!r} equals its rest pose except for "
@@ -174,14 +178,16 @@ def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
-    for i, entry in enumerate(rig.written("joints")):
+    for i, entry in enumerate(rig.file_entries("joints")):
         pose = bind.get(entry["name"], {})
         if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
-            name, name_and_parent = entry["name"], entry.get("parent")
-            location = (
-                f"where {name_and_parent!r} is" if name_and_parent else "at the origin"
+            name, parent_name = entry["name"], entry.get("parent")
+            position_text = (
+                f"where {parent_name!r} is" if parent_name else "at the origin"
             )
-            message = f"{name!r} has a bind pose but no rest pose: it rests {location}"
+            message = (
+                f"{name!r} has a bind pose but no rest pose: it rests {position_text}"
+            )
             hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
@@ -250,7 +256,7 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
         bones[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
         for side in (0, 1)
     )
-    is_mirrored_best = np.zeros(len(pairs), bool)
+    most_mirrored = np.zeros(len(pairs), bool)
     for axis in range(3):
         mirror_signs = np.ones(3)
         mirror_signs[axis] = -1.0
@@ -259,9 +265,9 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
             rig.size, POSITION_TOLERANCE
         )
         # Bones in the plane are equal in any direction.
-        if np.count_nonzero(is_mirrored) > np.count_nonzero(is_mirrored_best):
-            is_mirrored_best = is_mirrored
-    return is_mirrored_best
+        if np.count_nonzero(is_mirrored) > np.count_nonzero(most_mirrored):
+            most_mirrored = is_mirrored
+    return most_mirrored
 
 
 def _is_symmetric(are_mirrored: BoolArray) -> bool:

@@ -173,13 +173,13 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
         }
     largest = max(sizes.values(), default=0.0)
     if largest and not rig.size / SIZE_RATIO <= largest <= rig.size * SIZE_RATIO:
-        name = max(sizes, key=lambda name: sizes[name])
+        largest_name = max(sizes, key=lambda name: sizes[name])
         message = (
-            f"{name!r} measures {largest:.3g} m, but the joints at rest "
+            f"{largest_name!r} measures {largest:.3g} m, but the joints at rest "
             f"{rig.size:.3g} m"
         )
         hint = "points use the file's unit, as joints do; or write geom_bind"
-        location = (*rig.at("meshes", name), "points")
+        location = (*rig.at("meshes", largest_name), "points")
         yield rig.fault("RIG218", location, message, hint)
 
 
@@ -221,7 +221,9 @@ def straight_chains(rig: RigSubject) -> Iterator[Fault]:
         inner_joints = [rig.rig.joints[i] for i in joints[1:-1]]
         root_to_tip = positions[joints[-1]] - positions[joints[0]]
         length = float(np.linalg.norm(root_to_tip))
-        movable_joints = [j for j in inner_joints if j.type is not JointType.FIXED]
+        movable_joints = [
+            joint for joint in inner_joints if joint.type is not JointType.FIXED
+        ]
         if not length or not movable_joints:
             continue
         offsets = positions[joints[1:-1]] - positions[joints[0]]
@@ -230,7 +232,10 @@ def straight_chains(rig: RigSubject) -> Iterator[Fault]:
             continue
         location = rig.at("ik", chain.name)
         if chain.pole_dir is None:
-            if all(j.type in {JointType.BALL, JointType.FREE} for j in movable_joints):
+            if all(
+                joint.type in {JointType.BALL, JointType.FREE}
+                for joint in movable_joints
+            ):
                 message = (
                     f"{chain.name!r} is straight at rest, so its bend direction is "
                     "undefined"
@@ -253,31 +258,33 @@ def _chain_joints(rig: RigSubject, chain: IkChain) -> list[int]:
     return upwards[upwards.index(rig.rig.index(chain.root)) :: -1]
 
 
-def _can_bend(rig: RigSubject, i: int, tip: int) -> bool:
+def _can_bend(rig: RigSubject, joint_index: int, tip: int) -> bool:
     """Return whether a joint can bring the tip nearer to the chain's root."""
-    joint = rig.rig.joints[i]
+    joint = rig.rig.joints[joint_index]
     if joint.type is JointType.FIXED:
         return False
-    tip_offset = _tip_in_joint_frame(rig, i, tip)
+    tip_offset = _tip_in_joint_frame(rig, joint_index, tip)
     match joint.type, joint.limits:
         case JointType.PRISMATIC, limits:
             return not isinstance(limits, RangeLimit) or _allows_motion(limits)
         case JointType.PIN, limits:
-            is_fixed = isinstance(limits, RangeLimit) and not _allows_motion(limits)
-            return not is_fixed and not _is_parallel(tip_offset, np.array(joint.axis))
+            is_locked = isinstance(limits, RangeLimit) and not _allows_motion(limits)
+            return not is_locked and not _is_parallel(tip_offset, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
-            twists = twist is None or twist[1] - twist[0] > FIXED_SPAN
-            swings = swing is None or max(swing) > FIXED_SPAN
-            return swings or (twists and not _is_parallel(tip_offset, np.array(axis)))
+            can_twist = twist is None or twist[1] - twist[0] > FIXED_SPAN
+            can_swing = swing is None or max(swing) > FIXED_SPAN
+            return can_swing or (
+                can_twist and not _is_parallel(tip_offset, np.array(axis))
+            )
         case _:
             return True
 
 
-def _tip_in_joint_frame(rig: RigSubject, i: int, tip: int) -> FloatArray:
+def _tip_in_joint_frame(rig: RigSubject, joint_index: int, tip: int) -> FloatArray:
     """Return the tip position at rest, in a joint's frame."""
     positions, rotations = rig.rest
-    tip_offset = positions[tip] - positions[i]
-    return so3.rotate(so3.conjugate(rotations[i]), tip_offset)
+    tip_offset = positions[tip] - positions[joint_index]
+    return so3.rotate(so3.conjugate(rotations[joint_index]), tip_offset)
 
 
 def _is_parallel(vector: FloatArray, axis: FloatArray) -> bool:

@@ -26,12 +26,12 @@ from animtool.validation.subjects.scene import SceneSubject
 def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that are also inputs (OUT003)."""
     scene = subject.scene
-    read = {*subject.read, *scene.inputs, scene.path}
+    read_files = {*subject.read_files, *scene.inputs, scene.path}
     for location, output in subject.outputs:
         if output.path is None:
             continue
-        layer = [output.bake.rig_layer] if output.bake.rig_layer else []
-        inputs = {path.resolve() for path in (*read, *layer)}
+        rig_layers = [output.bake.rig_layer] if output.bake.rig_layer else []
+        inputs = {path.resolve() for path in (*read_files, *rig_layers)}
         files = create_outline(replace(scene, outputs=(output,)), None).files
         overwritten = [repr(path.name) for path in files if path.resolve() in inputs]
         if overwritten:
@@ -45,7 +45,7 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
     Several takes of one library are no conflict.
     """
     scene_path = subject.scene.path.resolve()
-    written = [
+    written_outputs = [
         (
             location,
             (output.path.resolve(), _library_take(subject.scene.path, output.bake)),
@@ -53,13 +53,13 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
         for location, output in subject.outputs
         if output.path is not None
     ]
-    for path in sorted(scene_path.parent.iterdir()) if written else ():
+    for path in sorted(scene_path.parent.iterdir()) if written_outputs else ():
         if path == scene_path or not has_kind_suffix(path, "scene"):
             continue
-        stat = path.stat()
-        written_by_other = _scene_outputs(path, stat.st_mtime_ns, stat.st_size)
-        for location, output in written:
-            if output in written_by_other:
+        file_stat = path.stat()
+        other_outputs = _scene_outputs(path, file_stat.st_mtime_ns, file_stat.st_size)
+        for location, output in written_outputs:
+            if output in other_outputs:
                 message = f"{path.name!r} also writes {output[0].name!r}"
                 hint = "change the name in one of them"
                 yield subject.fault("SCN204", (*location, "file"), message, hint)
@@ -81,8 +81,8 @@ def _scene_outputs(
         document.check()
     except AnimtoolError:
         return ()
-    written = document.value.get("output")
-    entries = written if isinstance(written, list) else [written]
+    output_value = document.value.get("output")
+    entries = output_value if isinstance(output_value, list) else [output_value]
     return tuple(
         ((path.parent / name).resolve(), _library_take(path, _named_take(entry)))
         for entry in entries
@@ -92,10 +92,10 @@ def _scene_outputs(
 
 def _named_take(entry: dict[str, Any]) -> BakeOptions:
     """Return the take key and name of an output entry."""
-    form, take = entry.get("as"), entry.get("take")
+    form, take_key = entry.get("as"), entry.get("take")
     return BakeOptions(
         form="library" if form == "library" else None,
-        take=take if isinstance(take, str) else None,
+        take=take_key if isinstance(take_key, str) else None,
     )
 
 
@@ -126,7 +126,7 @@ def unknown_tolerance_joints(subject: SceneSubject) -> Iterator[Fault]:
 def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
     """Yield curves to keep that do not exist (SCN208)."""
     for location, output in subject.outputs:
-        if output.bake.keep_curves and not subject.curves:
+        if output.bake.keep_curves and not subject.has_control_curves:
             message = "there is no control whose curve could be kept"
             hint = (
                 "only clips have such curves; a pass that changes a control drops them"
@@ -138,7 +138,7 @@ def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
 # 29.97 [1].
 NEAR_RATES = Fraction(1, 50)
 
-# Passes that define a result instead of a change; a take may already have it.
+# Passes that request a result, which a take may already have.
 _DEFINES_RESULT = frozenset({"ik", "resample"})
 # Passes that keep the world positions of joints although the table says otherwise.
 _KEEPS_POSE = frozenset({"root_motion"})
@@ -146,7 +146,7 @@ _KEEPS_POSE = frozenset({"root_motion"})
 
 def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
     """Yield passes that change nothing (SCN201)."""
-    for i in subject.idle:
+    for i in subject.idle_passes:
         name = subject.scene.passes[i].pass_.name
         if name in _DEFINES_RESULT:
             continue
@@ -170,7 +170,7 @@ def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _range_faults(
-    subject: SceneSubject, code: str, verb: str, *, completely: bool
+    subject: SceneSubject, code: str, reason: str, *, completely: bool
 ) -> Iterator[Fault]:
     """Yield a range that is completely or partly outside the take."""
     scene, clock = subject.scene, subject.take.clock
@@ -186,7 +186,7 @@ def _range_faults(
     if scene.bake.shot is not None:
         subject_text, location = "cut with its handles,", ("shot",)
     message = (
-        f"the {subject_text} from {frame_range.first} to {frame_range.last} {verb}, "
+        f"the {subject_text} from {frame_range.first} to {frame_range.last} {reason}, "
         f"which has output frames {float(start_code):g} to {float(last_code):g}"
     )
     hint = "frame numbers are those of the output, counted from its start"
@@ -205,10 +205,17 @@ def _output_start(subject: SceneSubject) -> Fraction | None:
 
 def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a rate slightly different from the take's (SCN205)."""
-    output, source = subject.scene.bake.fps, subject.take.clock.rate
-    if output is None or output == source or abs(output - source) > NEAR_RATES * source:
+    output_rate, source_rate = subject.scene.bake.fps, subject.take.clock.rate
+    if (
+        output_rate is None
+        or output_rate == source_rate
+        or abs(output_rate - source_rate) > NEAR_RATES * source_rate
+    ):
         return
-    message = f"the output has {rate_label(output)}, but the take {rate_label(source)}"
+    message = (
+        f"the output has {rate_label(output_rate)}, but the take "
+        f"{rate_label(source_rate)}"
+    )
     hint = "remove fps; for a BVH with a wrong rate, set source.fps"
     yield subject.fault("SCN205", ("fps",), message, hint)
 
@@ -216,12 +223,17 @@ def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
     """Yield passes that change poses after `ik` reached its targets (SCN210)."""
     ik_pass = ""
-    for i, entry in enumerate(subject.scene.passes):
-        if i in subject.solved:
-            ik_pass = entry.location.where
-        elif ik_pass and _changes_poses(entry.pass_) and i not in subject.idle:
+    for i, pass_entry in enumerate(subject.scene.passes):
+        if i in subject.ik_input_takes:
+            ik_pass = pass_entry.location.where
+        elif (
+            ik_pass
+            and _changes_poses(pass_entry.pass_)
+            and i not in subject.idle_passes
+        ):
             message = (
-                f"the pass {entry.pass_.name} moves what {ik_pass} solved for targets"
+                f"the pass {pass_entry.pass_.name} moves what {ik_pass} solved "
+                "for targets"
             )
             hint = "put ik after it"
             yield subject.fault("SCN210", subject.pass_location(i), message, hint)
@@ -229,10 +241,10 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
 
 def _changes_poses(pass_: Pass) -> bool:
     """Return whether a pass changes poses, not only their timing."""
-    retimes = TakePart.CLOCK in pass_.changes
+    is_retiming = TakePart.CLOCK in pass_.changes
     return (
         TakePart.JOINTS in pass_.changes
-        and not retimes
+        and not is_retiming
         and pass_.name not in _KEEPS_POSE
     )
 

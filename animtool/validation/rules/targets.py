@@ -63,12 +63,12 @@ def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
         return
     first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
-        for key, times, times_outside in _keys_outside(goal, first_frame, last_frame):
+        for key, times, are_keys in _keys_outside(goal, first_frame, last_frame):
             message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
             message += "never met"
-            if times_outside:
+            if are_keys:
                 message = f"keys of the {key} of {goal.name!r} are never used: "
-                message += listed([f"{t:g}" for t in times])
+                message += listed([f"{time:g}" for time in times])
             yield subject.outside(i, (key,), message, first_frame, last_frame)
 
 
@@ -76,11 +76,11 @@ def _keys_outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
     """Yield keys or spans of a goal outside a frame range."""
-    for part, value in goal.values.items():
+    for goal_kind, value in goal.values.items():
         if isinstance(value, Keyed):
             unused_keys = keys_beyond(value.channel, first, last)
             if len(unused_keys):
-                yield part, value.channel.times[unused_keys].tolist(), True
+                yield goal_kind, value.channel.times[unused_keys].tolist(), True
     for key, spans in (("hold", goal.spans), ("during", goal.during)):
         for span in spans:
             if span[1] < first or span[0] > last:
@@ -91,50 +91,58 @@ def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goals that request the same of an effector as another (TGT202)."""
     goals = subject.targets.goals
     by_effector: dict[tuple[object, ...], list[int]] = {}
-    for i, goal in enumerate(goals):
+    for second_index, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        by_effector.setdefault(effector, []).append(i)
+        by_effector.setdefault(effector, []).append(second_index)
     equal_candidates = [
         pair for group in by_effector.values() for pair in combinations(group, 2)
     ]
-    for earlier, i in sorted(equal_candidates)[:MAX_COMPARED_PAIRS]:
-        first_goal, second_goal = goals[earlier], goals[i]
+    for first_index, second_index in sorted(equal_candidates)[:MAX_COMPARED_PAIRS]:
+        first_goal, second_goal = goals[first_index], goals[second_index]
         common_kinds = [
             kind for kind in first_goal.goal.kinds if kind in second_goal.goal.kinds
         ]
-        part_names = [kind.name for kind in common_kinds]
-        if not part_names or not _spans_overlap(first_goal.during, second_goal.during):
+        kind_names = [kind.name for kind in common_kinds]
+        if not kind_names or not _spans_overlap(first_goal.during, second_goal.during):
             continue
         if all(
-            _equal_parts(first_goal.values, second_goal.values, part)
-            for part in part_names
+            _equal_values(first_goal.values, second_goal.values, kind_name)
+            for kind_name in kind_names
         ):
             message = (
-                f"targets the {listed(part_names)} of {second_goal.name!r} a second "
+                f"targets the {listed(kind_names)} of {second_goal.name!r} a second "
                 "time"
             )
             hint = "remove one of them; weight sets how much it counts"
         else:
             message = (
-                f"targets another {listed(part_names)} of {second_goal.name!r} than "
+                f"targets another {listed(kind_names)} of {second_goal.name!r} than "
                 "the goal on "
             )
             message += f"line {first_goal.location[0]}: both are missed"
             hint = "remove one, give it another priority, or other frames: during"
-        yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
+        yield subject.fault(
+            "TGT202", ("goals", second_index, "effector"), message, hint
+        )
 
 
 def _spans_overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
     """Return whether spans have common frames; no spans means all frames."""
     if not first or not second:
         return True
-    return any(a <= d and c <= b for a, b in first for c, d in second)
+    return any(
+        first_start <= second_end and second_start <= first_end
+        for first_start, first_end in first
+        for second_start, second_end in second
+    )
 
 
-def _equal_parts(
-    first: Mapping[str, Value | None], second: Mapping[str, Value | None], part: str
+def _equal_values(
+    first: Mapping[str, Value | None],
+    second: Mapping[str, Value | None],
+    kind_name: str,
 ) -> bool:
-    match first[part], second[part]:
+    match first[kind_name], second[kind_name]:
         case Constant(value=a), Constant(value=b):
             return a == b
         case Keyed(channel=c), Keyed(channel=d):
@@ -150,7 +158,7 @@ def _equal_parts(
 def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goal parts whose weight is 0 in all frames (TGT203)."""
     for i, goal in enumerate(subject.targets.goals):
-        for part, weight in goal.weights.items():
+        for kind_name, weight in goal.weights.items():
             match weight:
                 case Constant(value=(0.0,)):
                     pass
@@ -158,10 +166,12 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
                     pass
                 case _:
                     continue
-            if getattr(goal.goal, part) > 0:
-                message = f"the {part} of {goal.name!r} has the weight 0 throughout"
-                hint = f"remove the {part}"
-                location = ("goals", i, "weight", part)
+            if getattr(goal.goal, kind_name) > 0:
+                message = (
+                    f"the {kind_name} of {goal.name!r} has the weight 0 throughout"
+                )
+                hint = f"remove the {kind_name}"
+                location = ("goals", i, "weight", kind_name)
                 yield subject.fault("TGT203", location, message, hint)
 
 
@@ -197,11 +207,11 @@ class _SampledTargets:
     world: WorldTransforms  # world transforms of the joints without the goals
     targets: Targets  # sampled targets of the goals
 
-    def points(self, e: int) -> tuple[FloatArray, BoolArray]:
+    def points(self, goal_index: int) -> tuple[FloatArray, BoolArray]:
         """Return a goal's target points ``(F, 3)``, and its active frames."""
-        weights = np.asarray(self.targets.weights)[:, e, 0]
-        is_active = (weights > 0) & (self.tracks.goals[e].goal.position > 0)
-        return np.asarray(self.targets.positions)[:, e], np.asarray(is_active)
+        weights = np.asarray(self.targets.weights)[:, goal_index, 0]
+        is_active = (weights > 0) & (self.tracks.goals[goal_index].goal.position > 0)
+        return np.asarray(self.targets.positions)[:, goal_index], np.asarray(is_active)
 
     @property
     def unit(self) -> float:
@@ -209,9 +219,11 @@ class _SampledTargets:
         unit = self.document.value.get("units", {}).get("length")
         return LengthUnit(unit).meters if unit else self.take.rig.meters_per_unit
 
-    def fault(self, code: str, e: int, key: str, message: str, hint: str) -> Fault:
+    def fault(
+        self, code: str, goal_index: int, key: str, message: str, hint: str
+    ) -> Fault:
         """Return a fault of a goal, in the targets file."""
-        return self.document.fault(code, ("goals", e, key), message, hint)
+        return self.document.fault(code, ("goals", goal_index, key), message, hint)
 
 
 @lru_cache(maxsize=1)
@@ -230,13 +242,15 @@ def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
     for sampled_targets in _sampled_targets(subject):
         rig, times = sampled_targets.take.rig, sampled_targets.take.clock.times
         goal_joints = _goal_joints(rig, sampled_targets.tracks.goals)
-        for e, track in enumerate(sampled_targets.tracks.goals):
-            points, is_active = sampled_targets.points(e)
+        for goal_index, track in enumerate(sampled_targets.tracks.goals):
+            points, is_active = sampled_targets.points(goal_index)
             chain = _chain_joints(rig, track.goal, goal_joints)
             if chain is None or not is_active.any():
                 continue
-            base, lengths = _chain_reach(rig, sampled_targets.world, track.goal, chain)
-            distances = np.linalg.norm(points - base, axis=1)
+            root_positions, lengths = _chain_reach(
+                rig, sampled_targets.world, track.goal, chain
+            )
+            distances = np.linalg.norm(points - root_positions, axis=1)
             excess = np.where(
                 is_active, distances - lengths * (1.0 + REACH_TOLERANCE), 0.0
             )
@@ -256,7 +270,9 @@ def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             if len(frames) > 1:
                 message += f"; also in {len(frames)} frames in total"
             hint = "move it closer, or let joints above move: root, or goals for them"
-            fault = sampled_targets.fault("TGT205", e, "position", message, hint)
+            fault = sampled_targets.fault(
+                "TGT205", goal_index, "position", message, hint
+            )
             yield replace(fault, frame=float(times[worst_frame]))
 
 
@@ -264,13 +280,13 @@ def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
     """Return the joints that some goal may move."""
     goal_joints: set[int] = set()
     for track in goals:
-        j = rig.index(track.goal.joint)
+        joint = rig.index(track.goal.joint)
         root = -1 if track.goal.root is None else rig.index(track.goal.root)
-        while j >= 0:
-            goal_joints.add(j)
-            j = -1 if j == root else rig.joints[j].parent
+        while joint >= 0:
+            goal_joints.add(joint)
+            joint = -1 if joint == root else rig.joints[joint].parent
     return frozenset(
-        j for j in goal_joints if rig.joints[j].type is not JointType.FIXED
+        joint for joint in goal_joints if rig.joints[joint].type is not JointType.FIXED
     )
 
 
@@ -281,13 +297,13 @@ def _chain_joints(
 
     None where its length has no bound, or nothing moves.
     """
-    path = [rig.index(goal.joint)]
-    while rig.joints[path[-1]].parent >= 0:
-        path.append(rig.joints[path[-1]].parent)
-    topmost = [k for k, j in enumerate(path) if j in goal_joints]
-    if not topmost or goal.stretch:
+    root_path = [rig.index(goal.joint)]
+    while rig.joints[root_path[-1]].parent >= 0:
+        root_path.append(rig.joints[root_path[-1]].parent)
+    moving_indices = [k for k, j in enumerate(root_path) if j in goal_joints]
+    if not moving_indices or goal.stretch:
         return None
-    chain = path[topmost[-1] :: -1]
+    chain = root_path[moving_indices[-1] :: -1]
     if any(j in goal_joints and _slides_freely(rig.joints[j]) for j in chain):
         return None
     return chain
@@ -307,15 +323,17 @@ def _chain_reach(
 
     The chain is straight, with every slide at its end; limits of joints may allow less.
     """
-    joints = world.positions[:, list(chain)]
-    bones = np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
-    slides = sum(
+    joint_positions = world.positions[:, list(chain)]
+    bone_length = np.linalg.norm(np.diff(joint_positions, axis=1), axis=2).sum(axis=1)
+    slide_length = sum(
         limits.high - limits.low
         for j in chain
         if rig.joints[j].type is JointType.PRISMATIC
         and isinstance(limits := rig.joints[j].limits, RangeLimit)
     )
-    return joints[:, 0], bones + slides + float(np.linalg.norm(goal.offset))
+    return joint_positions[:, 0], bone_length + slide_length + float(
+        np.linalg.norm(goal.offset)
+    )
 
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
@@ -324,25 +342,27 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         size = rest_size(sampled_targets.take.rig)
         file_unit = sampled_targets.unit
         # Goals whose points are numbers of the file, not a prim's.
-        positions = [
-            e
-            for e, track in enumerate(sampled_targets.tracks.goals)
+        goal_indices = [
+            goal_index
+            for goal_index, track in enumerate(sampled_targets.tracks.goals)
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
         points = [
-            sampled_targets.points(e)[0][sampled_targets.points(e)[1]]
-            for e in positions
+            sampled_targets.points(goal_index)[0][sampled_targets.points(goal_index)[1]]
+            for goal_index in goal_indices
         ]
-        cloud = np.concatenate(points) if points else np.zeros((0, 3))
-        if not len(cloud):
+        all_points = np.concatenate(points) if points else np.zeros((0, 3))
+        if not len(all_points):
             continue
         root = sampled_targets.world.positions[0, sampled_targets.take.rig.roots[0]]
-        if np.linalg.norm(cloud - root, axis=1).min() <= FAR_SIZES * size:
+        if np.linalg.norm(all_points - root, axis=1).min() <= FAR_SIZES * size:
             continue
         fitting_units = [
             unit
             for unit in LengthUnit
-            if np.linalg.norm(cloud * (unit.meters / file_unit) - root, axis=1).max()
+            if np.linalg.norm(
+                all_points * (unit.meters / file_unit) - root, axis=1
+            ).max()
             <= LIKELY_SIZES * size
         ]
         if fitting_units:
@@ -352,7 +372,7 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
             )
             hint = f"units: {{length: {fitting_units[0]}}} is more plausible"
             yield sampled_targets.fault(
-                "TGT206", positions[0], "position", message, hint
+                "TGT206", goal_indices[0], "position", message, hint
             )
 
 
@@ -361,7 +381,7 @@ def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
     for sampled_targets in _sampled_targets(subject):
         times = sampled_targets.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])
-        for e, track in enumerate(sampled_targets.tracks.goals):
+        for goal_index, track in enumerate(sampled_targets.tracks.goals):
             for key, outside_times, are_keys in _keys_outside(
                 track, first_time, last_time
             ):
@@ -377,4 +397,4 @@ def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
                 )
                 message += f" which has {first_time:g} to {last_time:g}"
                 hint = "frame numbers of targets are those of the take"
-                yield sampled_targets.fault("TGT207", e, key, message, hint)
+                yield sampled_targets.fault("TGT207", goal_index, key, message, hint)

@@ -71,9 +71,11 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
 def unlabelled_points(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if many points have no label (MKR203)."""
     names, visible = subject.markers.names, subject.markers.visible
-    nameless = np.array([name.startswith("*") for name in names], np.bool_)
+    is_unlabelled = np.array([name.startswith("*") for name in names], np.bool_)
     point_count = int(visible.sum())
-    fraction = float(visible[:, nameless].sum()) / point_count if point_count else 0.0
+    fraction = (
+        float(visible[:, is_unlabelled].sum()) / point_count if point_count else 0.0
+    )
     if fraction > UNLABELLED_FRACTION:
         message = f"{percent_text(fraction)} of all points have no label"
         hint = "animtool mocap label names them"
@@ -114,24 +116,24 @@ def _frame_extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
 def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
-    labelled_points = [
+    labelled_indices = [
         i for i, name in enumerate(markers.names) if not name.startswith("*")
     ]
-    count = len(labelled_points)
+    count = len(labelled_indices)
     near_counts = np.zeros((count, count), np.int64)
     both_visible = np.zeros((count, count), np.int64)
     for block_start in range(0, len(markers), BLOCK_FRAMES):
-        part = markers.positions[
-            block_start : block_start + BLOCK_FRAMES, labelled_points
+        block_positions = markers.positions[
+            block_start : block_start + BLOCK_FRAMES, labelled_indices
         ]
-        is_visible = np.isfinite(part[..., 0])
+        is_visible = np.isfinite(block_positions[..., 0])
         both_visible += np.einsum(
             "fi,fj->ij", is_visible.astype(np.int64), is_visible.astype(np.int64)
         )
-        is_near = np.ones((len(part), count, count), np.bool_)
+        is_near = np.ones((len(block_positions), count, count), np.bool_)
         with np.errstate(invalid="ignore"):
             for axis in range(3):
-                coordinates = part[..., axis]
+                coordinates = block_positions[..., axis]
                 is_near &= (
                     np.abs(coordinates[:, :, None] - coordinates[:, None, :])
                     < SAME_POINT
@@ -141,8 +143,10 @@ def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
         np.triu((near_counts > SAME_FRACTION * both_visible) & (both_visible > 0), 1)
     )
     if len(pairs):
-        names = [markers.names[i] for i in labelled_points]
-        pair_texts = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
+        names = [markers.names[i] for i in labelled_indices]
+        pair_texts = [
+            f"{names[first]} and {names[second]}" for first, second in pairs.tolist()
+        ]
         message = (
             f"markers at the same position: {listed(pair_texts, MAX_LISTED_MARKERS)}"
         )

@@ -45,8 +45,8 @@ class TakeSubject:
     def _lines(self) -> dict[str, int]:
         """Lines that declare joints, by name; none for generated names."""
         lines: dict[str, int] = {}
-        raw = open_input(self.path, None)
-        with TextIOWrapper(BufferedReader(raw), "utf-8", "replace") as file:
+        raw_file = open_input(self.path, None)
+        with TextIOWrapper(BufferedReader(raw_file), "utf-8", "replace") as file:
             for number, line in enumerate(file, 1):
                 keyword, _, name = line.strip().partition(" ")
                 if keyword.upper() == "MOTION":

@@ -52,7 +52,7 @@ class ClipSubject(DocumentSubject):
         """
         for i, channel in enumerate(self.clip.channels):
             if channel.target.startswith(f"joint/{joint}."):
-                return self.key(i, frame)
+                return self.previous_key(i, frame)
         return ("channels",)
 
     def fault_at(
@@ -76,7 +76,7 @@ class ClipSubject(DocumentSubject):
                     cuts |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
         return cuts
 
-    def key(self, channel: int, frame: float) -> Location:
+    def previous_key(self, channel: int, frame: float) -> Location:
         """Return a channel's last key up to a frame, or its first key."""
         times = self.clip.channels[channel].times
         k = max(int(np.searchsorted(times, frame, "right")) - 1, 0)

@@ -58,9 +58,9 @@ def open_gltf(path: Path) -> CheckedFile:
 
 
 def _build_rig(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
-    rig_and_skins = build_rig(gltf, character, gltf.path.stem)
-    faults += rig_and_skins.notices
-    return rig_and_skins
+    built_rig = build_rig(gltf, character, gltf.path.stem)
+    faults += built_rig.notices
+    return built_rig
 
 
 def _clip_subjects(
@@ -100,7 +100,7 @@ def _trim_to_keys(
         np.abs(codes - nearest_frames) <= FRAME_TOLERANCE, nearest_frames, codes
     )
     last_time = float(clock.times[-1])
-    range_ = (float(min(clock.start, frames.start)), last_time)
+    frame_range = (float(min(clock.start, frames.start)), last_time)
     if (
         len(codes) > 1
         and abs(float(np.median(np.diff(codes))) - 1.0) <= MAX_SAMPLE_SPACING
@@ -109,16 +109,16 @@ def _trim_to_keys(
             return subject
         motion = sampler.at(frames.seconds(codes))
     else:
-        first_kept = int(np.searchsorted(clock.times, codes[0]))
-        if not 0 < first_kept < clock.count:
+        first_frame = int(np.searchsorted(clock.times, codes[0]))
+        if not 0 < first_frame < clock.count:
             return subject
         codes, motion = (
-            clock.times[first_kept:],
-            take.motion.select(slice(first_kept, None)),
+            clock.times[first_frame:],
+            take.motion.select(slice(first_frame, None)),
         )
     clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
-    return replace(subject, take=take, codes=codes, frame_range=range_)
+    return replace(subject, take=take, codes=codes, frame_range=frame_range)
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
@@ -151,8 +151,10 @@ def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
         used_joints = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(
             int
         )
-        for name in (skin.joints[k] for k in used_joints.tolist()):
-            names.update(rig.names[j] for j in rig.upwards(rig.index(name)))
+        for name in (skin.joints[joint_index] for joint_index in used_joints.tolist()):
+            names.update(
+                rig.names[ancestor] for ancestor in rig.upwards(rig.index(name))
+            )
     return frozenset(names)
 
 
@@ -166,11 +168,13 @@ def _bind_positions(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
     if not joints:
         return None
     rest_transforms, bind_transforms = rest_world(rig), bind_matrices(rig)
-    first_bind = np.eye(4)
-    first_bind[:3, :3] = rest_transforms.linear[0, joints[0]]
-    first_bind[:3, 3] = rest_transforms.positions[0, joints[0]]
+    rest_matrix = np.eye(4)
+    rest_matrix[:3, :3] = rest_transforms.linear[0, joints[0]]
+    rest_matrix[:3, 3] = rest_transforms.positions[0, joints[0]]
     bind_in_world = (
-        first_bind @ np.linalg.inv(bind_transforms[joints[0]]) @ bind_transforms[joints]
+        rest_matrix
+        @ np.linalg.inv(bind_transforms[joints[0]])
+        @ bind_transforms[joints]
     )
     if np.ptp(bind_in_world[:, :3, 3], axis=0).max() == 0.0:
         # A skin without bind matrices.

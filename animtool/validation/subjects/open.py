@@ -54,7 +54,7 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
 
     Faults of a batch are reported only for the batch.
     """
-    by_scene: dict[Path, SceneValues] = {}
+    values_by_scene: dict[Path, SceneValues] = {}
     for path in paths:
         if not has_kind_suffix(path, "batch"):
             continue
@@ -66,8 +66,8 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
         except AnimtoolError:
             continue
         for scene, values in values_of_scenes.items():
-            by_scene.setdefault(scene.resolve(), values)
-    return by_scene
+            values_by_scene.setdefault(scene.resolve(), values)
+    return values_by_scene
 
 
 def open_map(document: Document) -> CheckedFile:
@@ -171,7 +171,7 @@ _KINDS_BY_READER = {
 def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     """Return the subject of a file, with every reader fault.
 
-    ``given`` are values of variables, of a scene.
+    ``values``: batch values of the variables of a scene.
     """
     reader = reader_of(path)
     if reader in _KINDS_BY_READER:

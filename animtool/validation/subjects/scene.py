@@ -39,20 +39,20 @@ class SceneSubject(DocumentSubject):
     take: Take  # its source with all passes applied
     # Time code of its first frame; None if unspecified.
     start: Fraction | None
-    curves: bool  # whether its controls have curves
-    idle: tuple[int, ...]  # indices of passes that change nothing
+    has_control_curves: bool  # whether its controls have curves
+    idle_passes: tuple[int, ...]  # indices of passes that change nothing
     # Input takes of the `ik` passes, by pass index.
-    solved: dict[int, Take]
-    read: frozenset[Path]  # files that were read for the scene
+    ik_input_takes: dict[int, Take]
+    read_files: frozenset[Path]  # files that were read for the scene
 
     @cached_property
     def sampled_targets(self) -> list[tuple[Take, TargetTracks]]:
         """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
-        for i, solved_take in self.solved.items():
+        for pass_index, solved_take in self.ik_input_takes.items():
             take, tracks = rig_and_tracks(
-                solved_take, self.scene.passes[i].options, folder
+                solved_take, self.scene.passes[pass_index].options, folder
             )
             takes.append((take, tracks.placed(take.clock)))
         return takes
@@ -71,9 +71,9 @@ class SceneSubject(DocumentSubject):
             for i, output in enumerate(self.scene.outputs)
         ]
 
-    def pass_location(self, i: int) -> Location:
+    def pass_location(self, pass_index: int) -> Location:
         """Return the location of a pass."""
-        return ("passes", i, self.scene.passes[i].pass_.name)
+        return ("passes", pass_index, self.scene.passes[pass_index].pass_.name)
 
 
 def open_scene(
@@ -81,7 +81,7 @@ def open_scene(
 ) -> CheckedFile:
     """Return the subject of a scene file; reads its source and runs its passes.
 
-    ``given`` are values of its variables that a batch gives.
+    ``batch_values``: values of its variables from a batch.
     """
     values = SceneValues() if batch_values is None else batch_values
     scene = scene_of_document(document, values.values, parts=values.component_names)
@@ -151,7 +151,7 @@ def _simulated_seconds(scene: Scene, take: Take | None) -> float:
 
 def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
     """Return a scene with its passes run, and their notices."""
-    idle: list[int] = []
+    idle_passes: list[int] = []
     solved_takes: dict[int, Take] = {}
     with recorded_inputs() as inputs:
         steps = scene.steps()
@@ -160,8 +160,8 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
             result, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
                 solved_takes[i] = take
-            if _equal_sources(take, result):
-                idle.append(i)
+            if _is_unchanged(take, result):
+                idle_passes.append(i)
             take = result
     subject = SceneSubject(
         document,
@@ -169,30 +169,34 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
         take,
         stream.start,
         bool(stream.control_curves),
-        tuple(idle),
+        tuple(idle_passes),
         solved_takes,
         frozenset(inputs.opened),
     )
     return subject, stream.notices
 
 
-def _equal_sources(before: Take, after: Take) -> bool:
+def _is_unchanged(old_take: Take, new_take: Take) -> bool:
     """Return whether a pass left a take unchanged."""
-    if before.clock != after.clock or before.rig.names != after.rig.names:
+    if old_take.clock != new_take.clock or old_take.rig.names != new_take.rig.names:
         return False
-    channel_names = [f.name for f in fields(Motion) if f.name != "points"]
+    channel_names = [
+        motion_field.name
+        for motion_field in fields(Motion)
+        if motion_field.name != "points"
+    ]
     channel_pairs = [
-        (getattr(before.motion, field_name), getattr(after.motion, field_name))
+        (getattr(old_take.motion, field_name), getattr(new_take.motion, field_name))
         for field_name in channel_names
     ]
-    before_channel, after_channel = before.motion.points, after.motion.points
+    old_points, new_points = old_take.motion.points, new_take.motion.points
     channel_pairs += [
-        (before_channel.get(name), after_channel.get(name))
-        for name in {*before_channel, *after_channel}
+        (old_points.get(name), new_points.get(name))
+        for name in {*old_points, *new_points}
     ]
     return all(
-        _is_same_channel(before_value, after_value)
-        for before_value, after_value in channel_pairs
+        _is_same_channel(old_channel, new_channel)
+        for old_channel, new_channel in channel_pairs
     )
 
 
