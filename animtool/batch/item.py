@@ -223,7 +223,7 @@ def map_path(text: str, rules: Sequence[PathRule]) -> str:
     r"""Return the local path, by the rule of the innermost folder.
 
     >>> rule = PathRule(PureWindowsPath("Z:/show"), "/mnt/show")
-    >>> mapped_path("z:\\show\\a.bvh", [rule]), mapped_path("a.bvh", [rule])
+    >>> map_path("z:\\show\\a.bvh", [rule]), map_path("a.bvh", [rule])
     ('/mnt/show/a.bvh', 'a.bvh')
     """
     for rule in sorted(rules, key=lambda rule: -len(rule.source.parts)):

@@ -125,7 +125,8 @@ def _assignment_hint(text: str) -> str:
 def _translate_range(text: str) -> str | None:
     """Return a range in another notation in animtool's; None if it is not a range.
 
-    >>> _range_meant("50:200:50"), _range_meant("50:50:200"), _range_meant("01:00:00")
+    >>> texts = ("50:200:50", "50:50:200", "01:00:00")
+    >>> tuple(map(_translate_range, texts))
     ('50..200/50', '50..200/50', None)
     """
     match = _OTHER_RANGE.fullmatch(text)

@@ -109,9 +109,9 @@ _FAMILY = re.compile(r"[A-Za-z][A-Za-z0-9]{0,6}[A-Za-z]")
 def parse_codes(arguments: Sequence[str]) -> list[str]:
     """Return the codes in arguments, also in pasted messages or with a space.
 
-    >>> stated_codes(["RIG2", "CLIP", "107"]), stated_codes(["warning: CLIP110 hips"])
+    >>> parse_codes(["RIG2", "CLIP", "107"]), parse_codes(["warning: CLIP110 hips"])
     (['RIG2', 'CLIP107'], ['CLIP110'])
-    >>> stated_codes(["C3D", "104", "107"])
+    >>> parse_codes(["C3D", "104", "107"])
     ['C3D104', '107']
     """
     codes: list[str] = []

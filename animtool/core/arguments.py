@@ -66,7 +66,7 @@ ArgumentNamer: TypeAlias = Callable[[Argument], str | None]
 def python_name(argument: Argument) -> str | None:
     """Return the name of an argument in a Python call.
 
-    >>> in_python(Argument("source.fps")), in_python(Argument("form", "layer"))
+    >>> python_name(Argument("source.fps")), python_name(Argument("form", "layer"))
     ('fps', 'form="layer"')
     """
     if argument.name.startswith("command."):
@@ -96,7 +96,7 @@ FILE_KEYS = {
 def file_key(argument: Argument) -> str:
     """Return the name of an argument in scene and batch files.
 
-    >>> in_file(Argument("source.fps")), in_file(Argument("form", "layer"))
+    >>> file_key(Argument("source.fps")), file_key(Argument("form", "layer"))
     ('fps:', 'as: layer')
     """
     key = FILE_KEYS.get(argument.name, argument.field)
@@ -179,7 +179,7 @@ def as_text(text: str) -> str:
 def worded(text: str, namer: ArgumentNamer) -> str:
     """Return a text with its arguments named for an interface.
 
-    >>> worded(as_text(f"{argument('up', 'Z')} says it"), in_file)
+    >>> worded(as_text(f"{argument('up', 'Z')} says it"), file_key)
     'up: Z says it'
     """
     text = as_text(text)

@@ -280,7 +280,7 @@ def first_faults(
 def listed(items: Sequence[object], max_items: int = 5) -> str:
     """Return the first items, separated by commas, with an ellipsis for more.
 
-    >>> listed(["a", "b"]), listed(range(9), most=2)
+    >>> listed(["a", "b"]), listed(range(9), max_items=2)
     ('a, b', '0, 1 …')
     """
     return ", ".join(map(str, items[:max_items])) + (
@@ -318,7 +318,7 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 def cycle_text(names: Sequence[str]) -> str:
     """Return the names of a cycle joined by arrows, shortened if there are many.
 
-    >>> joined_cycle(["a", "b", "a"])
+    >>> cycle_text(["a", "b", "a"])
     'a → b → a'
     """
     shown_names = list(names)

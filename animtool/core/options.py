@@ -356,7 +356,7 @@ def between(
 ) -> Range:
     """Return a range between two finite numbers.
 
-    >>> within(0, "SIM062", 1.0, includes_minimum=False).bound
+    >>> between(0, "SIM062", 1.0, includes_minimum=False).bound
     'more than 0 and at most 1'
     """
     bound = f"{minimum:g} or more" if includes_minimum else f"more than {minimum:g}"

@@ -60,7 +60,7 @@ def printable_json(
 ) -> str:
     r"""Return a value as UTF-8 JSON with the escapes of `escaped`.
 
-    >>> json_printed("\x9b\udcff##[error]")
+    >>> printable_json("\x9b\udcff##[error]")
     '"\\u009b\\udcff\\u0023#[error]"'
     """
     text = json.dumps(value, indent=indent, ensure_ascii=ascii_only, allow_nan=False)

@@ -221,7 +221,7 @@ _DIGITS = str.maketrans("OILSB", "01158")
 def corrected_code(code: str, codes: Iterable[str]) -> str | None:
     """Return a code with letters typed for digits corrected; None if unclear.
 
-    >>> code_meant("MOT2O8", ["MOT208"])
+    >>> corrected_code("MOT2O8", ["MOT208"])
     'MOT208'
     """
     digits = re.sub(r"\d.*", lambda tail: tail[0].translate(_DIGITS), code.upper())

@@ -114,7 +114,7 @@ def missing_key_hint(
 def vector_components(value: Any) -> list[Any] | None:
     """Return the numbers of a vector written as a mapping; None for other values.
 
-    >>> components({"x": 0, "y": 1, "z": 0}), components({"t": 1, "v": 2})
+    >>> vector_components({"x": 0, "y": 1, "z": 0}), vector_components({"t": 1, "v": 2})
     ([0, 1, 0], None)
     """
     if not isinstance(value, dict) or tuple(value) not in _COMPONENT_NAMES:

@@ -123,7 +123,7 @@ PASS_OPTIONS = {
 def intended_options(name: str, value: Any) -> dict[str, Any]:
     """Return the options of a pass intended by a single value; empty if unclear.
 
-    >>> options_meant("trim", [5, 60]), options_meant("mirror", True)
+    >>> intended_options("trim", [5, 60]), intended_options("mirror", True)
     ({'first': 5, 'last': 60}, {})
     """
     options = PASS_OPTIONS.get(name, ())

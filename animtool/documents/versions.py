@@ -63,7 +63,7 @@ def newest(steps: MigrationSteps) -> int:
 def renamed_key(kind: str, location: Location, value: object) -> str | None:
     """Return the new name of a renamed key; None if it was not renamed.
 
-    >>> new_key("scene", ("systems", 2, "particles", "most"), 100)
+    >>> renamed_key("scene", ("systems", 2, "particles", "most"), 100)
     'max_particles'
     """
     steps = tuple(step if isinstance(step, str) else None for step in location)

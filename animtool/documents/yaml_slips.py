@@ -41,7 +41,7 @@ def find_typing_mistake(text: str, stop: int) -> YamlFault | None:
         text: The text.
         stop: Line at which the scanner stopped, from 1.
 
-    >>> find_slip("a: {stem}.usdc\n", 1)[:2]
+    >>> find_typing_mistake("a: {stem}.usdc\n", 1)[:2]
     ('a value that starts with { is a mapping', 'put it in quotes: "{stem}.usdc"')
     """
     if len(text) > MAX_SCANNED_CHARACTERS:

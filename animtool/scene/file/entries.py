@@ -59,7 +59,7 @@ class EntryLocation:
 
         >>> keys = {"bodies[1]": (4, 7)}
         >>> at = EntryLocation(Path("a.yaml"), 1, 1, "systems[0]", keys)
-        >>> at.key_of(Fault("SIM061", "two bodies", where="bodies[1].name"))
+        >>> at.nearest_key(Fault("SIM061", "two bodies", where="bodies[1].name"))
         'bodies[1]'
         """
         key = fault.where or ""

@@ -261,8 +261,8 @@ def source_stem(path: Path) -> str:
 def supports_option(path: Path, name: str) -> bool:
     """Return whether a file format supports an option of `SourceOptions`.
 
-    >>> takes_option(Path("walk.bvh"), "unit"), takes_option(Path("walk.bvh"), "rig")
-    (True, False)
+    >>> [supports_option(Path("walk.bvh"), name) for name in ("unit", "rig")]
+    [True, False]
     """
     try:
         return name in find_reader(path).options

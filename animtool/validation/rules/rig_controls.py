@@ -138,7 +138,7 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
                 for moving_control in sweep.moving_controls
             ]
             frame = int(
-                (is_input_moving if is_own_input.any() else is_undefined).argmax()
+                (is_input_moving if is_input_moving.any() else is_undefined).argmax()
             )
             control_in_frame = sweep.moving_controls[frame]
             value = float(sweep.control_values[control_in_frame.name][frame])
