@@ -43,6 +43,7 @@ def _largest_difference(kind: str, size: str, where: str) -> str:
 
 
 _JOINT, _POINT = "joint {@.joint:repr}", "{@.prim:repr}, point {@.point}"
+_SHAPE = "shape {@.shape:repr}"
 _DIFFERENCES = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
 _TAKES = Template(
     "animtool.report.compare:TakeDifference",
@@ -58,7 +59,7 @@ _TAKES = Template(
         )
         + "]",
         f"[{{?joints}}{_largest_difference('scale', 'plain', _JOINT)}]",
-        f"[{{?shapes}}{_largest_difference('weight', 'plain', 'shape {@.shape:repr}')}]",
+        f"[{{?shapes}}{_largest_difference('weight', 'plain', _SHAPE)}]",
         *_DIFFERENCES,
     ),
     {"several": lambda n: counted(n, "skeleton") if n > 1 else ""},

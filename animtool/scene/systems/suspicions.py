@@ -147,7 +147,7 @@ def _warn_of_forces(
 def _warn_of_rope(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> bool:
-    """Warn about a rope that is too long, or too heavy; return whether it is too long."""
+    """Warn about a rope that is too long or too heavy; return whether it is long."""
     length, mass = math.dist(values["start"], values["end"]), values.get("mass") or 0.0
     if not length > 0:
         return False
