@@ -18,7 +18,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from animtool.cli.docs_reference import codes_markdown, commands_markdown
-from animtool.cli.explain import ignoring
+from animtool.cli.explain import ignore_section
 from animtool.core.rules import find_rule
 
 ROOT = Path(__file__).parents[1]
@@ -127,7 +127,7 @@ def _rule_page(markdown: str, page: Page) -> str:
     """Return the page of a code with the heading that `explain` gives it."""
     meta: dict[str, Any] = page.meta
     text = f"# {meta['code']}: {meta['title']}\n{FRONT.sub('', markdown)}"
-    return text + ignoring(find_rule(meta["code"]))
+    return text + ignore_section(find_rule(meta["code"]))
 
 
 def _with_players(markdown: str, name: str, files: Files) -> str:
