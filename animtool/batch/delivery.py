@@ -83,7 +83,7 @@ class Delivery:
         written_at = max(
             (record.state.changed_at for record in outputs if record.state), default=0
         )
-        return replace(outcome, outputs=tuple(outputs), at=written_at)
+        return replace(outcome, outputs=tuple(outputs), written_at=written_at)
 
     def _is_same(self, path: Path, record: FileRecord) -> bool:
         state = FileState.of(path)

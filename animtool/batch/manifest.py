@@ -86,7 +86,7 @@ class ItemRecord:
     outputs: tuple[FileRecord, ...]  # written files
     # Time by the clock of the output's disk [ns]. Files that are as young may have
     # changed since without a different state.
-    at: int
+    written_at: int
     scores: tuple[PassScores, ...] = ()  # scores of its passes
 
     def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
@@ -97,7 +97,7 @@ class ItemRecord:
             "versions": self.versions,
             "inputs": [numbers[record] for record in self.inputs],
             "outputs": [record.as_dict() for record in self.outputs],
-            "at": self.at,
+            "at": self.written_at,
             **template_values(self, "scores+"),
         }
 
@@ -183,7 +183,7 @@ class Manifest:
     def add(self, record: ItemRecord) -> None:
         """Add a built item, replacing an older one with the same key."""
         previous = self.items.get(record.key)
-        if previous is None or previous.at <= record.at:
+        if previous is None or previous.written_at <= record.written_at:
             self.items[record.key] = record
         self.known.update(output.path for output in record.outputs)
 

@@ -130,7 +130,7 @@ class Planner:
                 # A file as young as the record may have changed after it without a
                 # different state.
                 state = file.state if reason is BuildReason.INPUT else None
-                is_young = state is not None and state.changed_at >= record.at
+                is_young = state is not None and state.changed_at >= record.written_at
                 current_record = self._unchanged_record(file, is_young=is_young)
                 if current_record is None:
                     return Decision(item, reason, file.path)
@@ -138,7 +138,7 @@ class Planner:
         if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
             return Decision(item, BuildReason.UP_TO_DATE, scores=record.scores)
         refreshed = replace(
-            record, inputs=tuple(inputs), outputs=tuple(outputs), at=self._now
+            record, inputs=tuple(inputs), outputs=tuple(outputs), written_at=self._now
         )
         return Decision(
             item, BuildReason.UP_TO_DATE, refreshed=refreshed, scores=record.scores

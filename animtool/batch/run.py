@@ -303,7 +303,7 @@ class _BatchRun:
                     self.planner.versions,
                     outcome.inputs,
                     outcome.outputs,
-                    outcome.at,
+                    outcome.written_at,
                     outcome.scores,
                 )
             )

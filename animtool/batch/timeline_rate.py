@@ -84,7 +84,8 @@ def timeline_rate(
     if len(rates) == 1:
         return common_rate, []
     rate_list = ", ".join(
-        f"{n} at {rate_label(rate)}" for rate, n in rates.most_common()
+        f"{clip_count} at {rate_label(rate)}"
+        for rate, clip_count in rates.most_common()
     )
     message = f"states no rate, and its clips and gaps use several: {rate_list}"
     if 2 * count <= total:

@@ -62,7 +62,7 @@ class ItemOutcome:
     scores: tuple[PassScores, ...] = ()  # scores of its passes
     inputs: tuple[FileRecord, ...] = ()  # accessed files
     outputs: tuple[FileRecord, ...] = ()  # written files
-    at: int = 0  # time by the clock of the output's disk [ns]
+    written_at: int = 0  # time by the clock of the output's disk [ns]
     retired: bool = False  # whether the process should build no more items
 
     @classmethod

@@ -128,15 +128,15 @@ _DECLARED_ELSEWHERE = {"strict", "overwrite", "take"}
 
 
 _OTHER_OPTIONS = [
-    n
-    for n in options_of(BakeOptions)
-    if n not in {*_OPTION_ORDER, *_DECLARED_ELSEWHERE}
+    name
+    for name in options_of(BakeOptions)
+    if name not in {*_OPTION_ORDER, *_DECLARED_ELSEWHERE}
 ]
 # All options of `BakeOptions`, and those that describe the source.
 bake_options = stack_options(
     *(
-        bake_option(n) if isinstance(n, str) else n
-        for n in (*_OPTION_ORDER, *_OTHER_OPTIONS)
+        bake_option(entry) if isinstance(entry, str) else entry
+        for entry in (*_OPTION_ORDER, *_OTHER_OPTIONS)
     )
 )
 
@@ -145,7 +145,9 @@ def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
     """Return `BakeOptions` from the parameters of a command."""
     source = source_options_record(params, *_SOURCE_OPTIONS)
     # --take names the source's take, not the written one.
-    values = read_values(BakeOptions, {n: v for n, v in params.items() if n != "take"})
+    values = read_values(
+        BakeOptions, {name: value for name, value in params.items() if name != "take"}
+    )
     values["form"] = "split" if params["split"] else values["form"]
     return BakeOptions(source=source, shot=params["shot"], **values)
 

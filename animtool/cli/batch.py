@@ -448,7 +448,9 @@ def _print_notices(console: Console, report: BatchReport) -> None:
         # A notice located in the only input needs no item line.
         is_located = notice.path is not None and paths == {Path(notice.path).absolute()}
         item_lines = (
-            [] if is_located else [f"  of {listed([e.item.label for e in entries])}"]
+            []
+            if is_located
+            else [f"  of {listed([entry.item.label for entry in entries])}"]
         )
         if notice.severity is Severity.NOTE:
             for line in (str(notice.worded(console.namer)), *item_lines):

@@ -32,7 +32,9 @@ def _count_text(
 ) -> str:
     counts = ((report.count(status), status) for status in ItemStatus)
     words = {ItemStatus.NOT_RUN: not_run_text}
-    return ", ".join(f"{count} {words.get(s, s)}" for count, s in counts if count)
+    return ", ".join(
+        f"{count} {words.get(status, status)}" for count, status in counts if count
+    )
 
 
 def _item_text(entry: ItemReport) -> str:

@@ -62,7 +62,7 @@ _TAKES = Template(
         f"[{{?shapes}}{_largest_difference('weight', 'plain', _SHAPE)}]",
         *_DIFFERENCES,
     ),
-    {"several": lambda n: counted(n, "skeleton") if n > 1 else ""},
+    {"several": lambda count: counted(count, "skeleton") if count > 1 else ""},
 )
 _POINTS = Template(
     "animtool.report.compare_points:PointsDifference",

@@ -156,9 +156,9 @@ class Command(click.Command):
             word for word in records if _GROUP_BY_OPTION.get(word) != "Report"
         ]
         first_sentences = [
-            (records[w][0], _first_sentence(records[w][1]))
-            for w in shown_options
-            if w in records
+            (records[word][0], _first_sentence(records[word][1]))
+            for word in shown_options
+            if word in records
         ]
         if first_sentences:
             _write_section(formatter, "Options", first_sentences)

@@ -222,7 +222,7 @@ PRINTERS: dict[str, Callable[..., str]] = {
         [f"{count} {name or 'over'}" for name, count in types.items()], int(max_count)
     ),
     "sides": lambda sides: " to ".join(
-        " ".join(f"{x:.3g}" for x in side) for side in sides
+        " ".join(f"{coordinate:.3g}" for coordinate in corner) for corner in sides
     ),
     "feet": lambda feet: ", ".join(
         f"{side} {percent_text(foot.standing)} of frames, {counted(foot.steps, 'step')}"
@@ -303,9 +303,9 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
         for description in descriptions:
             console.result(*TEMPLATES[type(description).__name__].text(description))
             console.faults(description.notices)
-    for one in errors:
-        console.faults(one.faults)
-    code = max((int(one.exit_code) for one in errors), default=0)
+    for failure in errors:
+        console.faults(failure.faults)
+    code = max((int(failure.exit_code) for failure in errors), default=0)
     if params["variables"] and not code:
         check_unused(dict(params["variables"]), used_variables)
     click.get_current_context().exit(code)

@@ -56,7 +56,10 @@ def _rarely_visible_markers(coverage: dict[str, float]) -> list[str]:
         (name, fraction) for name, fraction in coverage.items() if fraction < 0.5
     ]
     rare_markers.sort(key=lambda entry: entry[1])
-    return [f"{name}: seen in {100 * c:.0f}% of the frames" for name, c in rare_markers]
+    return [
+        f"{name}: seen in {100 * fraction:.0f}% of the frames"
+        for name, fraction in rare_markers
+    ]
 
 
 _TEMPLATE = Template(

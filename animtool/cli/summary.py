@@ -261,9 +261,11 @@ BAKE_TEMPLATE = Template(
         "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
         "difference": _curve_error_text,
         "stated": lambda values: ", ".join(
-            f"{k} {value}" for k, value in values.items()
+            f"{key} {value}" for key, value in values.items()
         ),
-        "times": lambda values: ", ".join(f"{k} {s:.3f}" for k, s in values.items()),
+        "times": lambda values: ", ".join(
+            f"{key} {seconds:.3f}" for key, seconds in values.items()
+        ),
     },
     (
         Each(

@@ -114,7 +114,7 @@ def _fix_files(
         console.say(note)
     for fault, remedy in fixes.report.mended:
         console.say(f"{fault.path}: {fault.code} fixed: {remedy}")
-    for fault, reason in fixes.left:
+    for fault, reason in fixes.unfixed_findings:
         console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
     return fixes.report
 
@@ -141,11 +141,11 @@ def _show_difference(
     fixed_identities: set[tuple[str | None, str, str | None]] = set()
     has_changes = False
     for plan in plan_files(report, options):
-        for fault, reason in plan.left:
+        for fault, reason in plan.unfixed_findings:
             console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
-        if not plan.mended:
+        if not plan.fixed_findings:
             continue
-        fixed_identities |= {_identity(fault) for fault, _ in plan.mended}
+        fixed_identities |= {_identity(fault) for fault, _ in plan.fixed_findings}
         has_changes = True
         console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.draft.outputs():

@@ -266,5 +266,5 @@ def _plain_or_quoted(value: str) -> str:
 
 
 def _quoted_text(value: str) -> str:
-    plain = plain_text(value)
-    return plain if plain.startswith('"') else f'"{plain}"'
+    plain_value = plain_text(value)
+    return plain_value if plain_value.startswith('"') else f'"{plain_value}"'

@@ -125,9 +125,15 @@ class ModelFaults:
         unknown = [
             location for location, _ in faults_by_type.pop("extra_forbidden", ())
         ]
-        entries = {at[:-1] for at in unknown if at[:-1] and isinstance(at[-2], int)}
+        entries = {
+            location[:-1]
+            for location in unknown
+            if location[:-1] and isinstance(location[-2], int)
+        }
         unrecognised_entries = {
-            at for at in sorted(entries, key=str) if self._record_unrecognised_entry(at)
+            location
+            for location in sorted(entries, key=str)
+            if self._record_unrecognised_entry(location)
         }
         for location in unknown:
             if location[:-1] not in unrecognised_entries:

@@ -6,8 +6,8 @@ from typing import Any
 
 # Directions by axis name.
 AXES = {
-    f"{sign}{name}": [(-1.0 if sign else 1.0) * (i == k) for i in range(3)]
-    for k, name in enumerate("XYZ")
+    f"{sign}{name}": [(-1.0 if sign else 1.0) * (i == axis) for i in range(3)]
+    for axis, name in enumerate("XYZ")
     for sign in ("", "-")
 }
 # Values by the names that other tools use for them.

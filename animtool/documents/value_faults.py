@@ -162,16 +162,16 @@ def _missing_message(missing_step: int | str, value: Any) -> str:
 
 def _join_messages(texts: Iterable[str]) -> str:
     """Join the messages of a union's members into one."""
-    first, *others = texts
+    first, *other_texts = texts
     start, negation, _ = first.partition(" is not ")
     if (
-        others
+        other_texts
         and negation
-        and all(text.startswith(start + negation) for text in others)
+        and all(text.startswith(start + negation) for text in other_texts)
     ):
-        kinds = [text.removeprefix(start + negation) for text in (first, *others)]
+        kinds = [text.removeprefix(start + negation) for text in (first, *other_texts)]
         return f"{start} is neither {' nor '.join(kinds)}"
-    return "; or ".join((first, *others))
+    return "; or ".join((first, *other_texts))
 
 
 # Faults of values outside an enumeration.

@@ -262,15 +262,15 @@ class _SlipFinder:
 
     def _scalar_text(self, column: int) -> str:
         """Return the text from a column to the likely end of its value."""
-        rest = re.sub(r"\s+#.*", "", self.line[column:]).rstrip()
+        value_text = re.sub(r"\s+#.*", "", self.line[column:]).rstrip()
         if not self.open_brackets:
-            return rest
+            return value_text
         depth = 0
-        for i, letter in enumerate(rest):
+        for i, letter in enumerate(value_text):
             depth += (letter in "[{") - (letter in "]}")
             if depth < 0 or (depth == 0 and letter == ","):
-                return rest[:i].rstrip()
-        return rest
+                return value_text[:i].rstrip()
+        return value_text
 
     def _after_quote_fault(self, start: int, column: int) -> YamlFault | None:
         """Return the fault of text that continues after a quote."""

@@ -286,7 +286,7 @@ def _skeleton_pairs(
     """
     pairs: list[tuple[str, str]] = []
     unmatched_first, unmatched_second = list(first), list(second)
-    keys: tuple[Callable[[str], str], ...] = (str, lambda p: p.split("/", 2)[-1])
+    keys: tuple[Callable[[str], str], ...] = (str, lambda path: path.split("/", 2)[-1])
     for key in keys:
         path_by_key = {key(path): path for path in reversed(unmatched_second)}
         for path in list(unmatched_first):

@@ -350,7 +350,7 @@ DEFAULT_PRINTERS: dict[str, Callable[..., Any]] = {
     "join": lambda value: ", ".join(map(str, value)),
     "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
     "corners": lambda value, digits="4": " to ".join(
-        f"({', '.join(plain_number(x, int(digits)) for x in corner)})"
+        f"({', '.join(plain_number(coordinate, int(digits)) for coordinate in corner)})"
         for corner in value
     ),
     "plain": _with_digits(plain_number),

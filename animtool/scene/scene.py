@@ -311,7 +311,9 @@ class Scene:
         except OptionError as error:
             if not all(fault.where in locations for fault in error.faults):
                 raise
-            faults = [locations[str(f.where)].locate(f) for f in error.faults]
+            faults = [
+                locations[str(fault.where)].locate(fault) for fault in error.faults
+            ]
             raise FormatError(faults) from error
 
     def _apply_pass(
@@ -354,7 +356,7 @@ class Scene:
         return replace(stream, blocks=blocks)
 
     def until(self, last_pass: str) -> Scene:
-        """Return the scene without the passes after a given one.
+        """Return the scene without the passes after the last one to run.
 
         Args:
             last_pass: Last pass to run, by name or number from 1; 0 runs none.

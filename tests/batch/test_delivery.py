@@ -62,4 +62,4 @@ def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> 
     assert seen is not None
     state = FileState.of(path)
     assert state is not None
-    assert (seen.outputs[0].state, seen.at) == (state, state.changed_at)
+    assert (seen.outputs[0].state, seen.written_at) == (state, state.changed_at)

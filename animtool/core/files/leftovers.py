@@ -111,7 +111,7 @@ class Journal:
                     if file.final.parent == folder
                 ]
                 record = {
-                    "folders": [os.fspath(f) for f in folders],
+                    "folders": [os.fspath(path) for path in folders],
                     "files": folder_entries,
                 }
                 journal._write(folder, json.dumps(record).encode())

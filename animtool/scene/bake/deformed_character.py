@@ -125,28 +125,28 @@ def _rotate_surfaces(
 def motion_pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short pieces of a motion, each with a slice of its own frames.
+    """Yield short chunks of a motion, each with a slice of its own frames.
 
-    With ``neighbours``, a piece also contains the frames before and after these.
+    With ``neighbours``, a chunk also contains the frames before and after these.
     """
     previous_frame: tuple[FloatArray, Motion] | None = None
-    piece_iterator = _split_blocks(blocks)
-    piece = next(piece_iterator, None)
-    while piece is not None:
-        next_piece = next(piece_iterator, None)
-        codes, motion = piece
-        parts = [piece]
+    chunk_iterator = _split_blocks(blocks)
+    chunk = next(chunk_iterator, None)
+    while chunk is not None:
+        next_chunk = next(chunk_iterator, None)
+        codes, motion = chunk
+        chunks = [chunk]
         if neighbours and previous_frame is not None:
-            parts.insert(0, previous_frame)
-        if neighbours and next_piece is not None:
-            parts.append((next_piece[0][:1], next_piece[1].select(slice(0, 1))))
-        if len(parts) > 1:
-            codes = np.concatenate([codes for codes, _ in parts])
-            motion = Motion.concatenate([motion for _, motion in parts])
+            chunks.insert(0, previous_frame)
+        if neighbours and next_chunk is not None:
+            chunks.append((next_chunk[0][:1], next_chunk[1].select(slice(0, 1))))
+        if len(chunks) > 1:
+            codes = np.concatenate([codes for codes, _ in chunks])
+            motion = Motion.concatenate([motion for _, motion in chunks])
         lead = 1 if neighbours and previous_frame is not None else 0
-        yield codes, motion, slice(lead, lead + len(piece[0]))
-        previous_frame = piece[0][-1:], piece[1].select(slice(-1, None))
-        piece = next_piece
+        yield codes, motion, slice(lead, lead + len(chunk[0]))
+        previous_frame = chunk[0][-1:], chunk[1].select(slice(-1, None))
+        chunk = next_chunk
 
 
 def _split_blocks(blocks: TimedBlocks) -> TimedBlocks:

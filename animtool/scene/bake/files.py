@@ -183,7 +183,9 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
     if rotation is not None:
         full_rig = rotate_rig(full_rig, np.array(rotation), take.rig.up)
     full_names = {shape.name for shape in full_rig.shapes}
-    unmeshed_shapes = [s for s in take.rig.shapes if s.name not in full_names]
+    unmeshed_shapes = [
+        shape for shape in take.rig.shapes if shape.name not in full_names
+    ]
     shapes = (*full_rig.shapes, *unmeshed_shapes)
     rig = replace(
         take.rig,

@@ -341,8 +341,8 @@ def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
     ((_, pose),) = sample_blocks(interpolation, times)
     translations, rotations, _ = pose.dense()
     joints = tuple(
-        replace(joint, translation=tuple(t), rotation=tuple(r))
-        for joint, t, r in zip(
+        replace(joint, translation=tuple(translation), rotation=tuple(rotation))
+        for joint, translation, rotation in zip(
             take.rig.joints,
             translations[0].tolist(),
             rotations[0].tolist(),

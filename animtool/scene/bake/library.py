@@ -113,7 +113,8 @@ def _joint_difference(
             return f"there is no joint {name!r}, which {source} has"
         if other_parents[name] != parent:
             parents = [
-                f"below {p!r}" if p else "a root" for p in (other_parents[name], parent)
+                f"below {parent_name!r}" if parent_name else "a root"
+                for parent_name in (other_parents[name], parent)
             ]
             return f"joint {name!r} is {parents[0]}, but in {source} {parents[1]}"
     for name in other_parents:

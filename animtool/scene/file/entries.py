@@ -172,7 +172,7 @@ class SystemSetup:
     # Parsed entries of keys that are neither plain values nor colliders, by key.
     parts: Mapping[str, Any] = field(default_factory=dict)
     record: EntryRecord | None = None  # record that the spec builds from the parts
-    at: Location = ()  # location of the entry
+    location: Location = ()  # location of the entry
     carriers: tuple[Path, ...] = ()  # files of its carriers
     resume: Path | None = None  # file of the state to resume
 
@@ -185,7 +185,9 @@ class SystemSetup:
     def joined(self) -> tuple[tuple[str, Location], ...]:
         """Names of the joined systems, each with the location that names it."""
         names = () if self.record is None else self.record.joined
-        return tuple((name, (*self.at, *parse_location(key))) for name, key in names)
+        return tuple(
+            (name, (*self.location, *parse_location(key))) for name, key in names
+        )
 
     @property
     def writes(self) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def parse_frames(text: str) -> FrameRange:
     if "," not in text:
         return parse_frame_range(text)
     try:
-        return FrameList.of_frames([int(part) for part in text.split(",")])
+        return FrameList.of_frames([int(number) for number in text.split(",")])
     except ValueError as error:
         raise ValueError(f"{text!r} is not a list such as 1,20,40") from error
 

@@ -90,8 +90,8 @@ class NameMap:
         """Return weights, adding those of combination shapes that only this rig has."""
         if weights is None:
             return None
-        missing = np.flatnonzero(self.shapes < 0)
-        return with_combined_weights(weights, self.rig.shapes, missing)
+        missing_shapes = np.flatnonzero(self.shapes < 0)
+        return with_combined_weights(weights, self.rig.shapes, missing_shapes)
 
 
 def map_names(rig: Rig, other_rig: Rig) -> NameMap:

@@ -136,7 +136,7 @@ class SpecPartReader(EntryReader):
         # Populations often share their gaits, which are slow to read.
         self._gaits: dict[GaitsSource, GaitsSource] = {}
 
-    def parts(
+    def entry_values(
         self, location: Location, model: FileModel, keys: Collection[str] | None = None
     ) -> dict[str, Any]:
         """Return the parsed entries of a model by key; plain values are left out.
@@ -174,7 +174,7 @@ class SpecPartReader(EntryReader):
     def entry(self, location: Location, model: FileModel) -> Any:
         """Return the parsed entries of a model, or its record; None with faults."""
         self.note_ranges(location, model)
-        parts = self.parts(location, model)
+        parts = self.entry_values(location, model)
         if not isinstance(model, RecordModel):
             return parts
         complete = all(part is not None for part in parts.values())
@@ -398,11 +398,11 @@ def read_spec(
     """
     spec = units.converted(spec)
     collider_reader, reader = (SpecPartReader(document, roots, units) for _ in range(2))
-    collider_parts = collider_reader.parts(location, spec, COLLISION_KEYS[:1])
+    collider_parts = collider_reader.entry_values(location, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.
     is_valid = collider_reader.sound
-    collider_parts |= collider_reader.parts(location, spec, COLLISION_KEYS[1:])
-    parts = reader.parts(
+    collider_parts |= collider_reader.entry_values(location, spec, COLLISION_KEYS[1:])
+    parts = reader.entry_values(
         location, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS}
     )
     reader.note_ranges(location, spec)
@@ -432,7 +432,7 @@ def read_spec(
         **collider_arguments,
         tied=tied_bodies,
         followed=followed_files,
-        at=location,
+        location=location,
     )
     carriers = tuple(reader.carriers)
     return SystemSetup(spec, surroundings, parts, record, location, carriers, resume)

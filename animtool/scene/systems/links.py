@@ -191,7 +191,9 @@ def _check_body(
         return True
     message = f"unknown body {body!r} of {name!r}"
     hint = nearest(body, body_names) or f"it has {listed(body_names, 12)}"
-    document.add("SIM162", (*system.setup.at, *parse_location(key_text)), message, hint)
+    document.add(
+        "SIM162", (*system.setup.location, *parse_location(key_text)), message, hint
+    )
     return False
 
 
@@ -207,7 +209,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):
-            key_location = (*system.setup.at, *parse_location(fault.where or ""))
+            key_location = (*system.setup.location, *parse_location(fault.where or ""))
             document.add(fault.code, key_location, fault.message, fault.hint)
     has_colliders = any(system.setup.around.has_colliders for system in systems)
     first_values: dict[str, tuple[str, Any]] = {}
@@ -218,7 +220,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
                 message = f"{key} differs from that of {name}: they are "
                 message += "joined, and simulated as one"
                 hint = "write it once, or the same value twice"
-                document.add("SIM054", (*system.setup.at, key), message, hint)
+                document.add("SIM054", (*system.setup.location, key), message, hint)
 
 
 def _check_cycles(document: Document, systems: Sequence[SceneSystem]) -> bool:

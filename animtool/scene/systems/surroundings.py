@@ -101,7 +101,7 @@ class Surroundings:
     # Rigid systems and bodies that carry particles, with the keys of the entry.
     tied: tuple[tuple[str, str, str], ...] = ()
     followed: tuple[Path, ...] = ()  # USD files that colliders and emitters follow
-    at: Location = ()  # location of the entry
+    location: Location = ()  # location of the entry
 
     @staticmethod
     def of(all_surroundings: Sequence[Surroundings]) -> Surroundings:
@@ -147,7 +147,7 @@ class Surroundings:
     def _ties(self) -> tuple[tuple[str, Location], ...]:
         """Rigid systems that carry its particles, and their locations."""
         return tuple(
-            (name, (*self.at, *parse_location(key_text)[:-1], "system"))
+            (name, (*self.location, *parse_location(key_text)[:-1], "system"))
             for name, _, key_text in self.tied
         )
 
@@ -161,7 +161,7 @@ class Surroundings:
     ) -> Iterator[tuple[SystemSurfaceModel, Location]]:
         """Yield the systems it collides with, each with the location of a key."""
         for i, surface in enumerate(self.systems):
-            yield surface, (*self.at, "systems", i, key)
+            yield surface, (*self.location, "systems", i, key)
 
     @property
     def reads(self) -> list[str]:

@@ -119,7 +119,11 @@ def _implausible_length(value: object) -> Iterator[float]:
 def _warn_of_ratio(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    families = {k: v for k, v in (values.get("springs") or {}).items() if v}
+    families = {
+        name: family_values
+        for name, family_values in (values.get("springs") or {}).items()
+        if family_values
+    }
     for key, family in {"": values, **families}.items():
         ratio = family.get("ratio")
         if isinstance(ratio, int | float) and ratio > MAX_RATIO:

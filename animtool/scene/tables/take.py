@@ -127,7 +127,7 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
         float(clock.start + (frame - plan.start) * codes_per_frame)
         for frame in (frames.first, frames.last)
     )
-    start, end = (clock.start + n * clock.step for n in (0, clock.count - 1))
+    start, end = (clock.start + index * clock.step for index in (0, clock.count - 1))
     if first > end or last < start:
         take_range = (
             plan.start + (frame - clock.start) / codes_per_frame

@@ -23,9 +23,9 @@ class PlannedFix:
     path: Path  # the file
     draft: FileDraft  # its content after the fixes
     # Fixed findings in order, with their fixes.
-    mended: list[tuple[Fault, str]] = field(default_factory=list)
+    fixed_findings: list[tuple[Fault, str]] = field(default_factory=list)
     # Findings with a fix that remain, and why.
-    left: list[tuple[Fault, str]] = field(default_factory=list)
+    unfixed_findings: list[tuple[Fault, str]] = field(default_factory=list)
 
     def difference(self) -> str:
         """Return the changes as text."""
@@ -48,19 +48,21 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
         reason = _reason_to_reject(plan.draft, step)
         if step.fixed_findings and not reason:
             plan.draft = step.draft
-            plan.mended.extend(step.fixed_findings)
+            plan.fixed_findings.extend(step.fixed_findings)
             # Other findings may have moved, and may be fixable now.
             unfixable_findings.clear()
-            plan.left.clear()
+            plan.unfixed_findings.clear()
             continue
         unfixable_findings.update(map(_fault_key, findings_to_fix))
-        plan.left.extend(step.unfixed_findings)
-        plan.left.extend((fault, reason) for fault, _ in step.fixed_findings)
+        plan.unfixed_findings.extend(step.unfixed_findings)
+        plan.unfixed_findings.extend(
+            (fault, reason) for fault, _ in step.fixed_findings
+        )
     final_step = plan.draft.finish(
         list(_untried_findings(plan.draft.findings, options, set()))
     )
     plan.draft = final_step.draft
-    plan.mended.extend(final_step.fixed_findings)
+    plan.fixed_findings.extend(final_step.fixed_findings)
     return plan
 
 

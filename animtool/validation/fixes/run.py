@@ -32,9 +32,9 @@ class FixResult:
     notes: tuple[str, ...] = ()  # notes about entire files
 
     @property
-    def left(self) -> tuple[tuple[Fault, str], ...]:
+    def unfixed_findings(self) -> tuple[tuple[Fault, str], ...]:
         """Findings with a fix that remain, and why."""
-        return tuple(entry for file in self.files for entry in file.left)
+        return tuple(entry for file in self.files for entry in file.unfixed_findings)
 
 
 def plan_files(report: Report, options: ValidateOptions) -> Iterator[PlannedFix]:
@@ -78,16 +78,16 @@ def fix_files(
     plans = [_plan_file(path, options) for path in changed_files]
     with atomic_outputs():
         for plan in plans:
-            if plan.mended:
+            if plan.fixed_findings:
                 plan.draft.write(plan.path)
     package_note = "packages are not edited: unpack it, and fix its layers"
     packages = [
         f"{path}: {package_note}" for path in _with_fixes(report, packages=True)
     ]
     notes = (*_unfixed_findings(report, kept_files), *packages)
-    if any(plan.mended for plan in plans):
+    if any(plan.fixed_findings for plan in plans):
         report = validate_files(files, options)
-    fixed_findings = tuple(entry for plan in plans for entry in plan.mended)
+    fixed_findings = tuple(entry for plan in plans for entry in plan.fixed_findings)
     return FixResult(tuple(plans), replace(report, mended=fixed_findings), notes)
 
 
@@ -123,7 +123,9 @@ def fix_copy(
     plan = _plan_file(source, options)
     notes = plan.draft.write(output)
     report = validate_files([output], options)
-    return FixResult((plan,), replace(report, mended=tuple(plan.mended)), tuple(notes))
+    return FixResult(
+        (plan,), replace(report, mended=tuple(plan.fixed_findings)), tuple(notes)
+    )
 
 
 def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:

@@ -254,7 +254,7 @@ def test_extents_of_meshes_come_before_those_of_their_skel_root(
     path = planted(tmp_path / "wrong.usdc", plant)
     fixes = fix_copy(path, tmp_path / "new.usdc")
     assert "USD250" in {fault.code for fault, _ in fixes.report.mended}
-    assert fixes.left == ()
+    assert fixes.unfixed_findings == ()
     assert [str(fault) for fault in fixes.report.findings] == []
 
 
@@ -304,7 +304,7 @@ def test_a_value_of_a_sublayer_stays_and_its_file_is_named(tmp_path: Path) -> No
     layer.TransferContent(shot_of(layer, tmp_path / "rig.usdc"))
     layer.Save()
     fixes = fix_copy(tmp_path / "shot.usda", tmp_path / "new.usda")
-    [(fault, reason)] = fixes.left
+    [(fault, reason)] = fixes.unfixed_findings
     assert fault.code == "USD232"
     assert "rig.usdc" in reason
     assert "./rig.usdc" in (tmp_path / "new.usda").read_text("utf-8")
@@ -438,7 +438,9 @@ def test_samples_of_a_sublayer_off_the_frames_name_its_file(tmp_path: Path) -> N
     shot.TransferContent(shot_of(shot, rig))
     shot.Save()
     fixes = fix_copy(tmp_path / "shot.usda", tmp_path / "new.usda")
-    assert [(f.code, "rig.usdc" in why) for f, why in fixes.left] == [("MOT216", True)]
+    assert [(f.code, "rig.usdc" in why) for f, why in fixes.unfixed_findings] == [
+        ("MOT216", True)
+    ]
 
 
 def test_samples_far_off_the_frames_stay_and_the_reason_is_given(
@@ -453,9 +455,9 @@ def test_samples_far_off_the_frames_stay_and_the_reason_is_given(
 
     path = planted(tmp_path / "wrong.usdc", shift)
     fixes = fix_copy(path, tmp_path / "new.usdc", ValidateOptions(select=("MOT216",)))
-    assert [(fault.code, why.partition(": ")[2]) for fault, why in fixes.left] == [
-        ("MOT216", "samples more than 0.05 off a whole frame may be intentional")
-    ]
+    assert [
+        (fault.code, why.partition(": ")[2]) for fault, why in fixes.unfixed_findings
+    ] == [("MOT216", "samples more than 0.05 off a whole frame may be intentional")]
 
 
 def test_a_package_is_no_layer_to_fix(tmp_path: Path) -> None:

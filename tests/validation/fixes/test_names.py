@@ -62,7 +62,7 @@ def test_the_rig_is_the_same_but_for_its_names(key: str, tmp_path: Path) -> None
     assert "RIG221" in [fault.code for fault in validate(path)]
     fixes = fix_files([path])
     assert [fault.code for fault, _ in fixes.report.mended] == ["RIG221"]
-    assert not fixes.left
+    assert not fixes.unfixed_findings
     after = load_rig(path)
     assert path.read_text("utf-8") == renamed(
         text, key, {name: f"{name}_x" for name in NAMES[key]}
@@ -137,7 +137,9 @@ def test_what_another_file_names_stays(name: str, tmp_path: Path) -> None:
     other.write_text("joint/a.l.rotation", "utf-8")
     fixes = fix_files([path])
     assert not fixes.report.mended
-    assert [(f.code, other.name in why) for f, why in fixes.left] == [("RIG221", True)]
+    assert [(f.code, other.name in why) for f, why in fixes.unfixed_findings] == [
+        ("RIG221", True)
+    ]
     assert path.read_text("utf-8") == text
 
 
@@ -162,7 +164,7 @@ def test_drivers_read_joints_by_their_new_names(tmp_path: Path) -> None:
         "shapes: [{name: s, driven: {by: el bow.angle, curve: [[0, 0], [9, 1]]}}]\n",
         "utf-8",
     )
-    assert not fix_files([path]).left
+    assert not fix_files([path]).unfixed_findings
     rig = load_rig(path)
     assert rig.names == ["el_bow", "roll"]
     drivers = rig.joints[1].driven, rig.shapes[0].driven

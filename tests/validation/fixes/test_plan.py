@@ -83,7 +83,7 @@ def test_a_file_without_findings_is_not_touched(root: Path) -> None:
     for path in sorted((root / "rigs").glob("*/*.rig.yaml")):
         plan = plan_file(path, ValidateOptions())
         assert plan.draft.text == path.read_text("utf-8")
-        assert not plan.mended
+        assert not plan.fixed_findings
 
 
 def test_a_mark_at_the_beginning_stays(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     monkeypatch.setattr("animtool.validation.fixes.texts.fix_of", lambda _: wrong)
     fixes = fix_files([path])
     assert not fixes.report.mended
-    assert [why for _, why in fixes.left] == ["the fix would cause DOC022"]
+    assert [why for _, why in fixes.unfixed_findings] == ["the fix would cause DOC022"]
     assert (
         document_of(path.read_text("utf-8"), path).value["joints"][0]["type"] == "free"
     )
