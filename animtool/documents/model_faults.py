@@ -198,7 +198,9 @@ class ModelFaults:
                 if key in fields_at(self.model, self.value, location):
                     return f"it is a key of {sibling!r}: write it there"
                 # An entry that is named by its only key, such as a system.
-                only_key = next(iter(within), None) if len(within) == 1 else None
+                only_key = (
+                    next(iter(first_element), None) if len(first_element) == 1 else None
+                )
                 if only_key and key in fields_at(
                     self.model, self.value, (*location, only_key)
                 ):
