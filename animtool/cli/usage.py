@@ -92,9 +92,9 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
             hint = f"{context.command_path} takes options only"
         text = f"Unexpected argument {first!r}; {hint}"
     elif isinstance(error, click.MissingParameter) and (
-        given := _given_for(error, context)
+        misplaced := _misplaced_argument(error, context)
     ):
-        text = given
+        text = misplaced
     elif choice := _CHOICE_MESSAGE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
         param = getattr(error, "param", None)
@@ -118,7 +118,9 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
     return click.UsageError(text if text.endswith("?") else f"{text}.", context)
 
 
-def _given_for(error: click.MissingParameter, context: click.Context) -> str | None:
+def _misplaced_argument(
+    error: click.MissingParameter, context: click.Context
+) -> str | None:
     """Return a text about an argument that was meant for a missing option."""
     param = error.param
     arguments = context.meta.get(ARGUMENTS_KEY, ())
