@@ -184,7 +184,7 @@ class SystemSetup:
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
         """Names of the joined systems, each with the location that names it."""
-        names = () if self.record is None else self.record.joined
+        names = () if self.record is None else self.record.joined_systems
         return tuple(
             (name, (*self.location, *parse_location(key))) for name, key in names
         )

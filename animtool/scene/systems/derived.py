@@ -427,7 +427,7 @@ def read_spec(
         return None
     followed_files = (*collider_reader.files, *reader.files)
     collider_arguments = {key: tuple(parts) for key, parts in collider_parts.items()}
-    tied_bodies = tuple(getattr(record, "tied", ()))
+    tied_bodies = tuple(getattr(record, "tied_bodies", ()))
     surroundings = Surroundings(
         **collider_arguments,
         tied=tied_bodies,

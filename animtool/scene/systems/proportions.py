@@ -52,7 +52,7 @@ def placement_warnings(
     for system in systems:
         length_unit = system.unit or LengthUnit.M
         warnings: list[Fault] = []
-        for pinned_points in getattr(system.setup.record, "pinned", ()):
+        for pinned_points in getattr(system.setup.record, "pinned_points", ()):
             if not isinstance(pinned_points.carrier, OnJoint | OnVertex):
                 continue
             path = pinned_points.carrier.file
@@ -71,7 +71,7 @@ def placement_warnings(
 def _characters(system: SceneSystem) -> list[Path]:
     """Return the files of the characters that a system depends on."""
     files = [Path(str(character.file)) for character in system.setup.around.characters]
-    pinned = getattr(system.setup.record, "pinned", ())
+    pinned = getattr(system.setup.record, "pinned_points", ())
     carriers = [pinned_entries.carrier for pinned_entries in pinned]
     files += [
         character.file
@@ -165,7 +165,7 @@ def _pin_warnings(
     carrier: OnJoint | OnVertex = pinned.carrier
     rig = characters.of(carrier.file).rig
     joint_size, bounds_size = _sizes(rig)
-    in_carrier = pinned.inside(carrier.poses(characters))
+    in_carrier = pinned.local_positions(carrier.poses(characters))
     distance = float(np.linalg.norm(in_carrier, axis=-1).min(initial=np.inf))
     if not bounds_size or distance <= bounds_size or not np.isfinite(distance):
         return

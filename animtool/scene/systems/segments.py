@@ -22,7 +22,7 @@ from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import located_systems, open_systems
 from animtool.systems.framework.run import EntryRun
 from animtool.systems.springs.drawing import CurveShape
-from animtool.systems.springs.pins import numbered
+from animtool.systems.springs.pins import particle_indices
 from animtool.systems.springs.view import SpringView
 
 
@@ -93,7 +93,9 @@ def _particles(view: SpringView, name: str, particle: str) -> IntArray:
     """Return the rows of a particle's predecessor and of the particle ``(2,)``."""
     body = view.body
     is_number = particle.strip().removeprefix("-").isdecimal()
-    particles, faults = numbered([int(particle) if is_number else particle], body)
+    particles, faults = particle_indices(
+        [int(particle) if is_number else particle], body
+    )
     if faults or len(particles) != 1:
         message = f"{name!r} has {len(particles)} particles {particle!r}, not one"
         if faults:

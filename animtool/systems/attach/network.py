@@ -17,7 +17,7 @@ from animtool.maths.faces import (
     distinct_pairs,
     edge_counts,
 )
-from animtool.systems.springs.body import Body, built
+from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
 
 # Frequency of springs that count as rigid [rad/s].
@@ -95,7 +95,7 @@ class Network:
             for ends, frequency in families
             if frequency
         ]
-        return built(self.points, self.masses, springs, self.triangles)
+        return build_body(self.points, self.masses, springs, self.triangles)
 
 
 def reach(network: Network) -> int:

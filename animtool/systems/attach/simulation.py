@@ -46,7 +46,7 @@ from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
 from animtool.systems.framework.simulation import growing
-from animtool.systems.springs.contacts import LOOK_BACK
+from animtool.systems.springs.contacts import LOOKBACK_TIME
 
 # Most repeats of a cycle in a row that close it no better than before, unsteered.
 MAX_STALE = 3
@@ -288,7 +288,7 @@ class AttachSimulation:
         self._frame += 1
         if not self.options.loop:
             # The next frame samples surfaces a little before its start.
-            since = self._frame / float(self._rate) - LOOK_BACK
+            since = self._frame / float(self._rate) - LOOKBACK_TIME
             for bodies in self._world.bodies:
                 bodies.forget(since)
             for sheet in self._world.sheets:

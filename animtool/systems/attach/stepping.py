@@ -19,7 +19,7 @@ from animtool.systems.springs.contacts import CellColliders
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.paths import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver
-from animtool.systems.springs.solvers import followed, projected
+from animtool.systems.springs.solvers import advance_strands, advance_xpbd
 from animtool.systems.springs.system import SpringSystem
 
 # Design acceleration for the step rate [m/s²]: twice that of gravity.
@@ -168,7 +168,7 @@ class AttachedSprings:
         motion = np.stack([positions, np.zeros_like(positions)])
         torn = np.zeros(0, np.uint8)
         if not self._network.strands:
-            torn = self._system.none_torn
+            torn = self._system.untorn_flags
         state = SpringState(motion, torn, self.substeps, self.substeps)
         return TimeGrid(Solver.XPBD, 0.0, self._span / self.cells, 0, state)
 
@@ -190,12 +190,12 @@ class AttachedSprings:
         """
         min_substeps, strain = self.substeps, grid.stretch
         if self._network.strands:
-            grid = followed(
+            grid = advance_strands(
                 self._strands, grid, path, self._span, met, own, threads_allowed()
             )
         else:
             system, stretch = self._system, self._settings.stretch
-            system.lead(self._span, path)
+            system.set_paths(self._span, path)
             state = replace(grid.state, substeps=min_substeps, calm=0)
             grid = replace(grid, index=0, state=state)
             max_substeps = (
@@ -203,10 +203,16 @@ class AttachedSprings:
             )
             # The strain of stiff cloth springs is clamped too.
             limit = stretch if len(self._network.triangles) else 0.0
-            grid = projected(
-                system.network(0), grid, self.cells, met, system.layers, stretch,
-                max_substeps, limit,
-            )  # fmt: skip
+            grid = advance_xpbd(
+                system.network(0),
+                grid,
+                self.cells,
+                met,
+                system.kernel_self_contact,
+                stretch,
+                max_substeps,
+                limit,
+            )
             frame_strain = self._strain(grid.state.motion[0])
             grid = replace(grid, stretch=max(strain, frame_strain))
         check_motion(grid.state.motion)

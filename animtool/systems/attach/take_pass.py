@@ -43,7 +43,7 @@ from animtool.systems.attach.simulation import (
 from animtool.systems.framework.meter import VISIBLE_DEPTH, PeakValue
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import open_states, write_states
-from animtool.systems.springs.motion import through_notices
+from animtool.systems.springs.motion import piercing_notices
 
 # Ratio of strain to target strain above which a warning is given [1].
 PARDON = 1.5
@@ -121,7 +121,7 @@ def _report(actor: Actor) -> AttachReport:
     status = "ok"
     if grid.stretch > PARDON * target_strain:
         status = "stretched"
-    if grid.unresolved or grid.through.passed or grid.through.cut:
+    if grid.unresolved or grid.piercing.passed or grid.piercing.cut:
         status = "unresolved"
     return AttachReport(
         actor.body.name,
@@ -131,10 +131,10 @@ def _report(actor: Actor) -> AttachReport:
         actor.steps,
         grid.stretch,
         target_strain,
-        grid.touching,
+        grid.max_contacts,
         grid.unresolved,
-        grid.through.passed,
-        grid.through.cut,
+        grid.piercing.passed,
+        grid.piercing.cut,
         actor.meter.depth,
         actor.meter.pierced,
         actor.meter.strain,
@@ -155,7 +155,7 @@ def notices_of(simulation: AttachSimulation) -> list[Fault]:
         notices += _start_notices(actor) + _warnings(report)
         if isinstance(actor.body, ChainBody) and actor.body.bare:
             notices += _last_joint_notices(simulation, actor.body)
-        notices += through_notices(actor.grid.through, f"the cloth {report.name}")
+        notices += piercing_notices(actor.grid.piercing, f"the cloth {report.name}")
         if isinstance(actor.body, SurfaceBody):
             notices += actor.meter.notices(report.name)
     if simulation.closing is not None:

@@ -158,7 +158,7 @@ class PinnedPoints:
     where: str  # its key
     carrier: Any  # carrier, for `SimContext.poses`
     # Maps carrier poses to positions in its frame ``(P, 3)`` [m].
-    inside: Callable[[Any], FloatArray]
+    local_positions: Callable[[Any], FloatArray]
 
 
 class EntryRecord(Protocol):
@@ -177,7 +177,7 @@ class EntryRecord(Protocol):
         """Counts of components, by kind."""
 
     @property
-    def joined(self) -> Sequence[tuple[str, str]]:
+    def joined_systems(self) -> Sequence[tuple[str, str]]:
         """Names of joined systems, and the keys that name them."""
 
     def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:

@@ -83,7 +83,7 @@ class RigidSystem(Protocol):
     def speeds(self, state: Any) -> FloatArray:
         """Return linear and angular velocities at the centres ``(count, 6)``."""
 
-    def free(self, t: float) -> BoolArray:
+    def is_free(self, t: float) -> BoolArray:
         """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:

@@ -1,4 +1,4 @@
-"""Rigid bodies that carry particles of another system, two-way coupled."""
+"""Rigid bodies that carry particles of another system, with two-way coupling."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.framework.surfaces import BodyColliders, ObservedRun, RigidSystem
 
-# Displacement by a pull over a step, relative to step times gained speed: 0.5 is a
-# constant force, a little more damps stiff motion.
+# Displacement by a pull over a step, relative to the step times the velocity change
+# [1]. A constant force has 0.5; slightly more damps stiff motion.
 PULL_DISPLACEMENT = 0.52
 
 
@@ -27,7 +27,7 @@ class BodyCarrier:
 
     system: str  # name of the system
     body: str  # name of the body
-    where: str = field(default="", compare=False)  # its key
+    where: str = field(default="", compare=False)  # location in the scene entry
 
 
 class TiedBodies(BodyColliders):
@@ -44,10 +44,10 @@ class TiedBodies(BodyColliders):
         super().__init__(run, simulation, 0.0, 0.0, two_way=True)
         self.system = simulation
         self.begin, self.step = begin, step
-        self._start: Any = simulation.initial()
+        self._start_state: Any = simulation.initial()
 
-    def number(self, carrier: BodyCarrier) -> int:
-        """Return the index of a body; raise SIM162 if the name is unknown."""
+    def body_index(self, carrier: BodyCarrier) -> int:
+        """Return the index of a body; raise SIM162 if its name is unknown."""
         names = list(self.system.shared.names)
         if carrier.body in names:
             return names.index(carrier.body)
@@ -58,19 +58,21 @@ class TiedBodies(BodyColliders):
 
     def start(self, carrier: BodyCarrier) -> Poses:
         """Return the initial pose of a body."""
-        frames = self.system.frames(self._start, self.begin)
-        row = frames[self.number(carrier)]
-        return Poses.fixed(row[:3], row[3:])
+        frames = self.system.frames(self._start_state, self.begin)
+        pose = frames[self.body_index(carrier)]
+        return Poses.fixed(pose[:3], pose[3:])
 
-    def gap(self, carrier: BodyCarrier, points: FloatArray) -> tuple[float, float]:
-        """Return the initial distance of points ``(P, 3)`` from a body's surface [m].
+    def surface_distance(
+        self, carrier: BodyCarrier, points: FloatArray
+    ) -> tuple[float, float]:
+        """Return the initial distance of points ``(P, 3)`` from a body [m].
 
-        The distance is that of the nearest point, 0 inside the body. Also returns the
-        size of the body [m].
+        The distance is that of the nearest point to the surface, 0 inside the body.
+        Also returns the size of the body [m].
         """
-        shared, number = self.system.shared, self.number(carrier)
-        (shape_indices,) = np.nonzero(shared.shape_bodies == number)
-        poses = self.system.poses(self._start, self.begin)
+        shared, index = self.system.shared, self.body_index(carrier)
+        (shape_indices,) = np.nonzero(shared.shape_bodies == index)
+        poses = self.system.poses(self._start_state, self.begin)
         shapes = [
             replace(shared.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
             for i in shape_indices.tolist()
@@ -78,7 +80,7 @@ class TiedBodies(BodyColliders):
         if not shapes:
             return 0.0, np.inf
         distances = Colliders(shapes).sample(points, self.begin).distances
-        return max(float(distances.min()), 0.0), float(shared.reaches[number])
+        return max(float(distances.min()), 0.0), float(shared.reaches[index])
 
     def register_pusher(self, pusher: Any) -> None:
         """Register a system whose particles are attached to the bodies."""
@@ -92,86 +94,101 @@ class TiedBodies(BodyColliders):
             return state
         wrenches, begin, end = pull
         end_state, _ = self._run.past_state(end)
-        centres = self.system.inertias(end_state)[0]
-        fraction, current = (t - begin) / (end - begin), self.system.inertias(state)[0]
+        end_centres = self.system.inertias(end_state)[0]
+        fraction, current_centres = (
+            (t - begin) / (end - begin),
+            self.system.inertias(state)[0],
+        )
 
-        def scaled(rows_: FloatArray, fraction: float) -> FloatArray:
-            rows = fraction * rows_
-            rows[:, 3:] += so3.cross(current - centres, rows[:, :3])
+        def scale_wrench(wrench_rows: FloatArray, fraction: float) -> FloatArray:
+            rows = fraction * wrench_rows
+            rows[:, 3:] += so3.cross(current_centres - end_centres, rows[:, :3])
             return rows
 
         impulses, delayed = (
-            scaled(wrenches.impulses, fraction),
-            scaled(wrenches.delayed, fraction**2),
+            scale_wrench(wrenches.impulses, fraction),
+            scale_wrench(wrenches.delayed, fraction**2),
         )
         return self.system.pushed(state, Wrenches(impulses, delayed))
 
-    def over(self, t0: float, t1: float) -> TiedStep:
-        """Return the bodies over a step [s], without the pull."""
+    def step_over(self, t0: float, t1: float) -> TiedStep:
+        """Return the bodies over a step [s], without pulls."""
         start_state, _ = self._run.past_state(t0, begins=True)
         end_state, _ = self._run.past_state(t1)
         return TiedStep(self.system, start_state, end_state, t0, t1)
 
 
 class TiedStep:
-    """Bodies over a step with a pull by particles."""
+    """Rigid bodies over a step, pulled by particles."""
 
     def __init__(
-        self, simulation: RigidSystem, begins: Any, ends: Any, t0: float, t1: float
+        self,
+        simulation: RigidSystem,
+        start_state: Any,
+        end_state: Any,
+        t0: float,
+        t1: float,
     ) -> None:
-        self._simulation, self._ends, self._t1 = simulation, ends, t1
-        self.begins = simulation.frames(begins, t0)  # poses of all bodies ``(B, 7)``
-        self.begun, self.span = begins, t1 - t0  # state at the start; duration [s]
-        self.free = simulation.free(t0)  # free bodies ``(count,)``
-        self.inertias = simulation.inertias(ends)
-        self._speeds = simulation.speeds(ends)[:, :3]
-        self._pull_time = PULL_DISPLACEMENT * self.span
+        self._simulation, self._end_state, self._t1 = simulation, end_state, t1
+        self.start_poses = simulation.frames(
+            start_state, t0
+        )  # poses of all bodies ``(B, 7)``
+        self.start_state, self.duration = (
+            start_state,
+            t1 - t0,
+        )  # state at the start; duration [s]
+        self.is_free = simulation.is_free(t0)  # free bodies ``(count,)``
+        self.inertias = simulation.inertias(end_state)
+        self._end_velocities = simulation.speeds(end_state)[:, :3]
+        self._pull_time = PULL_DISPLACEMENT * self.duration
 
     @property
-    def angle(self) -> float:
-        """Largest rotation of a body [rad]."""
-        spins = self._simulation.speeds(self.begun)[self.free, 3:]
-        return self.span * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
+    def max_angle(self) -> float:
+        """Largest rotation of a body in the step [rad]."""
+        spins = self._simulation.speeds(self.start_state)[self.is_free, 3:]
+        return self.duration * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
 
-    def part(self, state: Any, t: float, dt: float) -> TiedStep:
-        """Return the bodies over a part of the step [s], from a given state."""
-        ends = self._simulation.step(state, t, dt)
-        return TiedStep(self._simulation, state, ends, t, t + dt)
+    def subcell(self, state: Any, t: float, dt: float) -> TiedStep:
+        """Return the bodies from a given state over a time within the step [s]."""
+        end_state = self._simulation.step(state, t, dt)
+        return TiedStep(self._simulation, state, end_state, t, t + dt)
 
-    def leading_to(self, state: Any) -> Wrenches:
-        """Return the impulses at the end of the step that result in a given state."""
-        return self._simulation.push_to(self._ends, state)
+    def push_to(self, state: Any) -> Wrenches:
+        """Return the impulses at the end of the step that lead to a given state."""
+        return self._simulation.push_to(self._end_state, state)
 
-    def speeds_at(self, state: Any, number: int, points: FloatArray) -> FloatArray:
+    def point_velocities(
+        self, state: Any, index: int, points: FloatArray
+    ) -> FloatArray:
         """Return velocities of points ``(P, 3)`` on a dynamic body [m/s]."""
-        speeds = self._simulation.speeds(state)[number]
-        centre = self._simulation.inertias(state)[0][number]
+        speeds = self._simulation.speeds(state)[index]
+        centre = self._simulation.inertias(state)[0][index]
         velocities: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
         return velocities
 
-    def begun_at(self, number: int, points: FloatArray) -> FloatArray:
-        """Return velocities of points at the start [m/s]."""
-        return self.speeds_at(self.begun, number, points)
+    def start_velocities(self, index: int, points: FloatArray) -> FloatArray:
+        """Return velocities of points ``(P, 3)`` on a body at the start [m/s]."""
+        return self.point_velocities(self.start_state, index, points)
 
-    def turning(self, number: int, pull: FloatArray) -> FloatArray:
-        """Return the moment of a pull ``(6,)`` about the displaced centre."""
-        centre = self.inertias[0][number] - self._pull_time * self._speeds[number]
+    def moment(self, index: int, pull: FloatArray) -> FloatArray:
+        """Return the moment of a pull ``(6,)`` about the moving centre of mass."""
+        centre = self.inertias[0][index] - self._pull_time * self._end_velocities[index]
         moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
         return moment
 
     def wrenches(self, pulls: FloatArray) -> Wrenches:
-        """Return impulses and moments about the centres ``(count, 6)`` as a push."""
+        """Return impulses and moments ``(count, 6)`` of pulls as wrenches."""
         impulses = pulls.copy()
         impulses[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
         return Wrenches(impulses, self._pull_time * impulses)
 
-    def pulled(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
-        """Return the end state after a push, and poses of all bodies ``(B, 7)``."""
-        state = self._simulation.pushed(self._ends, wrenches)
+    def pushed(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
+        """Return the end state after impulses, and poses of all bodies ``(B, 7)``."""
+        state = self._simulation.pushed(self._end_state, wrenches)
         return state, self._simulation.frames(state, self._t1)
 
 
-def to_world(frame: FloatArray, local_points: FloatArray) -> FloatArray:
+def local_to_world(frame: FloatArray, local_points: FloatArray) -> FloatArray:
     """Transform points ``(P, 3)`` from a frame ``(7,)`` to the world [m]."""
     points: FloatArray = frame[:3] + so3.rotate(frame[3:], local_points)
     return points

@@ -36,7 +36,7 @@ class BodyPhase:
 
     number: int
     bodies: RigidBodies
-    free: BoolArray
+    is_free: BoolArray
     joints: Joints
     holding: IntArray
     surroundings: StepColliders
@@ -46,7 +46,7 @@ class BodyPhase:
     @property
     def full(self) -> bool:
         """Whether all bodies are dynamic."""
-        return bool(self.free.all())
+        return bool(self.is_free.all())
 
     def shapes_of(self, numbers: IntArray) -> IntArray:
         """Return numbers of shapes and colliders in the full system."""
@@ -106,7 +106,7 @@ class BodyPhases:
         time = t + RELEASE_TOLERANCE * dt
         return int(np.searchsorted(self._times, time, side="right"))
 
-    def free(self, t: float, dt: float) -> BoolArray:
+    def is_free(self, t: float, dt: float) -> BoolArray:
         """Return a mask of the bodies dynamic in a step [s] at a time [s] ``(N,)``."""
         free: BoolArray = self._releases <= t + RELEASE_TOLERANCE * dt
         return free

@@ -217,7 +217,7 @@ class RigidSimulation(SharedBodies):
             motion[:, 7:10] = loads.velocities
         phase = self._current_phase(state, t, dt)
         same_phase = phase.number == self._phases.number(t - dt, dt)
-        free = phase.free
+        free = phase.is_free
         result = _kernels.step_rigid(
             self._kernel_arrays(phase, loads, t + dt),
             motion[free],
@@ -296,7 +296,7 @@ class RigidSimulation(SharedBodies):
             return phase.kernel
         numbers = joints.numbers if joints.driven is None else joints.driven(t)
         return phase.with_parameters(
-            numbers, 1.0 if inertias is None else inertias[phase.free]
+            numbers, 1.0 if inertias is None else inertias[phase.is_free]
         )
 
     def _break_joints(
@@ -370,9 +370,9 @@ class RigidSimulation(SharedBodies):
             physics=self._physics,
         )
 
-    def free(self, t: float) -> BoolArray:
+    def is_free(self, t: float) -> BoolArray:
         """Return which bodies are dynamic from a time [s] on ``(count,)``."""
-        return self._phases.free(t, self._spec.step)
+        return self._phases.is_free(t, self._spec.step)
 
     @cached_property
     def _physics(self) -> Physics | None:

@@ -26,7 +26,7 @@ from animtool.systems.springs import (
     surface,
     tetrahedra,
 )
-from animtool.systems.springs.checks import some_of
+from animtool.systems.springs.checks import excerpt_numbers
 from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 from animtool.systems.springs.spec import (
     ClothModel,
@@ -38,13 +38,13 @@ from animtool.systems.springs.spec import (
 
 # Largest number of particles of a system, limited by memory.
 MAX_PARTICLES = 10_000_000
-# Smallest mass of a system, or of a particle with a configured mass [kg].
-LIGHTEST = 1e-30
+# Smallest allowed mass of a system, or of a particle that sets its own [kg].
+MIN_MASS = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
 class SpringBody:
-    """Particles and springs of an entry."""
+    """Particles and springs of a scene entry, with named regions."""
 
     body: Body  # particles and springs, at rest in their positions
     regions: Mapping[str, IntArray]  # particle indices by region name
@@ -62,46 +62,48 @@ class BodyEntry:
 
     spec: Any
     parts: Mapping[str, Any]
-    # By name; None for families that are left out.
+    # Spring families by name; None for omitted ones.
     families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]
     faults: list[Fault] = field(default_factory=list)
-    sound: bool = True  # whether the body can be built
+    can_build: bool = True  # whether the body can be built
 
-    def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
+    def add_fault(
+        self, fault: Fault, *keys: str | int, recoverable: bool = False
+    ) -> None:
         """Add a fault at a key of the entry, extended by the location in the fault."""
         subkeys = (fault.where,) if fault.where else ()
         self.faults.append(replace(fault, where=location_text((*keys, *subkeys))))
-        self.sound &= doubt
+        self.can_build &= recoverable
 
-    def note(
+    def report_fault(
         self, code: str, message: str, *keys: str | int, hint: str | None = None
     ) -> None:
-        """Record a fault at a key of the entry."""
-        self.add(Fault(code, message, hint=hint), *keys)
+        """Report a fault at a key of the entry."""
+        self.add_fault(Fault(code, message, hint=hint), *keys)
 
-    def mass_of(self, key: str, mass: float) -> float:
-        """Return a mass; record a fault and return 1 kg if it is not positive."""
-        if mass >= LIGHTEST:
+    def checked_mass(self, key: str, mass: float) -> float:
+        """Return a mass [kg]; report a fault and return 1 if it is not positive."""
+        if mass >= MIN_MASS:
             return mass
-        allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
+        allowed = "above 0" if mass <= 0 else f"{MIN_MASS:g} kg or more"
         message = f"its mass must be {allowed}, not {mass:g} kg"
-        self.add(Fault("SIM040", message), key, doubt=True)
+        self.add_fault(Fault("SIM040", message), key, recoverable=True)
         return 1.0
 
 
 def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
-    """Return a rope; None if it has faults."""
+    """Build a rope; return None if it has faults."""
     if not 2 <= model.count <= MAX_PARTICLES:
         message = f"a rope has 2 to {MAX_PARTICLES} particles, not {model.count}"
-        entry.note("SIM050", message, "count")
+        entry.report_fault("SIM050", message, "count")
     if model.start == model.end:
         message = "it starts and ends at the same position"
-        entry.note("SIM050", message, "to")
+        entry.report_fault("SIM050", message, "to")
     tip = model.tip_mass
     if tip is not None:
-        tip = entry.mass_of("tip_mass", tip)
-    if not entry.sound:
+        tip = entry.checked_mass("tip_mass", tip)
+    if not entry.can_build:
         return None
     count = model.count
     body = rope(
@@ -119,7 +121,7 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
 
 
 def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
-    """Return strands; None if they have faults."""
+    """Build strands; return None if they have faults."""
     points = entry.parts["points"]
     if points is not None and not (
         points.ndim == 3
@@ -128,8 +130,8 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
         and points.shape[2] == 3
     ):
         message = "strands have the shape (1 or more, 2 or more, 3), not "
-        entry.note("SIM050", f"{message}{points.shape}", "points")
-    if points is None or not entry.sound:
+        entry.report_fault("SIM050", f"{message}{points.shape}", "points")
+    if points is None or not entry.can_build:
         return None
     count, length = points.shape[:2]
     particle_mass = entry.mass / (count * length)
@@ -144,27 +146,31 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
 
 
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
-    """Return cloth; None if it has faults."""
+    """Build a sheet or mesh of cloth; return None if it has faults."""
     if model.mesh is not None:
-        why = "applies to a sheet, but this is a mesh"
-        _refuse_keys(entry, model, {"corner", "across", "up", "resolution"}, why)
+        reason = "applies to a sheet, but this is a mesh"
+        _report_unused_keys(
+            entry, model, {"corner", "across", "up", "resolution"}, reason
+        )
         return _mesh_cloth(entry, model.mesh.prim)
     columns, rows = model.resolution
     _check_grid(entry, "cloth", model.resolution)
     if not np.cross(model.across, model.up).any():
         message = "it has no area: across and up are zero or parallel"
-        entry.note("SIM050", message, "across")
-    if not entry.sound:
+        entry.report_fault("SIM050", message, "across")
+    if not entry.can_build:
         return None
-    has_both = model.springs.diagonals is None or model.springs.diagonals.ways == "both"
+    has_both_diagonals = (
+        model.springs.diagonals is None or model.springs.diagonals.ways == "both"
+    )
     diagonal_family = entry.families["diagonals"]
     body = sheet(
         columns,
         rows,
         mass=entry.mass / (columns * rows),
         structural=entry.families["structural"],
-        diagonal=None if has_both else diagonal_family,
-        diagonals=diagonal_family if has_both else None,
+        diagonal=None if has_both_diagonals else diagonal_family,
+        diagonals=diagonal_family if has_both_diagonals else None,
         bend=entry.families["bend"],
         corner=model.corner,
         across=model.across,
@@ -186,6 +192,7 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
 
 
 def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
+    """Build cloth from a polygon mesh; return None if it has faults."""
     mesh = entry.parts["mesh"]
     if mesh is None:
         return None
@@ -193,17 +200,19 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     fractions, flat_faces = _area_fractions(mesh.points, *faces)
     massless = np.flatnonzero(fractions == 0)
     if len(massless):
-        message = f"points of {prim} are in no face with an area: {some_of(massless)}"
-        entry.note("SIM051", message, "mesh", "prim")
-    if not entry.sound:
+        message = (
+            f"points of {prim} are in no face with an area: {excerpt_numbers(massless)}"
+        )
+        entry.report_fault("SIM051", message, "mesh", "prim")
+    if not entry.can_build:
         return None
     families: Mapping[str, Any] = entry.families
     body = surface(mesh.points, *faces, mass=entry.mass * fractions, **families)
     edge_table = edge_counts(*faces)
-    border = np.unique(edge_table[0][edge_table[1] == 1])
+    border_points = np.unique(edge_table[0][edge_table[1] == 1])
     notices = _mesh_warnings(prim, mesh.points, flat_faces, edge_table)
     return SpringBody(
-        body, {"border": border}, FaceShape(*faces, body.springs), notices
+        body, {"border": border_points}, FaceShape(*faces, body.springs), notices
     )
 
 
@@ -214,15 +223,17 @@ def _area_fractions(
     starts = np.cumsum(counts) - counts
     centres = np.add.reduceat(points[indices], starts) / counts[:, None]
     next_corners = directed_edges(counts, indices)[:, 1]
-    face_numbers = np.repeat(np.arange(len(counts)), counts)
+    face_of_corner = np.repeat(np.arange(len(counts)), counts)
     cross_products = np.cross(
-        points[indices] - centres[face_numbers],
-        points[next_corners] - centres[face_numbers],
+        points[indices] - centres[face_of_corner],
+        points[next_corners] - centres[face_of_corner],
     )
     areas = np.linalg.norm(np.add.reduceat(cross_products, starts), axis=1) / 2
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
-    return _distribute(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
+    return _corner_fractions(areas, counts, indices, len(points)), np.flatnonzero(
+        areas == 0
+    )
 
 
 def _mesh_warnings(
@@ -232,19 +243,18 @@ def _mesh_warnings(
     edge_table: tuple[IntArray, IntArray],
 ) -> tuple[Fault, ...]:
     """Return warnings about degenerate faces, duplicate points and shared edges."""
-    _, point_numbers, counts = np.unique(
+    _, unique_indices, counts = np.unique(
         points, axis=0, return_inverse=True, return_counts=True
     )
-    duplicates = np.flatnonzero(counts[point_numbers.reshape(-1)] > 1)
+    duplicates = np.flatnonzero(counts[unique_indices.reshape(-1)] > 1)
     hints = {}
     if len(flat_faces):
-        hints[f"faces without an area: {some_of(flat_faces)}"] = (
+        hints[f"faces without an area: {excerpt_numbers(flat_faces)}"] = (
             "the air does not act on them"
         )
     if len(duplicates):
-        text = (
-            f"points at the same position that nothing connects: {some_of(duplicates)}"
-        )
+        text = "points at the same position that nothing connects: "
+        text += excerpt_numbers(duplicates)
         hints[text] = "merge them"
     nonmanifold = edge_table[0][edge_table[1] > 2]
     if len(nonmanifold):
@@ -258,10 +268,10 @@ def _mesh_warnings(
 
 
 def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
-    """Return a volume; None if it has faults."""
+    """Build a block or tetrahedra; return None if they have faults."""
     if model.tetrahedra is not None:
-        why = "applies to a block, but this has tetrahedra"
-        _refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
+        reason = "applies to a block, but this has tetrahedra"
+        _report_unused_keys(entry, model, {"corner", "size", "resolution"}, reason)
         return _tetrahedra(entry)
     x, y, z = model.resolution
     _check_grid(entry, "a volume", model.resolution)
@@ -269,8 +279,8 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
         message = (
             f"its size must be above 0 in each direction, not {listed(model.size)}"
         )
-        entry.note("SIM050", message, "size")
-    if not entry.sound:
+        entry.report_fault("SIM050", message, "size")
+    if not entry.can_build:
         return None
     body = block(
         (x, y, z),
@@ -285,21 +295,22 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
 
 
 def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
+    """Build a volume of tetrahedra; return None if it has faults."""
     points, cells = (entry.parts["tetrahedra"][name] for name in ("points", "cells"))
     edges = entry.families["structural"]
     if edges is None:
         message = "tetrahedra have structural springs, along their edges"
-        entry.note("SIM050", message, "springs")
+        entry.report_fault("SIM050", message, "springs")
     for name in ("face_diagonals", "body_diagonals"):
         if entry.families[name] is not None:
             message = f"{name} apply to a block, but this has tetrahedra"
-            entry.note("SIM050", message, "springs", name)
+            entry.report_fault("SIM050", message, "springs", name)
     if points is None or cells is None or edges is None:
         return None
     message = _tetrahedra_fault(points, cells)
     if message:
-        entry.note("SIM051", message, "tetrahedra")
-    if not entry.sound:
+        entry.report_fault("SIM051", message, "tetrahedra")
+    if not entry.can_build:
         return None
     corners = cells.astype(np.int64)
     fractions = _volume_fractions(points, corners)
@@ -308,6 +319,7 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
 
 
 def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
+    """Return what is wrong with arrays of tetrahedra; empty if nothing is."""
     if points.ndim != 2 or points.shape[1:] != (3,) or not len(points):
         return f"points have the shape (particles, 3), not {points.shape}"
     if cells.ndim != 2 or cells.shape[1:] != (4,) or not len(cells):
@@ -316,27 +328,30 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
         return f"a corner is outside the {len(points)} points"
     massless = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
     if len(massless):
-        return f"points are in no tetrahedron with a volume: {some_of(massless)}"
+        return (
+            f"points are in no tetrahedron with a volume: {excerpt_numbers(massless)}"
+        )
     return ""
 
 
 def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
     """Return each point's fraction of the volume ``(N,)``."""
-    sides = points[cells[:, 1:]] - points[cells[:, :1]]
-    volumes = np.abs(np.linalg.det(sides))
+    edge_vectors = points[cells[:, 1:]] - points[cells[:, :1]]
+    volumes = np.abs(np.linalg.det(edge_vectors))
     size = np.ptp(points, axis=0).max()
     volumes[volumes <= 1e-12 * size**3] = 0.0
     corners = np.full(len(cells), 4)
-    return _distribute(volumes, corners, cells.ravel(), len(points))
+    return _corner_fractions(volumes, corners, cells.ravel(), len(points))
 
 
 def _skin_shape(body: Body) -> FaceShape:
+    """Return the surface triangles of a volume, to draw."""
     triangles = body.triangles
     counts = np.full(len(triangles), 3)
     return FaceShape(counts, triangles.ravel(), body.springs, closed=True)
 
 
-def _distribute(
+def _corner_fractions(
     sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
 ) -> FloatArray:
     """Distribute cell sizes to their corners; return fractions ``(N,)`` [1].
@@ -344,19 +359,19 @@ def _distribute(
     Cells have sizes ``(M,)`` and corner counts ``(M,)``, cell by cell. Fractions add up
     to 1, or are all 0 if every cell has size 0.
     """
-    sums = np.bincount(corners, np.repeat(sizes / counts, counts), points)
-    total = float(sums.sum())
-    return np.asarray(sums / (total if total > 0 else 1.0), np.float64)
+    sizes_by_point = np.bincount(corners, np.repeat(sizes / counts, counts), points)
+    total = float(sizes_by_point.sum())
+    return np.asarray(sizes_by_point / (total if total > 0 else 1.0), np.float64)
 
 
-def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
-    """Record a fault if a grid has too few particles along an axis, or too many."""
+def _check_grid(entry: BodyEntry, subject: str, resolution: Sequence[int]) -> None:
+    """Report a fault if a grid has too few particles along an axis, or too many."""
     if min(resolution) < 2 or math.prod(resolution) > MAX_PARTICLES:
         *first, last = resolution
         resolution_text = f"{listed(first)} and {last}"
-        message = f"{what} needs 2 to {MAX_PARTICLES} particles in each direction"
+        message = f"{subject} needs 2 to {MAX_PARTICLES} particles in each direction"
         message += f", not {resolution_text}"
-        entry.note("SIM050", message, "resolution")
+        entry.report_fault("SIM050", message, "resolution")
 
 
 def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
@@ -368,13 +383,15 @@ def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
     }
 
 
-def _refuse_keys(entry: BodyEntry, model: FileModel, keys: set[str], why: str) -> None:
-    """Record a fault for each specified key that does not apply."""
+def _report_unused_keys(
+    entry: BodyEntry, model: FileModel, keys: set[str], reason: str
+) -> None:
+    """Report a fault for each specified key that does not apply."""
     for key in sorted(keys & model.model_fields_set):
-        entry.note("SIM050", f"{key} {why}", key)
+        entry.report_fault("SIM050", f"{key} {reason}", key)
 
 
-BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
+BODY_BUILDERS: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
     ClothModel: _cloth,
     RopeModel: _rope,
     StrandsModel: _strands,

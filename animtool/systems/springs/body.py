@@ -113,7 +113,7 @@ def springs_between(
     return Springs(pairs, lengths, stiffness, damping, limit)
 
 
-def built(
+def build_body(
     positions: ArrayLike,
     masses: ArrayLike,
     families: Sequence[tuple[ArrayLike, Family | None]],
@@ -204,7 +204,7 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
 
 
 class TargetSprings(NamedTuple):
-    """Zero-length springs that pull particles to target points."""
+    """Zero-length springs between particles and target points."""
 
     particles: IntArray  # ``(A,)``
     stiffness: FloatArray  # ``(A,)`` [N/m]
@@ -216,29 +216,29 @@ NO_TARGETS = TargetSprings(NO_PARTICLES, np.zeros(0), np.zeros(0))
 
 
 class Paths(NamedTuple):
-    """Positions of pins and targets, and wind, over shared times."""
+    """Positions of pins and targets, and wind velocities, at shared times."""
 
-    knots: FloatArray  # ``(K,)`` [s]
-    pinned: FloatArray  # of pinned particles ``(K or 1, P, 3)`` [m]
-    drawn: FloatArray  # of target points ``(K or 1, A, 3)`` [m]
+    knots: FloatArray  # times ``(K,)`` [s]
+    pin_positions: FloatArray  # ``(K or 1, P, 3)`` [m]
+    target_positions: FloatArray  # ``(K or 1, A, 3)`` [m]
     wind: FloatArray  # ``(K or 1, 1, 3)`` [m/s]
 
 
 @dataclass(frozen=True, slots=True)
 class SpringForces:
-    """N particles, the springs between them, and external forces."""
+    """Properties of N particles, springs, air and gravity that give forces."""
 
     inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 for pinned particles
     drags: FloatArray  # drag per mass and speed ``(N,)`` [1/s]
     springs: Springs
     triangles: IntArray  # surface that air acts on ``(T, 3)``
     gravity: FloatArray  # ``(3,)`` [m/s²]
-    pressures: tuple[float, float]  # of air: drag and lift over area and speed²
+    air_coefficients: tuple[float, float]  # air drag and lift over area and speed²
     pinned: IntArray = field(default_factory=NO_PARTICLES.copy)  # particles ``(P,)``
     target_springs: TargetSprings = NO_TARGETS
 
     def network(self, paths: Paths) -> _kernels.SpringNetwork:
-        """Return the kernel network, which visits springs in their order."""
+        """Return the kernel network, with springs in the order of this record."""
         springs, targets = self.springs, self.target_springs
         return _kernels.SpringNetwork(
             inverse_masses=self.inverse_masses,
@@ -250,22 +250,22 @@ class SpringForces:
             limit=springs.limit,
             triangles=self.triangles,
             gravity=self.gravity,
-            air_drag=self.pressures[0],
-            air_lift=self.pressures[1],
+            air_drag=self.air_coefficients[0],
+            air_lift=self.air_coefficients[1],
             knots=paths.knots,
             pinned=self.pinned,
-            pinned_path=paths.pinned,
+            pinned_path=paths.pin_positions,
             anchors=targets.particles,
             anchor_stiffness=targets.stiffness,
             anchor_damping=targets.damping,
-            anchor_path=paths.drawn,
+            anchor_path=paths.target_positions,
             winds=paths.wind,
         )
 
 
-def spring_layers(
+def kernel_self_contact(
     network: _kernels.SpringNetwork, contact: SelfContact, rest: FloatArray
 ) -> _kernels.SpringLayers:
     """Return the kernel self-contact of a surface; rest positions ``(N, 3)`` [m]."""
-    numbers = contact.thickness, contact.friction, contact.speed
-    return _kernels.SpringLayers(network, rest, *numbers)
+    settings = contact.thickness, contact.friction, contact.speed
+    return _kernels.SpringLayers(network, rest, *settings)

@@ -24,15 +24,20 @@ from animtool.systems.springs import (
     weld,
 )
 from animtool.systems.springs.entry import SpringEntry, join_pairs
-from animtool.systems.springs.paths import combined
-from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
+from animtool.systems.springs.paths import merge_constraints
+from animtool.systems.springs.pins import (
+    air_of,
+    align_to_pins,
+    constraints_of,
+    wind_targets,
+)
 from animtool.systems.springs.simulating import plan_springs
 from animtool.systems.springs.simulation import SpringSimulation
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import BodyTies, Tie
 from animtool.systems.springs.view import SpringView
 
-# Distance between merged or pinned particles above which a warning is given [m].
+# Largest unreported distance between merged or pinned particles [m].
 MAX_GAP = 1e-4
 
 
@@ -42,13 +47,13 @@ def build(spec: SpringsModel, context: SimContext) -> SpringSimulation:
 
 
 class _SystemBuilder:
-    """Builds one particle system from several bodies."""
+    """Joins the bodies of several entries to one particle system."""
 
     def __init__(self, spec: SpringsModel, context: SimContext) -> None:
         self._spec, self._context = spec, context
         self._entries: list[SpringEntry] = [member.record for member in context.members]
         self._notices: list[Fault] = []  # warnings about the joined system
-        bodies, ties = self._position_bodies()
+        bodies, constraints = self._position_bodies()
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
         welded = weld(join(bodies), join_pairs(context.members, starts))
         self._warn_gap("particles that are joined are", welded.gap)
@@ -56,61 +61,67 @@ class _SystemBuilder:
             welded.rows[start : start + len(body.positions)]
             for start, body in zip(starts, bodies, strict=False)
         ]
-        self._system = self._build_system(welded, ties)
+        self._system = self._build_system(welded, constraints)
 
     def simulation(self) -> SpringSimulation:
         """Return the simulation with one view for each entry."""
         context, spec = self._context, self._spec
-        plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
+        plan = plan_springs(
+            self._system, spec.options, context, starts_at_rest=spec.settle
+        )
         start_grid = plan.start(context.begin)
         simulation = SpringSimulation(plan, start_grid, context.last, context.clock())
-        springs = 0
+        spring_count = 0
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):
             entry: SpringEntry = member.record
-            spring_rows = slice(springs, springs + len(entry.body.body.springs.rest))
-            springs = spring_rows.stop
+            spring_rows = slice(
+                spring_count, spring_count + len(entry.body.body.springs.rest)
+            )
+            spring_count = spring_rows.stop
             notices = (*entry.body.notices, *(() if views else self._notices))
             views.append(
                 SpringView(
-                    simulation, member, rows, spring_rows, notices, first=not views
+                    simulation, member, rows, spring_rows, notices, is_first=not views
                 )
             )
+
         simulation.views = views
         return simulation
 
     def _position_bodies(self) -> tuple[list[Body], list[list[Pins | PointTargets]]]:
-        """Return bodies moved to their pins, and pins and targets of each."""
-        bodies, ties, begin = [], [], self._context.begin
-        has_acting_faces = any(_has_acting_faces(entry) for entry in self._entries)
+        """Return bodies moved to their pins, and the pins and targets of each."""
+        bodies, constraints, begin = [], [], self._context.begin
+        any_uses_faces = any(_uses_faces(entry) for entry in self._entries)
         for entry in self._entries:
             body = entry.body.body
             pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
-            points = moved_to_pins(pins, body.positions, begin)
-            ties.append(ties_of(pins, points))
+            points = align_to_pins(pins, body.positions, begin)
+            constraints.append(constraints_of(pins, points))
             pinned = points.copy()
-            for pin, frame in pins:
+            for pin, poses in pins:
                 if pin.model.stiffness is None:
-                    pinned[pin.particles] = pin.start(frame, points, begin)
+                    pinned[pin.particles] = pin.start(poses, points, begin)
             gap = float(np.linalg.norm(pinned - points, axis=1).max())
             self._warn_gap("pins hold particles", gap)
             # With several entries, wind acts on the faces of those that request it.
-            feels_wind = not has_acting_faces or _has_acting_faces(entry)
-            triangles = body.triangles if feels_wind else body.triangles[:0]
+            has_wind = not any_uses_faces or _uses_faces(entry)
+            triangles = body.triangles if has_wind else body.triangles[:0]
             bodies.append(replace(body, positions=pinned, triangles=triangles))
-        return bodies, ties
+        return bodies, constraints
 
     def _build_system(
-        self, welded: Welded, ties: Sequence[Sequence[Pins | PointTargets]]
+        self, welded: Welded, constraints: Sequence[Sequence[Pins | PointTargets]]
     ) -> SpringSystem:
+        """Return the system of joined bodies with their pins, targets and wind."""
         spec, context = self._spec, self._context
-        all_ties: list[Pins | PointTargets] = []
+        all_constraints: list[Pins | PointTargets] = []
         resistance = np.zeros(len(welded.body.positions))
         air, contact = None, None
-        for entry, rows, entry_ties in zip(
-            self._entries, self._rows, ties, strict=True
+        for entry, rows, entry_constraints in zip(
+            self._entries, self._rows, constraints, strict=True
         ):
-            particle_ties = list(entry_ties)
+            particle_constraints = list(entry_constraints)
             drags = entry.spec.drag * entry.body.body.masses
             wind = entry.spec.air
             if isinstance(wind, FaceWindModel) or wind is None:
@@ -119,15 +130,29 @@ class _SystemBuilder:
             else:
                 span = context.begin, context.last
                 points = welded.body.positions[rows]
-                particle_ties.append(wind_ties(wind, points, drags, span))
-            for tie in particle_ties:
-                all_ties.append(replace(tie, particles=rows[np.asarray(tie.particles)]))
+                particle_constraints.append(wind_targets(wind, points, drags, span))
+            for constraint in particle_constraints:
+                all_constraints.append(
+                    replace(
+                        constraint, particles=rows[np.asarray(constraint.particles)]
+                    )
+                )
             contact = entry.spec.contact or contact
         system = SpringSystem(
             welded.body,
-            pins=combined([tie for tie in all_ties if isinstance(tie, Pins)]),
-            targets=combined(
-                [tie for tie in all_ties if isinstance(tie, PointTargets)]
+            pins=merge_constraints(
+                [
+                    constraint
+                    for constraint in all_constraints
+                    if isinstance(constraint, Pins)
+                ]
+            ),
+            targets=merge_constraints(
+                [
+                    constraint
+                    for constraint in all_constraints
+                    if isinstance(constraint, PointTargets)
+                ]
             ),
             gravity=spec.gravity,
             resistance=resistance,
@@ -137,27 +162,29 @@ class _SystemBuilder:
             speed_limit=spec.speed_limit,
             self_contact=contact,
         )
-        system.ties = self._tie_pins(system)
+        system.ties = self._body_ties(system)
         return self._settle(system) if spec.settle else system
 
-    def _tie_pins(self, system: SpringSystem) -> BodyTies | None:
-        """Return the rigid bodies that carry pins; None if there are none."""
+    def _body_ties(self, system: SpringSystem) -> BodyTies | None:
+        """Return the pins on rigid bodies of other systems; None if there are none."""
         carriers = self._context.carriers
         names, ties = list(carriers), []
-        columns = {n: k for k, n in enumerate(system.pinned.tolist())}
+        column_of_particle = {n: k for k, n in enumerate(system.pinned.tolist())}
         for entry, rows in zip(self._entries, self._rows, strict=True):
             for pin in entry.pins:
                 if not isinstance(pin.carrier, BodyCarrier):
                     continue
                 bodies, pinned = carriers[pin.carrier.system], rows[pin.particles]
                 points = system.body.positions[pinned]
-                self._warn_distant(entry.spec.name, pin.carrier, bodies, points)
+                self._warn_distant_pins(entry.spec.name, pin.carrier, bodies, points)
                 frame = bodies.start(pin.carrier).rows[0]
                 ties.append(
                     Tie(
-                        np.array([columns[n] for n in pinned.tolist()], np.int64),
+                        np.array(
+                            [column_of_particle[n] for n in pinned.tolist()], np.int64
+                        ),
                         names.index(pin.carrier.system),
-                        bodies.number(pin.carrier),
+                        bodies.body_index(pin.carrier),
                         so3.rotate(so3.conjugate(frame[3:]), points - frame[:3]),
                         system.body.masses[pinned],
                     )
@@ -166,11 +193,11 @@ class _SystemBuilder:
             return None
         return BodyTies(list(carriers.values()), ties, system.gravity, system.spacing)
 
-    def _warn_distant(
+    def _warn_distant_pins(
         self, name: str, carrier: BodyCarrier, bodies: TiedBodies, points: FloatArray
     ) -> None:
         """Warn about pins that start farther from their body than its size."""
-        gap, size = bodies.gap(carrier, points)
+        gap, size = bodies.surface_distance(carrier, points)
         if gap > size:
             message = f"pins of {name} start {length_text(gap)} from the surface of "
             message += (
@@ -181,26 +208,32 @@ class _SystemBuilder:
             self._notices.append(warning("SIM160", message, hint, carrier.where))
 
     def _settle(self, system: SpringSystem) -> SpringSystem:
-        """Return the system with its static equilibrium as the start."""
-        rest = find_rest(system, self._context.begin, progress=self._context.phase())
-        if not rest.solved:
-            message = f"no rest state was found: forces of {rest.residual:.2g} N remain"
+        """Return the system starting in static equilibrium; warn if it has none."""
+        equilibrium = find_rest(
+            system, self._context.begin, progress=self._context.phase()
+        )
+        if not equilibrium.solved:
+            message = "no rest state was found: forces of "
+            message += f"{equilibrium.residual:.2g} N remain"
             hint = "let it settle in a preroll, with drag"
             if _stands_on_pins(system):
                 message = "it stands upright on its pins, and would fall over"
                 hint = "pin its other end, or let it settle in a preroll, with drag"
             self._notices.append(warning("SIM152", message, hint, "settle"))
-        return system.starting_at(rest.positions)
+        return system.starting_at(equilibrium.positions)
 
-    def _warn_gap(self, what: str, gap: float) -> None:
+    def _warn_gap(self, subject: str, gap: float) -> None:
+        """Warn about merged or pinned particles that start apart by a gap [m]."""
         if gap > MAX_GAP:
-            message = f"{what} {length_text(gap)} from where they are built: springs "
+            message = (
+                f"{subject} {length_text(gap)} from where they are built: springs "
+            )
             hint = "place them to match, or give pins an offset"
             self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))
 
 
 def _stands_on_pins(system: SpringSystem) -> bool:
-    """Return whether all that is free is above the pins, like a rope on its end."""
+    """Return whether all free particles are above the pins, as in an upright rope."""
     heights = -system.body.positions @ system.gravity
     is_free = np.ones(len(heights), np.bool_)
     is_free[system.pinned] = False
@@ -211,6 +244,6 @@ def _stands_on_pins(system: SpringSystem) -> bool:
     )
 
 
-def _has_acting_faces(entry: SpringEntry) -> bool:
-    """Return whether the faces of a body feel wind or collide with themselves."""
+def _uses_faces(entry: SpringEntry) -> bool:
+    """Return whether wind acts on the faces of an entry, or they collide."""
     return isinstance(entry.spec.air, FaceWindModel) or entry.spec.contact is not None

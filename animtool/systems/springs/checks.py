@@ -15,35 +15,41 @@ from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 MAX_NAMED = 5
 
 
-def some_of(numbers: IntArray) -> str:
-    """Return the first of some numbers, and how many more there are."""
+def excerpt_numbers(numbers: IntArray) -> str:
+    """Return the first of some numbers as text, and how many more there are."""
     more = len(numbers) - MAX_NAMED
     text = ", ".join(map(str, numbers[:MAX_NAMED].tolist()))
     return f"{text} and {more} more" if more > 0 else text
 
 
-def check_body(body: Body, pinned: IntArray, drawn: IntArray) -> None:
+def check_body(body: Body, pinned: IntArray, target_particles: IntArray) -> None:
     """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
-    not_finite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _faults_by_particle("SIM041", "its position is not finite", not_finite)
+    nonfinite_particles = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _faults_by_particle(
+        "SIM041", "its position is not finite", nonfinite_particles
+    )
     faults += _particle_faults(pinned, "pins", count)
-    values, counts = np.unique(pinned, return_counts=True)
-    faults += _faults_by_particle("SIM043", "it is pinned twice", values[counts > 1])
-    faults += _particle_faults(drawn, "targets", count)
-    free = np.ones(count, bool)
-    free[pinned[(pinned >= 0) & (pinned < count)]] = False
+    pinned_particles, counts = np.unique(pinned, return_counts=True)
+    faults += _faults_by_particle(
+        "SIM043", "it is pinned twice", pinned_particles[counts > 1]
+    )
+    faults += _particle_faults(target_particles, "targets", count)
+    is_free = np.ones(count, bool)
+    is_free[pinned[(pinned >= 0) & (pinned < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # Forces are divided by the mass: its inverse must be finite too.
-        finite = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
-        massless = ~((body.masses > 0) & finite) & free
+        has_finite_mass = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
+        is_massless = ~((body.masses > 0) & has_finite_mass) & is_free
     hint = "pin it, or give it a mass above 0"
     faults += _faults_by_particle(
-        "SIM040", "its mass must be above 0", np.flatnonzero(massless), hint
+        "SIM040", "its mass must be above 0", np.flatnonzero(is_massless), hint
     )
     faults += _spring_faults(body.springs, count)
-    outside = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
-    faults += _faults_by_row("triangle {} has a corner that does not exist", outside)
+    has_unknown_corner = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
+    faults += _faults_by_row(
+        "triangle {} has a corner that does not exist", has_unknown_corner
+    )
     if faults:
         raise OptionError(faults)
 
@@ -76,13 +82,13 @@ def start_notices(body: Body) -> list[Fault]:
     """Return a warning about springs whose ends coincide at the start."""
     springs = body.springs
     gaps = body.positions[springs.ends[:, 1]] - body.positions[springs.ends[:, 0]]
-    coincident = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
-    if not coincident:
+    coincident_count = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
+    if not coincident_count:
         return []
     subject = (
         "every spring"
-        if coincident == len(gaps)
-        else f"{coincident} of {len(gaps)} springs"
+        if coincident_count == len(gaps)
+        else f"{coincident_count} of {len(gaps)} springs"
     )
     message = (
         f"the ends of {subject} are at the same position: without a direction they "
@@ -106,46 +112,50 @@ def _faults_by_particle(
     return faults
 
 
-def _faults_by_row(message: str, bad: BoolArray | np.bool) -> list[Fault]:
+def _faults_by_row(message: str, is_invalid: BoolArray | np.bool) -> list[Fault]:
     """Return a fault (SIM042) for each of the first bad rows."""
     return [
         Fault("SIM042", message.format(i), where="body")
-        for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
+        for i in np.flatnonzero(is_invalid)[:MAX_NAMED].tolist()
     ]
 
 
 def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]:
-    unknown = particles[(particles < 0) | (particles >= count)]
+    """Return a fault (SIM043) for each of the first unknown particles."""
+    unknown_particles = particles[(particles < 0) | (particles >= count)]
     message = f"unknown particle {{}}: they are 0 to {count - 1}"
     return [
         Fault("SIM043", message.format(i), where=where)
-        for i in unknown[:MAX_NAMED].tolist()
+        for i in unknown_particles[:MAX_NAMED].tolist()
     ]
 
 
 def _spring_faults(springs: Springs, count: int) -> list[Fault]:
-    unknown = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
-    faults = _faults_by_row("spring {} joins a particle that does not exist", unknown)
-    self_joined = springs.ends[:, 0] == springs.ends[:, 1]
-    faults += _faults_by_row("spring {} joins a particle to itself", self_joined)
+    """Return faults of springs with unknown ends or invalid properties (SIM042)."""
+    has_unknown_end = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
+    faults = _faults_by_row(
+        "spring {} joins a particle that does not exist", has_unknown_end
+    )
+    joins_itself = springs.ends[:, 0] == springs.ends[:, 1]
+    faults += _faults_by_row("spring {} joins a particle to itself", joins_itself)
     with np.errstate(invalid="ignore"):
-        for column, name in (
+        for values, name in (
             (springs.rest, "rest length"),
             (springs.stiffness, "stiffness"),
             (springs.damping, "damping"),
         ):
-            invalid = ~((column >= 0) & np.isfinite(column))
+            is_invalid = ~((values >= 0) & np.isfinite(values))
             faults += _faults_by_row(
-                f"spring {{}} has a {name} below 0 or not finite", invalid
+                f"spring {{}} has a {name} below 0 or not finite", is_invalid
             )
-        invalid_limit = ~(springs.limit >= springs.rest)
+        has_invalid_limit = ~(springs.limit >= springs.rest)
     return faults + _faults_by_row(
-        "spring {} tears before it is stretched", invalid_limit
+        "spring {} tears before it is stretched", has_invalid_limit
     )
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:
-    """Raise if self-contact is not possible for a body (SIM045)."""
+    """Raise SIM045 if a body does not support self-contact, or a setting is invalid."""
     messages = [fault.message for fault in range_faults(contact)]
     if not len(body.triangles):
         messages.append("self-contact needs triangles")
@@ -163,9 +173,11 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
 
 
 def tangle_notices(
-    positions: FloatArray, triangles: IntArray, what: str = "the surface"
+    positions: FloatArray, triangles: IntArray, subject: str = "the surface"
 ) -> list[Fault]:
-    """Return a warning where a surface of points ``(N, 3)`` [m] is tangled (SIM166).
+    """Return a warning if a surface starts self-intersecting (SIM166).
+
+    Its points are ``(N, 3)`` [m].
 
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
     >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
@@ -173,13 +185,13 @@ def tangle_notices(
     >>> notice.message
     'the surface starts in a tangle: its edges intersect its triangles in 2 places'
     """
-    pierced = _kernels.pierced_edges(
+    pierced_count = _kernels.pierced_edges(
         np.ascontiguousarray(positions), np.ascontiguousarray(triangles, np.int64)
     )
-    if not pierced:
+    if not pierced_count:
         return []
-    message = f"{what} starts in a tangle: its edges intersect its triangles in "
-    message += counted(pierced, "place")
+    message = f"{subject} starts in a tangle: its edges intersect its triangles in "
+    message += counted(pierced_count, "place")
     hint = "inside and outside cannot be told apart there: it may stay tangled"
     return [warning("SIM166", message, hint)]
 

@@ -13,31 +13,31 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 
-# Surfaces of other systems are sampled from this long before a step [s].
-LOOK_BACK = 1 / 240
-# Particles deeper than this stay inside [m].
-INSIDE = 1e-6
+# Earliest time before a step at which surfaces of other systems are sampled [s].
+LOOKBACK_TIME = 1 / 240
+# Particles that start deeper than this in a collider are left inside [m].
+INSIDE_TOLERANCE = 1e-6
 # Kernel arguments of colliders for several cells; None without colliders.
 CellColliders: TypeAlias = tuple[Any, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Even cells of time."""
+    """Consecutive cells of time of equal length."""
 
     origin: float  # start time of cell 0 [s]
-    length: float  # of each [s]
-    index: int  # of the first of these
+    length: float  # of each cell [s]
+    index: int  # index of the first cell
     count: int
 
 
 class PosedColliders(NamedTuple):
-    """The last C colliders, carried by joints, and skin meshes over cells of time."""
+    """Poses of the last C colliders, carried by joints, and skin meshes in motion."""
 
     sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
     poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
-    # Signed distance that particles may have from rigid colliders and skin meshes, at
-    # most 0 ``(R, N)`` [m].
+    # Signed distances, at most 0, that particles may have from rigid colliders and
+    # skin meshes ``(R, N)`` [m].
     depths: FloatArray
     skins: Sequence[Any]  # kernel surfaces, before those of the world
     inside: float  # deeper particles stay inside [m]
@@ -59,20 +59,20 @@ def cell_colliders(
     world_count = len(colliders) - (0 if posed is None else len(posed.sizes))
     for i in range(world_count):
         poses[:, i] = _poses_at_ends(colliders[i], edges)
-    for k, (begin, end) in enumerate(pairwise(edges.tolist())):
-        poses[k, len(colliders) :] = colliders.body_ends(begin, end)
+    for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
+        poses[cell, len(colliders) :] = colliders.body_ends(begin, end)
     start = float(edges[0])
     arrays = colliders.arrays(start, start)
     surfaces = colliders.surfaces.kernel_arrays(origin, cells.length, index, count)
     if posed is None:
-        return arrays, poses, radius, None, INSIDE, surfaces
-    kinds, sizes, *others = arrays
+        return arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces
+    kinds, sizes, *materials = arrays
     sizes = sizes.copy()
     sizes[world_count : len(colliders)] = posed.sizes
     poses[:, world_count : len(colliders)] = posed.poses
-    arrays, surfaces = (kinds, sizes, *others), [*posed.skins, *surfaces]
-    rows = colliders.rigid + len(surfaces) - len(posed.depths)
-    depths = np.pad(posed.depths, ((0, rows), (0, 0)))
+    arrays, surfaces = (kinds, sizes, *materials), [*posed.skins, *surfaces]
+    missing_rows = colliders.rigid + len(surfaces) - len(posed.depths)
+    depths = np.pad(posed.depths, ((0, missing_rows), (0, 0)))
     return arrays, poses, radius, depths, posed.inside, surfaces
 
 

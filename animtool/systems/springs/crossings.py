@@ -16,8 +16,8 @@ from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 
-# Number of intersection checks in a motion: each costs as much as several steps.
-LOOKS = 12
+# Intersection checks per motion; each costs as much as several steps.
+CHECKS_PER_MOTION = 12
 # Most colliders named in a warning.
 MAX_NAMED = 3
 
@@ -30,40 +30,38 @@ class SelfCrossings:
         triangles: Corners ``(T, 3)``.
         begin: The first time [s].
         last: The last time [s].
-        most: Largest number of edges through faces, minus the initial number.
-        when: Time of the largest number [s].
+        max_crossings: Largest number of edges through faces, minus the initial number.
+        time_of_max: Time of the largest number [s].
     """
 
     triangles: IntArray
     begin: float
     last: float
-    most: int = 0
-    when: float = 0.0
-    _first: int | None = None
-    _next: float = -np.inf
+    max_crossings: int = 0
+    time_of_max: float = 0.0
+    _initial_count: int | None = None
+    _next_time: float = -np.inf
 
-    def look(self, t: float, points: FloatArray) -> None:
-        """Count intersections of points ``(N, 3)`` [m] at a time [s], if due."""
-        if t < self._next or not len(self.triangles):
+    def count_if_due(self, t: float, points: FloatArray) -> None:
+        """Count self-intersections of points ``(N, 3)`` [m] at a time [s], if due."""
+        if t < self._next_time or not len(self.triangles):
             return
-        interval = (self.last - self.begin) / LOOKS
-        self._next = min(t + interval, self.last) if t < self.last else np.inf
+        interval = (self.last - self.begin) / CHECKS_PER_MOTION
+        self._next_time = min(t + interval, self.last) if t < self.last else np.inf
         corners = np.ascontiguousarray(self.triangles, np.int64)
         count = _kernels.pierced_edges(np.ascontiguousarray(points), corners)
-        if self._first is None:
-            self._first = count
-        if count - self._first > self.most:
-            self.most, self.when = count - self._first, t
+        if self._initial_count is None:
+            self._initial_count = count
+        if count - self._initial_count > self.max_crossings:
+            self.max_crossings, self.time_of_max = count - self._initial_count, t
 
     def notices(self, name: str) -> list[Fault]:
         """Return a note if a surface passed through itself (SIM194)."""
-        if not self.most:
+        if not self.max_crossings:
             return []
-        message = f"{name} passed through itself: {counted(self.most, 'pair')} of an "
-        message += (
-            f"edge and a face, at {plain_number(self.when)} s, as its self_contact is "
-        )
-        message += "off"
+        pairs = counted(self.max_crossings, "pair")
+        message = f"{name} passed through itself: {pairs} of an edge and a face, at "
+        message += f"{plain_number(self.time_of_max)} s, as its self_contact is off"
         hint = "set self_contact with a thickness, such as half an edge"
         return [Fault("SIM194", message, hint=hint, severity=Severity.NOTE)]
 
@@ -76,9 +74,9 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
     """
     if isinstance(shape, CurveShape):
         first = np.arange(len(points) - 1)
-        inner = np.ones(len(first), bool)
-        inner[np.cumsum(shape.counts)[:-1] - 1] = False
-        pairs = np.stack([first, first + 1], axis=1)[inner]
+        is_same_curve = np.ones(len(first), bool)
+        is_same_curve[np.cumsum(shape.counts)[:-1] - 1] = False
+        pairs = np.stack([first, first + 1], axis=1)[is_same_curve]
     else:
         pairs = _side_and_diagonal_pairs(shape)
     if not len(pairs):
@@ -91,23 +89,22 @@ def _side_and_diagonal_pairs(shape: FaceShape) -> IntArray:
     """Return the corner pairs of face sides and diagonals ``(P, 2)``."""
     pairs = [directed_edges(shape.counts, shape.indices)]
     starts = np.cumsum(shape.counts) - shape.counts
-    for skip in range(2, int(shape.counts.max(initial=0)) // 2 + 1):
-        has_diagonal = shape.counts >= 2 * skip
-        face_numbers = np.repeat(np.arange(len(starts)), shape.counts)
-        corner_numbers = np.arange(len(shape.indices))
+    for stride in range(2, int(shape.counts.max(initial=0)) // 2 + 1):
+        has_diagonal = shape.counts >= 2 * stride
+        face_of_corner = np.repeat(np.arange(len(starts)), shape.counts)
+        corners = np.arange(len(shape.indices))
         opposite = (
-            starts[face_numbers]
-            + (corner_numbers - starts[face_numbers] + skip)
-            % shape.counts[face_numbers]
+            starts[face_of_corner]
+            + (corners - starts[face_of_corner] + stride) % shape.counts[face_of_corner]
         )
-        skip_pairs = np.stack(
-            [shape.indices[corner_numbers], shape.indices[opposite]], axis=1
+        stride_pairs = np.stack(
+            [shape.indices[corners], shape.indices[opposite]], axis=1
         )
-        pairs.append(skip_pairs[has_diagonal[face_numbers]])
+        pairs.append(stride_pairs[has_diagonal[face_of_corner]])
     return np.concatenate(pairs)
 
 
-def thickness(collider: Collider) -> float:
+def collider_thickness(collider: Collider) -> float:
     """Return the thickness of a collider across its length [m]; infinite if unknown.
 
     For a box it is its second-longest side: plates are hit on their face.
@@ -125,30 +122,30 @@ def thin_notices(
     colliders: Sequence[Collider],
     radius: float,
     gap: float,
-    stretch: float,
+    strain: float,
     *,
-    faces: bool = False,
-    edges: bool = False,
+    has_faces: bool = False,
+    has_edges: bool = False,
 ) -> list[Fault]:
     """Return a warning about colliders thinner than the particle gap (SIM195).
 
-    Particles keep a radius from colliders [m]. The rest gap [m] grows by the stretch
-    [1]. Faces are stopped by colliders, but faces that passed through each other may
-    have done so around the collider. Edges alone are stopped by all but balls.
+    Particles keep a radius [m] from colliders. The rest gap [m] grows by a strain [1].
+    Colliders stop faces, but faces that passed through each other may have done so
+    around a collider. All colliders except spheres stop edges.
     """
-    stretched_gap = gap * (1 + max(stretch, 0.0))
+    stretched_gap = gap * (1 + max(strain, 0.0))
     thin = [
-        (thickness(collider), collider.name or f"colliders[{i}]")
+        (collider_thickness(collider), collider.name or f"colliders[{i}]")
         for i, collider in enumerate(colliders)
-        if thickness(collider) + 2 * radius < stretched_gap
-        and (faces or not edges or isinstance(collider.shape, Sphere))
+        if collider_thickness(collider) + 2 * radius < stretched_gap
+        and (has_faces or not has_edges or isinstance(collider.shape, Sphere))
     ]
     if not thin:
         return []
     thinnest = min(thin)[0]
     names = ", ".join(label for _, label in thin[:MAX_NAMED])
-    more = len(thin) - MAX_NAMED
-    names += f" and {more} more" if more > 0 else ""
+    extra_count = len(thin) - MAX_NAMED
+    names += f" and {extra_count} more" if extra_count > 0 else ""
     message = (
         f"{names}: a collider {length_text(thinnest)} thick is thinner than the gap "
     )
@@ -156,7 +153,7 @@ def thin_notices(
         f"between particles of {name}, up to {length_text(stretched_gap)} when "
         "stretched:"
     )
-    if faces:
+    if has_faces:
         message += (
             " its faces are stopped, and what is attached on either side of them may "
         )

@@ -15,10 +15,10 @@ from animtool.maths.faces import directed_edges
 from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs
 
-# Keeps rotations minimal where neighbours do not determine them.
+# Relative regularization; keeps rotations minimal where neighbours are too few.
 ROTATION_REGULARIZATION = 1e-9
 # Difference step for velocities of points that depend on several particles [s].
-EPSILON_TIME = 1e-4
+VELOCITY_TIME_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -29,43 +29,45 @@ class CurveShape:
     not drawn.
     """
 
-    counts: IntArray  # particles of each ``(C,)``
-    width: float  # [m]
-    springs: Springs  # between them
+    counts: IntArray  # particles of each curve ``(C,)``
+    width: float  # of the curves [m]
+    springs: Springs  # springs between the particles
 
     @property
-    def tears(self) -> bool:
-        """Whether its springs can tear, so that the topology changes."""
+    def can_tear(self) -> bool:
+        """Whether any spring can tear, which changes the topology."""
         return bool(np.isfinite(self.springs.limit).any())
 
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> CurvesFrame:
-        """Return the curves of ``(N, 3)`` [m, m/s] for torn springs ``(S,)``."""
+        """Return curves at points ``(N, 3)`` [m], split at torn springs ``(S,)``."""
         if not torn.any():
-            return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
-        last = np.zeros(len(points), bool)
-        last[np.cumsum(self.counts) - 1] = True
-        is_torn = torn[self._next] & (self._next >= 0)
-        last[:-1] |= is_torn
-        piece_numbers = np.cumsum(np.append(0, last[:-1]))
-        sizes = np.bincount(piece_numbers)
-        is_drawn = sizes[piece_numbers] > 1
+            return CurvesFrame(
+                points, velocities, self.counts, self.width, self.can_tear
+            )
+        is_last = np.zeros(len(points), bool)
+        is_last[np.cumsum(self.counts) - 1] = True
+        is_torn = torn[self._next_springs] & (self._next_springs >= 0)
+        is_last[:-1] |= is_torn
+        curve_of_particle = np.cumsum(np.append(0, is_last[:-1]))
+        sizes = np.bincount(curve_of_particle)
+        is_drawn = sizes[curve_of_particle] > 1
         counts = sizes[sizes > 1]
         return CurvesFrame(
             points[is_drawn], velocities[is_drawn], counts, self.width, True
         )
 
     @cached_property
-    def _next(self) -> IntArray:
-        """The spring from each particle to the next ``(N - 1,)``, -1 for none."""
+    def _next_springs(self) -> IntArray:
+        """Spring from each particle to the next ``(N - 1,)``; -1 without one."""
         first = np.arange(int(self.counts.sum()) - 1)
         return _spring_of_pairs(self.springs, np.stack([first, first + 1], axis=1))
 
 
 @dataclass(frozen=True)
 class FaceShape:
-    """A surface of particles."""
+    """Faces between particles, drawn as a mesh."""
 
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
@@ -73,10 +75,10 @@ class FaceShape:
     closed: bool = False  # whether only its outside is visible
 
     @property
-    def tears(self) -> bool:
-        """Whether it can tear."""
-        sides = self._sides[self._sides >= 0]
-        return bool(np.isfinite(self.springs.limit[sides]).any())
+    def can_tear(self) -> bool:
+        """Whether any spring along a side can tear."""
+        side_springs = self._spring_of_side[self._spring_of_side >= 0]
+        return bool(np.isfinite(self.springs.limit[side_springs]).any())
 
     def row(
         self,
@@ -88,28 +90,33 @@ class FaceShape:
         return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
     def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
-        """Return the surface split at torn springs ``(S,)``; rest ``(N, 3)`` [m]."""
-        if not (torn[self._sides] & (self._sides >= 0)).any():
+        """Return the surface split at torn side springs; mask ``(S,)``."""
+        if not (torn[self._spring_of_side] & (self._spring_of_side >= 0)).any():
             return self
         return tear_surface(
-            self.counts, self.indices, self._sides, self.springs, torn, positions
+            self.counts,
+            self.indices,
+            self._spring_of_side,
+            self.springs,
+            torn,
+            positions,
         )
 
     def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
-        """Return counts and indices of faces without a torn side; torn ``(S,)``."""
-        open_sides = torn[self._sides] & (self._sides >= 0)
+        """Return counts and indices of faces without a torn side."""
+        is_torn = torn[self._spring_of_side] & (self._spring_of_side >= 0)
         starts = np.cumsum(self.counts) - self.counts
-        is_intact = ~np.logical_or.reduceat(open_sides, starts)
+        is_intact = ~np.logical_or.reduceat(is_torn, starts)
         return self.counts[is_intact], self.indices[np.repeat(is_intact, self.counts)]
 
     @cached_property
     def side_springs(self) -> IntArray:
-        """The springs along sides, each once, ascending ``(E,)``."""
-        return np.unique(self._sides[self._sides >= 0])
+        """Unique springs along sides, ascending ``(E,)``."""
+        return np.unique(self._spring_of_side[self._spring_of_side >= 0])
 
     @cached_property
-    def _sides(self) -> IntArray:
-        """The spring along each side, face by face; -1 for none."""
+    def _spring_of_side(self) -> IntArray:
+        """Spring along each side, face by face; -1 without one."""
         return _spring_of_pairs(self.springs, directed_edges(self.counts, self.indices))
 
 
@@ -117,7 +124,7 @@ Shape: TypeAlias = CurveShape | FaceShape
 
 
 def _spring_of_pairs(springs: Springs, pairs: IntArray) -> IntArray:
-    """Return the first spring between each of some pairs ``(P,)``, -1 for none."""
+    """Return the first spring between each pair of particles ``(P,)``, or -1."""
     if not len(springs.rest):
         return np.full(len(pairs), -1)
     size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
@@ -190,8 +197,10 @@ class Tearing:
                 "eij,ej->ei", end_rotations, self.half_edges[is_torn]
             )
             halves[is_torn, k] = particles[self.ends[is_torn, k]] + half_edges
-        middles = [middle.at(particles, torn, self.rotations, neighbour_rotations)
-                   for middle in self.middles]  # fmt: skip
+        middles = [
+            middle.positions(particles, torn, self.rotations, neighbour_rotations)
+            for middle in self.middles
+        ]
         return np.concatenate([particles, halves.reshape(-1, 3), *middles])
 
     def velocities(
@@ -204,34 +213,36 @@ class Tearing:
             speeds: Velocities of the particles ``(N, 3)`` [m/s].
             torn: Torn flags ``(S,)``.
         """
-        after = self.points(particles + EPSILON_TIME * speeds, torn)
-        before = self.points(particles - EPSILON_TIME * speeds, torn)
-        velocities = (after - before) / (2 * EPSILON_TIME)
+        after = self.points(particles + VELOCITY_TIME_STEP * speeds, torn)
+        before = self.points(particles - VELOCITY_TIME_STEP * speeds, torn)
+        velocities = (after - before) / (2 * VELOCITY_TIME_STEP)
         velocities[: len(speeds)] = speeds
         return velocities
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _NeighbourRotations:
-    """Rotations of particles, fitted to their neighbours."""
+    """Fits rotations of particles to the offsets of their neighbours."""
 
-    which: IntArray  # the particles, ascending ``(P,)``
-    owners: IntArray  # row in `which` for each neighbour ``(K,)``
+    particles: IntArray  # ascending ``(P,)``
+    owners: IntArray  # row in `particles` for each neighbour ``(K,)``
     neighbours: IntArray  # particles that stay connected to them ``(K,)``
     rest_offsets: FloatArray  # rest vectors to the neighbours ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
-        """Return the rows of particles in `which`."""
-        return np.searchsorted(self.which, particles)
+        """Return the rows of given particles in `particles`."""
+        return np.searchsorted(self.particles, particles)
 
     def sample(self, particles: FloatArray) -> FloatArray:
-        """Return minimal rotations ``(P, 3, 3)`` that fit the neighbours."""
-        offsets = particles[self.neighbours] - particles[self.which[self.owners]]
-        covariances = np.zeros((len(self.which), 3, 3))
+        """Return rotations ``(P, 3, 3)`` fitted at particle positions ``(N, 3)``."""
+        neighbour_offsets = (
+            particles[self.neighbours] - particles[self.particles[self.owners]]
+        )
+        covariances = np.zeros((len(self.particles), 3, 3))
         np.add.at(
             covariances,
             self.owners,
-            offsets[:, :, None] * self.rest_offsets[:, None, :],
+            neighbour_offsets[:, :, None] * self.rest_offsets[:, None, :],
         )
         scales = np.abs(covariances).max(axis=(1, 2), initial=0.0)
         scales[scales == 0] = 1.0
@@ -240,36 +251,38 @@ class _NeighbourRotations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle of a face, once for each part that joins there."""
+    """The middle point of a torn face, once for each run of corners around it."""
 
     corners: IntArray  # of the face ``(C,)``
-    parts: IntArray  # of each corner ``(C,)``
-    springs: IntArray  # between a part and the next, around the face ``(P,)``
+    run_of_corner: IntArray  # ``(C,)``
+    springs: IntArray  # between a run and the next, around the face ``(P,)``
     rest_offsets: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
 
-    def at(
+    def positions(
         self,
         particles: FloatArray,
         torn: BoolArray,
         neighbours: _NeighbourRotations,
         rotations: FloatArray,
     ) -> FloatArray:
-        """Return its position for each part ``(P, 3)`` [m]."""
+        """Return the middle point of each run ``(P, 3)`` [m]."""
         is_torn = torn[self.springs]
-        groups = int(is_torn.sum())
-        if groups < 2:
+        group_count = int(is_torn.sum())
+        if group_count < 2:
             middle = particles[self.corners].mean(axis=0)
             return np.tile(middle, (len(is_torn), 1))
-        # The parts after the last torn side join those before the first.
-        group = np.mod(np.cumsum(is_torn) - is_torn, groups)
+        # The runs after the last torn side join those before the first.
+        group_of_run = np.mod(np.cumsum(is_torn) - is_torn, group_count)
         corner_rotations = rotations[neighbours.rows(self.corners)]
         predicted = particles[self.corners] + np.einsum(
             "cij,cj->ci", corner_rotations, self.rest_offsets
         )
-        corner_groups = group[self.parts]
-        sums = np.zeros((groups, 3))
-        np.add.at(sums, corner_groups, predicted)
-        centres: FloatArray = sums[group] / np.bincount(corner_groups)[group][:, None]
+        group_of_corner = group_of_run[self.run_of_corner]
+        sums = np.zeros((group_count, 3))
+        np.add.at(sums, group_of_corner, predicted)
+        centres: FloatArray = (
+            sums[group_of_run] / np.bincount(group_of_corner)[group_of_run][:, None]
+        )
         return centres
 
 
@@ -300,38 +313,38 @@ def tear_surface(
     >>> made.counts.tolist(), made.indices.tolist()
     ([4, 4, 4], [1, 2, 5, 4, 7, 1, 4, 9, 8, 3, 0, 6])
     """
-    cut = torn[sides] & (sides >= 0)
-    torn_springs = np.unique(sides[cut])
+    is_cut = torn[sides] & (sides >= 0)
+    torn_springs = np.unique(sides[is_cut])
     ends = springs.ends[torn_springs]
     spring_ends = zip(torn_springs.tolist(), ends.tolist(), strict=True)
-    # Points of both halves of a side, by its spring and its end.
-    halves = {
+    # Point index of each half of a side, by its spring and end particle.
+    half_points = {
         (spring, end): len(positions) + 2 * i + k
         for i, (spring, pair) in enumerate(spring_ends)
         for k, end in enumerate(pair)
     }
     size = len(positions) + 2 * len(torn_springs)
     starts = np.cumsum(counts) - counts
-    intact = ~np.logical_or.reduceat(cut, starts)
+    is_intact = ~np.logical_or.reduceat(is_cut, starts)
     middles: list[_Middle] = []
-    parts: list[Sequence[int]] = []  # corners of each
-    for face in np.flatnonzero(~intact).tolist():
-        span = slice(starts[face], starts[face] + counts[face])
-        corners = indices[span]
-        torn_sides = np.where(cut[span], sides[span], -1)
+    split_faces: list[Sequence[int]] = []  # corners of each face
+    for face in np.flatnonzero(~is_intact).tolist():
+        corner_range = slice(starts[face], starts[face] + counts[face])
+        corners = indices[corner_range]
+        torn_sides = np.where(is_cut[corner_range], sides[corner_range], -1)
         runs = list(_runs(corners.tolist(), torn_sides.tolist()))
-        rings = [
-            [halves[before, run[0]], *run, halves[after, run[-1]]]
+        outlines = [
+            [half_points[before, run[0]], *run, half_points[after, run[-1]]]
             for before, run, after in runs
         ]
         if len(runs) == 2:
-            parts += rings
+            split_faces += outlines
             continue
         if len(runs) > 2:
-            parts += [[size + i, *ring] for i, ring in enumerate(rings)]
+            split_faces += [[size + i, *outline] for i, outline in enumerate(outlines)]
         else:
-            parts += [[size, *edge] for edge in pairwise(rings[0])]
-        middles.append(_middle(runs, positions, positions[corners].mean(axis=0)))
+            split_faces += [[size, *edge] for edge in pairwise(outlines[0])]
+        middles.append(_build_middle(runs, positions, positions[corners].mean(axis=0)))
         size += len(runs)
     edge_vectors = positions[ends[:, 1]] - positions[ends[:, 0]]
     lengths = np.linalg.norm(edge_vectors, axis=1)
@@ -339,11 +352,12 @@ def tear_surface(
         springs.rest[torn_springs] / np.where(lengths > 0, lengths, 1.0) / 2
     )
     rotated_particles = [ends.ravel(), *(middle.corners for middle in middles)]
-    intact_springs = sides[~cut & (sides >= 0)]
+    intact_springs = sides[~is_cut & (sides >= 0)]
     return Tearing(
-        np.append(counts[intact], np.array([len(part) for part in parts], np.int64)),
+        np.append(counts[is_intact], np.array([*map(len, split_faces)], np.int64)),
         np.append(
-            indices[np.repeat(intact, counts)], np.array([*chain(*parts)], np.int64)
+            indices[np.repeat(is_intact, counts)],
+            np.array([*chain(*split_faces)], np.int64),
         ),
         size,
         torn_springs,
@@ -362,46 +376,51 @@ def tear_surface(
 _Run: TypeAlias = tuple[int, list[int], int]
 
 
-def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
-    """Yield runs of corners between the cut sides of a face; -1 is not cut."""
+def _runs(corners: Sequence[int], torn_springs: Sequence[int]) -> Iterator[_Run]:
+    """Yield runs of corners between the torn sides of a face.
+
+    ``torn_springs`` has the spring of each side, or -1 if it is not torn.
+    """
     count = len(corners)
-    cut_sides = [i for i in range(count) if cut[i] >= 0]
+    cut_sides = [i for i in range(count) if torn_springs[i] >= 0]
     for start, end in zip(
         cut_sides, [*cut_sides[1:], cut_sides[0] + count], strict=True
     ):
         run = [corners[i % count] for i in range(start + 1, end + 1)]
-        yield cut[start], run, cut[end % count]
+        yield torn_springs[start], run, torn_springs[end % count]
 
 
-def _middle(
+def _build_middle(
     runs: Sequence[_Run], positions: FloatArray, rest_position: FloatArray
 ) -> _Middle:
-    """Return the middle of a face of runs with rest position ``(3,)`` [m]."""
+    """Return the middle of a torn face with rest position ``(3,)`` [m]."""
     corners = np.array([corner for _, run, _ in runs for corner in run])
-    parts = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
+    run_of_corner = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
     next_springs = np.array([next_springs for _, _, next_springs in runs])
-    return _Middle(corners, parts, next_springs, rest_position - positions[corners])
+    return _Middle(
+        corners, run_of_corner, next_springs, rest_position - positions[corners]
+    )
 
 
-def polar_rotations(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the polar rotations of covariances ``(..., 3, 3)`` of given sizes."""
-    small = ROTATION_REGULARIZATION * sizes[..., None, None] * np.eye(3)
-    u, _, v = np.linalg.svd(spreads + small)
+def polar_rotations(covariances: FloatArray, scales: FloatArray) -> FloatArray:
+    """Return the polar rotations of covariances ``(..., 3, 3)`` with some scales."""
+    regularization = ROTATION_REGULARIZATION * scales[..., None, None] * np.eye(3)
+    u, _, v = np.linalg.svd(covariances + regularization)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
     rotations: FloatArray = u @ v
     return rotations
 
 
 def _neighbour_rotations(
-    which: IntArray, pairs: IntArray, positions: FloatArray
+    particles: IntArray, pairs: IntArray, positions: FloatArray
 ) -> _NeighbourRotations:
-    """Return rotations of ascending particles ``(P,)`` by pairs ``(K, 2)``."""
+    """Return rotations of ascending particles by neighbour pairs ``(K, 2)``."""
     directed_pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    directed_pairs = directed_pairs[np.isin(directed_pairs[:, 0], which)]
+    directed_pairs = directed_pairs[np.isin(directed_pairs[:, 0], particles)]
     offsets = positions[directed_pairs[:, 1]] - positions[directed_pairs[:, 0]]
     return _NeighbourRotations(
-        which,
-        np.searchsorted(which, directed_pairs[:, 0]),
+        particles,
+        np.searchsorted(particles, directed_pairs[:, 0]),
         directed_pairs[:, 1],
         offsets,
     )

@@ -19,10 +19,10 @@ from animtool.documents.fields import record_of
 from animtool.systems.framework.spec import Member, PinnedPoints
 from animtool.systems.framework.tied import BodyCarrier
 from animtool.systems.springs import Family, Solver
-from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
+from animtool.systems.springs.bodies import BODY_BUILDERS, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_options, check_supports_self_contact
 from animtool.systems.springs.drawing import FaceShape
-from animtool.systems.springs.pins import Join, Pin, air_of, numbered, read_pins
+from animtool.systems.springs.pins import Join, Pin, air_of, particle_indices, read_pins
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 
 # Solvers that compute the force of pins on rigid bodies.
@@ -36,11 +36,11 @@ class SpringEntry:
     spec: SpringsModel  # the keys of the entry
     body: SpringBody
     pins: tuple[Pin, ...]  # pins and targets
-    joins: tuple[Join, ...]  # merges with particles of other systems
+    joins: tuple[Join, ...]  # particles merged with those of other systems
 
     @property
-    def joined(self) -> list[tuple[str, str]]:
-        """Systems it is joined to, and the keys that name them."""
+    def joined_systems(self) -> list[tuple[str, str]]:
+        """Names of joined systems, and the keys that name them."""
         return [(join.to.system, f"{join.where}.system") for join in self.joins]
 
     @property
@@ -49,17 +49,19 @@ class SpringEntry:
         return self.body.body.positions
 
     @property
-    def pinned(self) -> list[PinnedPoints]:
+    def pinned_points(self) -> list[PinnedPoints]:
         """Particles carried by joints, vertices, prims or rigid bodies."""
         points = self.positions
         return [
-            PinnedPoints(pin.where, pin.carrier, partial(pin.inside, points=points))
+            PinnedPoints(
+                pin.where, pin.carrier, partial(pin.local_positions, points=points)
+            )
             for pin in self.pins
             if pin.carrier is not None
         ]
 
     @property
-    def tied(self) -> list[tuple[str, str, str]]:
+    def tied_bodies(self) -> list[tuple[str, str, str]]:
         """Rigid systems and bodies that carry particles, and their keys."""
         carriers = [pin.carrier for pin in self.pins]
         return [
@@ -70,7 +72,7 @@ class SpringEntry:
 
     @property
     def reads(self) -> list[str]:
-        """External influences on the particles, as text."""
+        """Inputs besides its own particles, as text."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.to.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.spec.air is not None else []
@@ -85,13 +87,13 @@ class SpringEntry:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Counts by kind."""
+        """Numbers of particles, springs, and faces or curves."""
         body, shape = self.body.body, self.body.shape
-        drawn = "faces" if isinstance(shape, FaceShape) else "curves"
+        noun = "faces" if isinstance(shape, FaceShape) else "curves"
         return {
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
-            drawn: len(shape.counts),
+            noun: len(shape.counts),
         }
 
     def joined_faults(self, members: Sequence[Member]) -> list[Fault]:
@@ -108,53 +110,56 @@ class SpringEntry:
             and "solver" in self.spec.shared()
         ):
             solver = Solver(self.spec.options.solver)
-            faults += _faults_of(lambda: check_supports_self_contact(solver))
+            faults += _collect_faults(lambda: check_supports_self_contact(solver))
         return faults
 
 
-def _join_faults(join: Join, other: SpringBody) -> list[Fault]:
-    numbers, faults = numbered(join.to.particles, other)
+def _join_faults(join: Join, other_body: SpringBody) -> list[Fault]:
+    """Return faults of a join with the particles of another body (SIM052, SIM054)."""
+    indices, faults = particle_indices(join.to.particles, other_body)
     where = f"{join.where}.particles"
-    located = [replace(fault, where=f"{where}[{i}]") for i, fault in faults]
-    if not faults and len(numbers) not in {1, len(join.particles)}:
-        message = f"{len(join.particles)} particles are joined to {len(numbers)}"
+    located_faults = [replace(fault, where=f"{where}[{i}]") for i, fault in faults]
+    if not faults and len(indices) not in {1, len(join.particles)}:
+        message = f"{len(join.particles)} particles are joined to {len(indices)}"
         hint = "name as many, or one for all"
-        located.append(Fault("SIM054", message, hint=hint, where=where))
-    return located
+        located_faults.append(Fault("SIM054", message, hint=hint, where=where))
+    return located_faults
 
 
 def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
-    """Return pairs of particles to merge ``(J, 2)``: removed, kept.
+    """Return pairs of particles to merge ``(J, 2)``: removed, replacement.
 
-    Particles are numbered over all systems; starts are the first of each.
+    Particles are numbered over all systems; ``starts`` has the first index of each.
     """
     names = [member.name for member in members]
     pairs = [np.zeros((0, 2), np.int64)]
     for member, start in zip(members, starts, strict=False):
         for join in member.record.joins:
             k = names.index(join.to.system)
-            kept = np.array(numbered(join.to.particles, members[k].record.body)[0])
-            pair = np.broadcast_arrays(join.particles + start, kept + starts[k])
-            pairs.append(np.stack(pair, axis=1))
+            kept_indices = np.array(
+                particle_indices(join.to.particles, members[k].record.body)[0]
+            )
+            rows = np.broadcast_arrays(join.particles + start, kept_indices + starts[k])
+            pairs.append(np.stack(rows, axis=1))
     return np.concatenate(pairs)
 
 
 def read_entry(
     spec: Any, parts: Mapping[str, Any]
 ) -> tuple[SpringEntry | None, list[Fault]]:
-    """Return the record of an entry, None if it cannot be built, and all faults."""
+    """Build the record of an entry, None if it has faults; also return all faults."""
     entry = BodyEntry(spec, parts)
     entry.families = _families(entry)
-    entry.mass = entry.mass_of("mass", spec.mass)
-    body = BODIES[type(spec)](entry, spec)
+    entry.mass = entry.checked_mass("mass", spec.mass)
+    body = BODY_BUILDERS[type(spec)](entry, spec)
     _check_wind(entry)
-    for fault in _faults_of(lambda: _check_solver(spec)):
-        entry.add(fault)
+    for fault in _collect_faults(lambda: _check_solver(spec)):
+        entry.add_fault(fault)
     if spec.error is not None and any(system.two_way for system in spec.systems):
         message = "adaptive steps repeat the simulation, and "
         message += "bodies would be pushed each time"
         hint = "set a step, or remove two_way"
-        entry.note("SIM063", message, "error", hint=hint)
+        entry.report_fault("SIM063", message, "error", hint=hint)
     if any(pin.body is not None for pin in spec.pins):
         _check_tied(entry)
     if body is None:
@@ -164,23 +169,25 @@ def read_entry(
 
 
 def _check_tied(entry: BodyEntry) -> None:
-    """Record options incompatible with pins on rigid bodies (SIM063, SIM163)."""
+    """Report options incompatible with pins on rigid bodies (SIM063, SIM163)."""
     spec = entry.spec
     if spec.error is not None:
         message = "adaptive steps repeat the simulation, and "
         message += "the bodies of its pins would be pulled each time"
-        entry.note("SIM063", message, "error", hint="set a step")
+        entry.report_fault("SIM063", message, "error", hint="set a step")
     if spec.solver not in TIED_SOLVERS:
         message = f"{spec.solver} does not compute the force of pins on a body"
-        entry.note("SIM163", message, "solver", hint="use auto, bdf2 or implicit_euler")
+        entry.report_fault(
+            "SIM163", message, "solver", hint="use auto, bdf2 or implicit_euler"
+        )
     if spec.contact is not None:
         message = "a surface with self-contact is simulated by xpbd, which "
         message += "does not compute the force of pins on a body"
-        entry.note("SIM163", message, "self_contact", hint="remove it")
+        entry.report_fault("SIM163", message, "self_contact", hint="remove it")
 
 
 def _families(entry: BodyEntry) -> dict[str, Family | None]:
-    """Return spring families by name; None for those left out."""
+    """Return spring families by name; None for omitted ones."""
     models = dict(entry.spec.springs)
     families = {
         name: None if model is None else _family(entry, name, model)
@@ -189,12 +196,14 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
     if not any(families.values()):
         message = "it has no springs, so its particles fall separately"
         hint = f"add some of {', '.join(models)}"
-        entry.add(Fault("SIM050", message, hint=hint), "springs", doubt=True)
+        entry.add_fault(
+            Fault("SIM050", message, hint=hint), "springs", recoverable=True
+        )
     return families
 
 
 def _family(entry: BodyEntry, name: str, model: Any) -> Family:
-    """Return a family; one without force replaces one with invalid numbers."""
+    """Return a spring family; replace invalid numbers by one without force."""
     keys = ("stiffness", "frequency", "axial_stiffness")
     specified = [key for key in keys if getattr(model, key, None) is not None]
     family = record_of(Family, model)
@@ -218,11 +227,11 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
             message, hint = "springs of rest length 0 tear at once", "remove tear"
             faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
-        entry.add(fault, "springs", name, doubt=True)
+        entry.add_fault(fault, "springs", name, recoverable=True)
     return Family() if faults else family
 
 
-def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
+def _collect_faults(check: Callable[[], object]) -> Sequence[Fault]:
     """Return the faults that a check raises."""
     try:
         check()
@@ -232,22 +241,24 @@ def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
 
 
 def _check_solver(spec: SpringsModel) -> None:
+    """Raise if the solver is unknown or does not support the entry."""
     solver = check_options(spec.options)
     if spec.contact is not None:
         check_supports_self_contact(solver)
 
 
 def _check_wind(entry: BodyEntry) -> None:
+    """Report gusts out of order, and wind faster than the speed limit."""
     wind = entry.spec.air
     if wind is None:
         return
     if any(after[0] <= before[0] for before, after in pairwise(wind.gusts)):
-        entry.note("SIM044", "its times must ascend", "wind", "gusts")
+        entry.report_fault("SIM044", "its times must ascend", "wind", "gusts")
     speed, limit = math.hypot(*wind.velocity), entry.spec.speed_limit
     if speed > limit:
         message = f"a wind of {speed:g} m/s is faster than speed_limit, {limit:g} m/s"
         hint = f"for mm/s write {speed / 1000:g}; else raise speed_limit"
-        entry.note("SIM050", message, "wind", "velocity", hint=hint)
+        entry.report_fault("SIM050", message, "wind", "velocity", hint=hint)
     if isinstance(wind, FaceWindModel):
         for fault in range_faults(air_of(wind), ENTRY_RANGE_MESSAGE):
-            entry.add(fault, "wind")
+            entry.add_fault(fault, "wind")

@@ -1,4 +1,4 @@
-"""States of springs, their position on the time grid, and piercing counts."""
+"""States of springs on a time grid, and their piercing counts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.systems.springs.records import Solver
 
 # Most steps in a cell of time.
 MAX_SUBSTEPS = 4096
-# More steps per second are no remedy: numbers are of another unit.
+# Higher step rates are not suggested: lengths probably have another unit [1/s].
 MAX_RATE = 1e6
 
 
@@ -28,11 +28,11 @@ class Piercing:
 
     passed: int = 0  # particles through triangles, not yet resolved
     cut: int = 0  # pairs of edges that passed through each other
-    # Step rate that would detect all fast contacts [1/s]; 0 if none was missed.
+    # Step rate that detects all fast contacts [1/s]; 0 if the rate used did.
     rate: float = 0.0
 
-    def with_more(self, more: Piercing) -> Piercing:
-        """Return the maximum of both."""
+    def maximum(self, more: Piercing) -> Piercing:
+        """Return the larger of each count."""
         return Piercing(
             max(self.passed, more.passed),
             max(self.cut, more.cut),
@@ -42,40 +42,40 @@ class Piercing:
 
 @dataclass(frozen=True, slots=True)
 class SpringState:
-    """State of springs at the start of a cell of time, enough to resume."""
+    """State of springs at the start of a cell of time, sufficient to resume."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
     torn: Flags
     substeps: int  # steps in a cell
-    least: int  # fewest steps in a cell of xpbd
-    calm: int = 0  # consecutive cells of xpbd that needed fewer steps
-    # State one step before, for bdf2.
+    least: int  # lower limit of the steps in a cell of xpbd
+    calm: int = 0  # consecutive cells of xpbd for which fewer steps sufficed
+    # Motion one step earlier, for bdf2.
     before: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    # Self-piercing of the surface ``(C, 3)``: particle, triangle, side.
+    # Particles that pierced the surface ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(
         default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
     )
-    # Impulse and moment on pins of bodies in the last step ``(H, 6)``.
+    # Impulse and moment on each pin in the last step, for pins on bodies ``(H, 6)``.
     pulls: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    # Warm start of the coupling: derivatives of these by body velocities.
+    # Warm start of the coupling to bodies, as `TiedSolution.warm_start`.
     known: FloatArray | None = field(default=None, metadata=later(np.ndarray))
 
 
 @dataclass(frozen=True, slots=True)
 class TimeGrid:
-    """Position of a motion on its time grid, and counts over the cells so far."""
+    """A motion at a point of its time grid, with counts over the cells so far."""
 
     solver: Solver  # active solver
     origin: float  # start time of cell 0 [s]
-    cell: float  # length of each [s]
+    cell: float  # length of a cell [s]
     index: int  # index of the next cell
-    state: SpringState  # at the start of that cell
+    state: SpringState  # state at the start of that cell
     # Largest strain of xpbd springs beyond their compliance [1].
     stretch: float = 0.0
     steps: int = 0
-    evaluations: int = 0  # of all spring forces
-    lost: bool = False  # whether a cell could not be solved
-    touching: int = 0  # most particles of xpbd in contact at once
+    evaluations: int = 0  # evaluations of all spring forces
+    lost: bool = False  # whether the last cell could not be solved
+    max_contacts: int = 0  # most particles of xpbd in contact at once
     unresolved: int = 0  # most particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
     # origin, and the largest mass in contact at once.
@@ -83,14 +83,14 @@ class TimeGrid:
     # Impulses on rigid bodies that carry pins in the last cell, by system.
     tied: tuple[Wrenches, ...] = ()
     # Largest counts of self-piercing.
-    through: Piercing = field(default_factory=Piercing)
+    piercing: Piercing = field(default_factory=Piercing)
 
     @property
     def time(self) -> float:
         """Current time [s]."""
         return self.origin + self.index * self.cell
 
-    def crossed(
+    def advanced(
         self,
         cells: int,
         state: SpringState,
@@ -99,7 +99,7 @@ class TimeGrid:
         inside: int,
         pushes: FloatArray,
     ) -> TimeGrid:
-        """Return the grid advanced by some cells to a new state."""
+        """Return the grid some cells later, at a new state."""
         return replace(
             self,
             index=self.index + cells,
@@ -139,23 +139,25 @@ class SpringMotion(Trajectory):
     cut: int = 0
 
 
-def through_notices(through: Piercing, what: str = "the surface") -> list[Fault]:
+def piercing_notices(piercing: Piercing, subject: str = "the surface") -> list[Fault]:
     """Return warnings about self-piercing of a surface (SIM144, SIM165, SIM167)."""
     notices = []
-    thicker = "use a shorter step, or a larger thickness"
-    if through.passed:
-        message = f"{counted(through.passed, 'particle')} passed through {what}"
-        notices.append(warning("SIM144", message, thicker))
-    if through.cut:
-        times = counted(through.cut, "pair")
-        message = f"{times} of edges cut through each other in {what}"
-        notices.append(warning("SIM167", message, thicker))
-    if through.rate:
-        message = f"parts of {what} moved past each other by many thicknesses in a step"
+    thickness_hint = "use a shorter step, or a larger thickness"
+    if piercing.passed:
+        message = f"{counted(piercing.passed, 'particle')} passed through {subject}"
+        notices.append(warning("SIM144", message, thickness_hint))
+    if piercing.cut:
+        pairs = counted(piercing.cut, "pair")
+        message = f"{pairs} of edges cut through each other in {subject}"
+        notices.append(warning("SIM167", message, thickness_hint))
+    if piercing.rate:
+        message = (
+            f"parts of {subject} moved past each other by many thicknesses in a step"
+        )
         hint = "use a shorter step"
-        if MAX_RATE < through.rate < math.inf:
+        if MAX_RATE < piercing.rate < math.inf:
             hint = "no step resolves it: check speeds, lengths and their units"
-        elif math.isfinite(through.rate):
-            hint = f"{math.ceil(through.rate)} steps per second resolve all contacts"
+        elif math.isfinite(piercing.rate):
+            hint = f"{math.ceil(piercing.rate)} steps per second resolve all contacts"
         notices.append(warning("SIM165", message, hint))
     return notices

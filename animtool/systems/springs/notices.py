@@ -7,39 +7,39 @@ from typing import Protocol
 from animtool.core.errors import Fault, Severity, counted, excerpt, warning
 from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
 from animtool.sim.trajectory import Stats, Status
-from animtool.systems.springs.motion import TimeGrid, through_notices
+from animtool.systems.springs.motion import TimeGrid, piercing_notices
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import Choice, working_step
+from animtool.systems.springs.solvers import SolverChoice, find_solvable_step
 from animtool.systems.springs.system import SpringSystem
 
-# Multiple of the xpbd stretch above which compliance is reported: at least three
-# quarters of the strain is then compliance.
-GIVES = 2
-# A body with less than this fraction of the mass of its springs is unstable.
-LIGHT = 0.01
+# Multiple of the xpbd strain limit above which compliance is reported: it is then at
+# least three quarters of the strain.
+COMPLIANCE_FACTOR = 2
+# Bodies lighter than this fraction of the mass of attached springs are unstable [1].
+MIN_MASS_RATIO = 0.01
 
 
 class _Simulation(Protocol):
-    """Springs in motion: the counts that warnings report."""
+    """Springs in motion, with the counts that warnings report."""
 
     system: SpringSystem
     options: SpringOptions
-    choice: Choice
+    choice: SolverChoice
     grid: TimeGrid
-    unsolved: TimeGrid | None
-    applied: float
+    unsolved_grid: TimeGrid | None
+    min_applied_fraction: float
     longest: float
 
     @property
-    def auto(self) -> bool: ...
+    def is_auto(self) -> bool: ...
     @property
-    def strained(self) -> bool: ...
+    def is_overstrained(self) -> bool: ...
     @property
-    def shortest(self) -> float: ...
+    def shortest_step(self) -> float: ...
 
 
 def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
-    """Return warnings about the steps so far, the one that stopped it last."""
+    """Return warnings about the motion so far; the one that stopped it last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
         *_step_notices(simulation, stats),
@@ -51,16 +51,18 @@ def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
         hint = f"they keep {length_text(simulation.system.radius)} away (radius), and "
         hint += "start inside, or colliders close in on them from several sides"
         notices.append(warning("SIM123", message, hint))
-    if simulation.applied < 1:
+    if simulation.min_applied_fraction < 1:
         message = "what presses on a rigid body is heavier than the body: only "
-        message += f"{simulation.applied:.0%} of the push acts, to keep it stable"
+        message += (
+            f"{simulation.min_applied_fraction:.0%} of the push acts, to keep it stable"
+        )
         hint = "give the body more mass, or less to what rests on it"
         notices.append(warning("SIM135", message, hint))
-    return notices + through_notices(simulation.grid.through)
+    return notices + piercing_notices(simulation.grid.piercing)
 
 
 def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
-    """Return warnings about unstable steps, and why it stopped."""
+    """Return warnings about unstable steps, and the reason of a stop."""
     notices, choice = [], simulation.choice
     limit, h = choice.limit, choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
@@ -74,7 +76,7 @@ def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
         if simulation.grid.unresolved:
             hint = "colliders push it from inside; see SIM123"
         notices.append(warning("SIM102", message, hint))
-    elif stats.status is Status.NOT_SOLVED and simulation.strained:
+    elif stats.status is Status.NOT_SOLVED and simulation.is_overstrained:
         notices.append(_no_solver_warning(simulation, stats))
     elif stats.status is Status.NOT_SOLVED:
         message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
@@ -83,17 +85,17 @@ def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
 
 
 def _strain_notices(simulation: _Simulation) -> list[Fault]:
-    """Return warnings about springs that xpbd leaves strained."""
+    """Return warnings about springs that xpbd strains too far."""
     options: SpringOptions = simulation.options
-    if simulation.strained and not simulation.auto:
+    if simulation.is_overstrained and not simulation.is_auto:
         message = f"a spring was strained by {simulation.grid.stretch:.1%}, beyond "
         message += f"its own compliance; the limit is {options.stretch:.1%}"
         hint = "use auto or bdf2, or less stiffness or mass"
         if simulation.system.self_contact is not None:
             hint = "use less stiffness or mass, or a larger stretch"
         return [warning("SIM131", message, hint)]
-    if simulation.longest > 1 + GIVES * options.stretch:
-        strain_text = f"{GIVES * options.stretch:.3g}"
+    if simulation.longest > 1 + COMPLIANCE_FACTOR * options.stretch:
+        strain_text = f"{COMPLIANCE_FACTOR * options.stretch:.3g}"
         message = f"springs are strained by {strain_text} of that or more, "
         message += "mostly by their own compliance: more steps do not change that"
         hint = "raise their stiffness, or reduce the attached mass"
@@ -102,9 +104,9 @@ def _strain_notices(simulation: _Simulation) -> list[Fault]:
 
 
 def _convergence_hint(simulation: _Simulation) -> str:
-    """Return a hint for a cell where Newton's method did not converge."""
-    system, unsolved = simulation.system, simulation.unsolved
-    step = None if unsolved is None else working_step(system, unsolved)
+    """Return what to change if Newton's method did not converge."""
+    system, unsolved = simulation.system, simulation.unsolved_grid
+    step = None if unsolved is None else find_solvable_step(system, unsolved)
     ties, hint = system.ties, "use a shorter step"
     if step is not None:
         hint = f"step: {plain_number(floor_to_two_digits(step))}"
@@ -114,22 +116,22 @@ def _convergence_hint(simulation: _Simulation) -> str:
         return hint
     lightest = ties.lightest
     spring_mass = float(system.free_masses.sum())
-    if lightest is not None and lightest[1] < LIGHT * spring_mass:
+    if lightest is not None and lightest[1] < MIN_MASS_RATIO * spring_mass:
         name, mass = lightest
-        addition = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
-        addition += f"springs of {spring_mass:.3g} kg make unstable"
-        hint = addition if step is None else f"{hint}, or {addition}"
+        advice = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
+        advice += f"springs of {spring_mass:.3g} kg make unstable"
+        hint = advice if step is None else f"{hint}, or {advice}"
     return hint
 
 
 def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
-    """Return why auto stopped, and alternatives."""
+    """Return why no solver of ``auto`` is suitable, and alternatives (SIM178)."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "
     message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "
     message += f"at {stats.time:.6g} s, in steps of "
     message += (
-        f"{plain_number(simulation.shortest)} s; {simulation.options.stretch:.2%} "
+        f"{plain_number(simulation.shortest_step)} s; {simulation.options.stretch:.2%} "
     )
     hint = "use less stiffness or more uniform masses, a larger "
     hint += f"stretch, or solver: {choice.solver}, which continues"

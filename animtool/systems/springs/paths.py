@@ -20,8 +20,8 @@ from animtool.systems.springs.motion import TimeGrid
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]
 
-# Tolerance for a jump at the end of a step [s]: rounding of times.
-SLACK = 1e-9
+# Rounding tolerance for a teleport at the end of a step [s].
+TIME_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Pins:
     Positions are linear between times and constant outside of them.
 
     Attributes:
-        particles: Which ``(P,)``.
+        particles: Their indices ``(P,)``.
         positions: At the times ``(K, P, 3)``, or ``(P, 3)`` if static [m]; None keeps
             the positions of the body.
         times: Ascending ``(K,)`` [s]; None if static.
@@ -63,11 +63,15 @@ class PointTargets:
     times: ArrayLike | None = None
 
 
-Tied = TypeVar("Tied", Pins, PointTargets)
+Constraint = TypeVar("Constraint", Pins, PointTargets)
 
 
-def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
-    """Resample paths to shared times: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
+def resample_to_shared_times(
+    paths: Sequence[Path],
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Resample paths to the union of their times.
+
+    Returns times ``(K,)`` [s], and positions of each path ``(K or 1, P, 3)`` [m].
 
     >>> times, (path,) = over_knots([(np.array([0.0, 1.0]), np.zeros((2, 1, 3)))])
     >>> times.tolist(), path.shape
@@ -77,36 +81,39 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     knots = np.unique(np.concatenate(moving_times)) if moving_times else np.zeros(1)
     resampled = []
     for times, path in paths:
-        constant = len(times) == 1
-        is_aligned = constant or np.array_equal(times, knots)
+        is_constant = len(times) == 1
+        is_aligned = is_constant or np.array_equal(times, knots)
         resampled.append(
-            np.ascontiguousarray(path if is_aligned else _resampled(times, path, knots))
+            np.ascontiguousarray(path if is_aligned else _resample(times, path, knots))
         )
     return knots, resampled
 
 
-def combined(ties: Sequence[Tied]) -> Tied | None:
-    """Merge pins, or targets, with times into one; None if there are none."""
-    if not ties:
+def merge_constraints(constraints: Sequence[Constraint]) -> Constraint | None:
+    """Merge pins, or targets, with times into one record; None without any."""
+    if not constraints:
         return None
-    names = {field.name for field in fields(ties[0])} - {"positions", "times"}
+    names = {field.name for field in fields(constraints[0])} - {"positions", "times"}
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(tie, name) for tie in ties]) for name in names
+        name: np.concatenate([getattr(constraint, name) for constraint in constraints])
+        for name in names
     }
-    paths: list[Any] = [(tie.times, tie.positions) for tie in ties]
-    times, positions = _merged(paths)
-    return type(ties[0])(positions=positions, times=times, **columns)
+    paths: list[Any] = [
+        (constraint.times, constraint.positions) for constraint in constraints
+    ]
+    times, positions = _merge_paths(paths)
+    return type(constraints[0])(positions=positions, times=times, **columns)
 
 
-def _merged(paths: Sequence[Path]) -> Path:
+def _merge_paths(paths: Sequence[Path]) -> Path:
     """Concatenate paths along their particles, over shared times."""
-    knots, tracks = over_knots(paths)
-    rows = [np.broadcast_to(track, (len(knots), *track.shape[1:])) for track in tracks]
+    knots, resampled = resample_to_shared_times(paths)
+    rows = [np.broadcast_to(path, (len(knots), *path.shape[1:])) for path in resampled]
     return knots, np.concatenate(rows, axis=1)
 
 
 def position_at(path: Path, t: float) -> FloatArray:
-    """Return positions on a path at a time [s] ``(P, 3)`` [m]."""
+    """Return positions on a path at a time ``(P, 3)`` [m]."""
     times, positions = path
     row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
     position: FloatArray = positions[row]
@@ -116,7 +123,7 @@ def position_at(path: Path, t: float) -> FloatArray:
     return position
 
 
-def reach_of(path: Path) -> tuple[float, float]:
+def max_speed_and_travel(path: Path) -> tuple[float, float]:
     """Return a path's largest speed [m/s] and distance from its start [m]."""
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
@@ -126,7 +133,8 @@ def reach_of(path: Path) -> tuple[float, float]:
     )
 
 
-def _resampled(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
+def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return positions of a path interpolated at other times ``(K, P, 3)`` [m]."""
     after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
     begin, end = times[after - 1], times[after]
     fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
@@ -137,92 +145,104 @@ def _resampled(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatA
 class Teleports:
     """Teleports of pins and targets, which move attached particles along.
 
-    Holders ``(H,)`` are pins, then targets. If a holder of a connected group is faster
-    than the limit [m/s], all holders of the group stay until the end of that interval
-    and then jump: attached particles move rigidly with them and gain no velocity. The
-    time between two jumps is a stage.
+    Driven particles ``(H,)`` are those of pins, then those of targets. If one of a
+    connected group is faster than the limit [m/s], all driven particles of the group
+    stay until the end of that interval and then teleport. Attached particles move
+    rigidly with them and gain no velocity. The time between two teleports is a stage.
     """
 
     def __init__(
-        self, body: Body, holders: IntArray, paths: tuple[Path, Path], limit: float
+        self,
+        body: Body,
+        driven_particles: IntArray,
+        paths: tuple[Path, Path],
+        limit: float,
     ) -> None:
-        self._holders, self._limit = holders, limit
-        self._pins = paths[0][1].shape[1]
-        self._knots, self._positions = _merged(paths)
+        self._driven_particles, self._limit = driven_particles, limit
+        self._pin_count = paths[0][1].shape[1]
+        self._knots, self._positions = _merge_paths(paths)
         distances = np.linalg.norm(np.diff(self._positions, axis=0), axis=2)
-        too_fast = distances > limit * np.diff(self._knots)[:, None]
-        self._groups = np.zeros(len(body.positions), np.int64)
-        if too_fast.any():
-            self._groups = _groups(body)
-        self._jumping = _jumps_by_group(too_fast, self._groups[holders])
-        self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
-        # Times of the jumps ``(J,)`` [s].
-        self.times: FloatArray = self._knots[self._begins + 1]
+        is_too_fast = distances > limit * np.diff(self._knots)[:, None]
+        self._group_of_particle = np.zeros(len(body.positions), np.int64)
+        if is_too_fast.any():
+            self._group_of_particle = _connected_groups(body)
+        self._teleporting = _teleports_by_group(
+            is_too_fast, self._group_of_particle[driven_particles]
+        )
+        self._teleport_knots: IntArray = np.flatnonzero(self._teleporting.any(axis=1))
+        # Times of the teleports ``(J,)`` [s].
+        self.times: FloatArray = self._knots[self._teleport_knots + 1]
 
     def __len__(self) -> int:
-        """Return the number of jumps."""
+        """Return the number of teleports."""
         return len(self.times)
 
     def stage(self, t: float) -> int:
-        """Return the number of jumps before a time [s]."""
-        return int(np.searchsorted(self.times, t + SLACK, "right"))
+        """Return the number of teleports before a time [s]."""
+        return int(np.searchsorted(self.times, t + TIME_TOLERANCE, "right"))
 
-    def _cells_until_jumps(self, grid: TimeGrid) -> list[int]:
-        """Return the number of cells from a grid to each jump."""
-        cells = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
+    def _cells_until_teleports(self, grid: TimeGrid) -> list[int]:
+        """Return the number of cells from a grid to each teleport."""
+        cells = [
+            (t - TIME_TOLERANCE - grid.origin) / grid.cell for t in self.times.tolist()
+        ]
         return [math.ceil(cell) - 1 - grid.index for cell in cells]
 
-    def stage_of(self, grid: TimeGrid) -> int:
+    def cell_stage(self, grid: TimeGrid) -> int:
         """Return the stage of the next cell of a grid."""
-        return sum(cells <= 0 for cells in self._cells_until_jumps(grid))
+        return sum(cells <= 0 for cells in self._cells_until_teleports(grid))
 
-    def cells(self, grid: TimeGrid) -> float:
-        """Return the number of cells before the next jump."""
+    def cells_until_next(self, grid: TimeGrid) -> float:
+        """Return the number of cells before the next teleport."""
         return min(
-            (c for c in self._cells_until_jumps(grid) if c > 0), default=math.inf
+            (c for c in self._cells_until_teleports(grid) if c > 0), default=math.inf
         )
 
     def paths(self, stage: int) -> list[Path]:
-        """Return times and positions of pins and of targets in a stage."""
-        first = np.zeros(len(self._holders), np.int64)
-        last = np.full(len(self._holders), len(self._knots) - 1)
-        for begin in self._begins[:stage].tolist():
-            first[self._jumping[begin]] = begin + 1
-        for begin in self._begins[stage:][::-1].tolist():
-            last[self._jumping[begin]] = begin
-        rows = np.clip(np.arange(len(self._knots))[:, None], first, last)
-        positions = self._positions[rows, np.arange(len(self._holders))]
+        """Return times and positions of pins, and of targets, in a stage."""
+        first_knots = np.zeros(len(self._driven_particles), np.int64)
+        last_knots = np.full(len(self._driven_particles), len(self._knots) - 1)
+        for begin in self._teleport_knots[:stage].tolist():
+            first_knots[self._teleporting[begin]] = begin + 1
+        for begin in self._teleport_knots[stage:][::-1].tolist():
+            last_knots[self._teleporting[begin]] = begin
+        rows = np.clip(np.arange(len(self._knots))[:, None], first_knots, last_knots)
+        positions = self._positions[rows, np.arange(len(self._driven_particles))]
         return [
-            (self._knots, np.ascontiguousarray(part))
-            for part in np.split(positions, [self._pins], axis=1)
+            (self._knots, np.ascontiguousarray(path_positions))
+            for path_positions in np.split(positions, [self._pin_count], axis=1)
         ]
 
-    def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return a state carried over the jumps between two stages ``(2, N, 3)``."""
+    def apply(self, state: FloatArray, begin: int, end: int) -> FloatArray:
+        """Return a state ``(2, N, 3)`` after the teleports between two stages."""
         result = state.copy() if end > begin else state
-        for row in self._begins[begin:end].tolist():
-            for group in np.unique(self._groups[self._holders[self._jumping[row]]]):
-                self._carry(result, row, int(group))
+        for row in self._teleport_knots[begin:end].tolist():
+            for group in np.unique(
+                self._group_of_particle[self._driven_particles[self._teleporting[row]]]
+            ):
+                self._move_group(result, row, int(group))
         return result
 
-    def _carry(self, state: FloatArray, row: int, group: int) -> None:
-        """Move a group of particles over a jump, in the array."""
-        holder_rows = np.flatnonzero(self._groups[self._holders] == group)
-        before, after = self._positions[row : row + 2, holder_rows]
+    def _move_group(self, state: FloatArray, row: int, group: int) -> None:
+        """Move a group of particles over a teleport, in place."""
+        rows = np.flatnonzero(self._group_of_particle[self._driven_particles] == group)
+        before, after = self._positions[row : row + 2, rows]
         rotation, shift = rigid_motion(before, after)
-        members = self._groups == group
-        state[0, members] = so3.rotate(rotation, state[0, members]) + shift
-        state[1, members] = so3.rotate(rotation, state[1, members])
-        pins = holder_rows < self._pins
-        state[0, self._holders[holder_rows[pins]]] = after[pins]
-        state[1, self._holders[holder_rows[pins]]] = 0.0
+        is_member = self._group_of_particle == group
+        state[0, is_member] = so3.rotate(rotation, state[0, is_member]) + shift
+        state[1, is_member] = so3.rotate(rotation, state[1, is_member])
+        is_pin = rows < self._pin_count
+        state[0, self._driven_particles[rows[is_pin]]] = after[is_pin]
+        state[1, self._driven_particles[rows[is_pin]]] = 0.0
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport of pins or targets."""
         notices = []
-        for has_jumped, t in zip(self._jumping[self._begins], self.times, strict=True):
-            names = ["pins"] if has_jumped[: self._pins].any() else []
-            names += ["targets"] if has_jumped[self._pins :].any() else []
+        for has_teleported, t in zip(
+            self._teleporting[self._teleport_knots], self.times, strict=True
+        ):
+            names = ["pins"] if has_teleported[: self._pin_count].any() else []
+            names += ["targets"] if has_teleported[self._pin_count :].any() else []
             message = (
                 f"{' and '.join(names)} move faster than {self._limit:g} m/s until "
                 f"{t:g} s: attached particles move along without gaining velocity"
@@ -232,7 +252,7 @@ class Teleports:
         return notices
 
 
-def _groups(body: Body) -> IntArray:
+def _connected_groups(body: Body) -> IntArray:
     """Return the connected component of each particle ``(N,)``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -244,10 +264,10 @@ def _groups(body: Body) -> IntArray:
     return labels.astype(np.int64)
 
 
-def _jumps_by_group(too_fast: BoolArray, groups: IntArray) -> BoolArray:
-    """Return jumping holders ``(K - 1, H)``: all of a group if one jumps."""
+def _teleports_by_group(is_too_fast: BoolArray, groups: IntArray) -> BoolArray:
+    """Return which driven particles teleport ``(K - 1, H)``, with their groups."""
     _, numbers = np.unique(groups, return_inverse=True)
-    jumps = np.zeros((len(too_fast), numbers.max(initial=-1) + 1), bool)
-    row, holder = np.nonzero(too_fast)
-    jumps[row, numbers[holder]] = True
-    return jumps[:, numbers]
+    group_teleports = np.zeros((len(is_too_fast), numbers.max(initial=-1) + 1), bool)
+    row, column = np.nonzero(is_too_fast)
+    group_teleports[row, numbers[column]] = True
+    return group_teleports[:, numbers]

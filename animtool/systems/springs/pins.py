@@ -27,33 +27,33 @@ from animtool.systems.springs.spec import (
     WindModel,
 )
 
-# Time at which particles are bound to their carrier [s].
-BOUND_AT = 0.0
-# Samples of wind displacement between two gusts.
+# Time at which particles are attached to their carrier [s].
+BIND_TIME = 0.0
+# Samples of the wind displacement between two gusts.
 GUST_STEPS = 8
 # Keys that name a carrier.
-CARRIERS = ("joint", "vertex", "prim", "body")
+CARRIER_KEYS = ("joint", "vertex", "prim", "body")
 
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """Pinned or pulled particles."""
+    """Particles pinned to a carrier, or pulled to it."""
 
     model: PinModel
-    particles: IntArray  # which ``(P,)``
-    carrier: Any = None  # carrier, for `SimContext.poses`
-    where: str = "pins"  # its key
+    particles: IntArray  # their indices ``(P,)``
+    carrier: Any = None  # its carrier, for `SimContext.poses`
+    where: str = "pins"  # location in the scene entry
 
     @property
     def offset(self) -> list[float] | None:
-        """Position in the frame of the carrier [m]; None: as at 0 s."""
-        carriers = (getattr(self.model, key) for key in CARRIERS)
+        """Position in the frame of the carrier [m]; None keeps that at 0 s."""
+        carriers = (getattr(self.model, key) for key in CARRIER_KEYS)
         return next(
             (carrier.offset for carrier in carriers if carrier is not None), None
         )
 
     def poses(self, poses_of: Callable[[Any], Poses]) -> Poses:
-        """Return the frame of the carrier over time."""
+        """Return the poses of the carrier over time."""
         if self.carrier is not None:
             return poses_of(self.carrier)
         if not self.model.moves:
@@ -62,35 +62,38 @@ class Pin:
         rotations = np.tile(so3.IDENTITY, (len(moves), 1))
         return Poses(moves[:, 0], moves[:, 1:], rotations)
 
-    def inside(self, poses: Poses, points: FloatArray) -> FloatArray:
-        """Return positions in that frame ``(P, 3)`` [m]; built positions ``(N, 3)``."""
+    def local_positions(self, poses: Poses, points: FloatArray) -> FloatArray:
+        """Return positions in the carrier's frame ``(P, 3)`` [m].
+
+        ``points`` are the built positions of all particles ``(N, 3)`` [m].
+        """
         built_points: FloatArray = points[self.particles]
         if self.offset is not None:
             return np.tile(self.offset, (len(built_points), 1))
         if self.carrier is None:
             return built_points
-        bound_pose = poses.at(BOUND_AT)
+        bound_pose = poses.at(BIND_TIME)
         return np.asarray(
             so3.rotate(so3.conjugate(bound_pose[3:]), built_points - bound_pose[:3])
         )
 
     def start(self, poses: Poses, points: FloatArray, begin: float) -> FloatArray:
-        """Return the world positions at the start time [s] ``(P, 3)`` [m]."""
+        """Return world positions at the start time [s] ``(P, 3)`` [m]."""
         pose = poses.at(begin)
-        return pose[:3] + so3.rotate(pose[3:], self.inside(poses, points))
+        return pose[:3] + so3.rotate(pose[3:], self.local_positions(poses, points))
 
 
-# Pins with their frames over time.
-Framed: TypeAlias = Sequence[tuple[Pin, Poses]]
+# Pins with the poses of their carriers.
+PinPoses: TypeAlias = Sequence[tuple[Pin, Poses]]
 
 
 @dataclass(frozen=True, slots=True)
 class Join:
     """Particles merged with those of another system."""
 
-    particles: IntArray  # which ``(P,)``
+    particles: IntArray  # their indices ``(P,)``
     to: JoinedModel
-    where: str  # its key
+    where: str  # location in the scene entry
 
 
 def read_pins(
@@ -98,7 +101,7 @@ def read_pins(
 ) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
     """Return pins of a body, and joins to other systems."""
     pins, joins = [], []
-    pinned_by: dict[int, PinModel] = {}  # pin of each particle
+    pin_of_particle: dict[int, PinModel] = {}
     models: Sequence[PinModel] = entry.spec.pins
     for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
         location: Location = ("pins", i)
@@ -110,36 +113,39 @@ def read_pins(
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
             continue
         carrier = _carrier(entry, location, model, parts)
-        remaining = particles
+        new_particles = particles
         if model.stiffness is None:
-            remaining = _unclaimed(entry, location, model, particles, pinned_by)
-        if len(remaining) or not len(particles):
-            pins.append(Pin(model, remaining, carrier, f"pins[{i}]"))
+            new_particles = _claim_particles(
+                entry, location, model, particles, pin_of_particle
+            )
+        if len(new_particles) or not len(particles):
+            pins.append(Pin(model, new_particles, carrier, f"pins[{i}]"))
     return tuple(pins), tuple(joins)
 
 
-def _unclaimed(
+def _claim_particles(
     entry: BodyEntry,
     location: Location,
     model: PinModel,
     particles: IntArray,
-    pinned_by: dict[int, PinModel],
+    pin_of_particle: dict[int, PinModel],
 ) -> IntArray:
-    """Return the particles that no earlier pin holds, and claim them for a pin.
+    """Return the particles that no earlier pin has, and assign them to a pin.
 
-    Particles that an earlier pin holds differently are recorded as a fault.
+    Particles that an earlier pin has with other keys are reported as a fault.
     """
-    already_pinned = [n for n in particles.tolist() if n in pinned_by]
-    conflicting = sorted(
-        n for n in already_pinned if not _same_pin(model, pinned_by[n])
+    already_pinned = [n for n in particles.tolist() if n in pin_of_particle]
+    conflicting_particles = sorted(
+        n for n in already_pinned if not _same_pin(model, pin_of_particle[n])
     )
-    if conflicting:
-        message = f"particles that another pin holds differently: {listed(conflicting)}"
+    if conflicting_particles:
+        message = "particles that another pin holds differently: "
+        message += listed(conflicting_particles)
         hint = "remove them from one of the two pins"
-        entry.note("SIM052", message, *location, "particles", hint=hint)
-    remaining = particles[~np.isin(particles, np.array(already_pinned, np.int64))]
-    pinned_by.update(dict.fromkeys(remaining.tolist(), model))
-    return remaining
+        entry.report_fault("SIM052", message, *location, "particles", hint=hint)
+    new_particles = particles[~np.isin(particles, np.array(already_pinned, np.int64))]
+    pin_of_particle.update(dict.fromkeys(new_particles.tolist(), model))
+    return new_particles
 
 
 def _same_pin(first: PinModel, second: PinModel) -> bool:
@@ -153,40 +159,42 @@ def _same_pin(first: PinModel, second: PinModel) -> bool:
 def _particles_of(
     entry: BodyEntry,
     location: Location,
-    names: Sequence[list[str | int]],
+    groups: Sequence[list[str | int]],
     body: SpringBody,
 ) -> IntArray:
-    """Return unique particle indices in the order of their names.
+    """Return unique particle indices by region names and numbers, in order.
 
     Regions may share particles, such as the corners of a sheet; a repeated number is
-    recorded as a fault.
+    reported as a fault.
     """
     particles: list[int] = []
-    explicit: list[int] = []
-    for i, group in enumerate(names):
-        numbers, faults = numbered(group, body)
+    explicit_indices: list[int] = []
+    for i, group in enumerate(groups):
+        indices, faults = particle_indices(group, body)
         for _, fault in faults:
-            entry.add(fault, *location, i)
-        particles += numbers
+            entry.add_fault(fault, *location, i)
+        particles += indices
         if not any(isinstance(name, str) for name in group):
-            explicit += numbers
-    if len(set(explicit)) < len(explicit):
-        duplicates = sorted({n for n in explicit if explicit.count(n) > 1})
+            explicit_indices += indices
+    if len(set(explicit_indices)) < len(explicit_indices):
+        duplicates = sorted(
+            {n for n in explicit_indices if explicit_indices.count(n) > 1}
+        )
         message = f"particles that appear twice: {listed(duplicates)}"
-        entry.note("SIM052", message, *location)
+        entry.report_fault("SIM052", message, *location)
     return np.array(list(dict.fromkeys(particles)), np.int64)
 
 
-def numbered(
+def particle_indices(
     names: Sequence[str | int], body: SpringBody
 ) -> tuple[list[int], list[tuple[int, Fault]]]:
-    """Return particle indices, and a fault for each unknown name."""
+    """Return particle indices by name or number, and faults of unknown ones."""
     count, region_names = len(body.body.positions), list(body.regions)
-    numbers: list[int] = []
+    indices: list[int] = []
     faults = []
     for i, name in enumerate(names):
         if isinstance(name, str) and name in body.regions:
-            numbers += [int(n) for n in body.regions[name]]
+            indices += [int(n) for n in body.regions[name]]
         elif isinstance(name, str):
             hint = (
                 nearest(name, region_names)
@@ -195,18 +203,18 @@ def numbered(
             message = f"unknown particles {name!r}"
             faults.append((i, Fault("SIM052", message, hint=hint)))
         elif -count <= name < count:
-            numbers.append(name % count)
+            indices.append(name % count)
         else:
             message = f"unknown particle {name}: they are 0 to {count - 1}"
             faults.append((i, Fault("SIM052", message)))
-    return numbers, faults
+    return indices, faults
 
 
 def _check_exclusive_keys(
     entry: BodyEntry, location: Location, model: PinModel, carrier_key: str
 ) -> None:
-    """Record keys that do not apply to a pin with one of the carrier keys."""
-    keys = {"moves", *CARRIERS, "to", "stiffness", "damping"}
+    """Report keys that conflict with the carrier key of a pin."""
+    keys = {"moves", *CARRIER_KEYS, "to", "stiffness", "damping"}
     exclusive = {"to", "body"}  # keys that exclude stiffness and damping
     allowed = (
         {carrier_key}
@@ -214,7 +222,7 @@ def _check_exclusive_keys(
         else {carrier_key, "stiffness", "damping"}
     )
     for key in sorted((keys & model.model_fields_set) - allowed):
-        entry.note(
+        entry.report_fault(
             "SIM052",
             f"{key} does not apply to a pin that has {carrier_key}",
             *location,
@@ -225,13 +233,13 @@ def _check_exclusive_keys(
 def _carrier(
     entry: BodyEntry, location: Location, model: PinModel, parts: Mapping[str, Any]
 ) -> Any:
-    """Return the carrier of a pin; record keys that conflict with it."""
+    """Return the carrier of a pin; report keys that conflict with it."""
     if model.moves:
         _check_exclusive_keys(entry, location, model, "moves")
         if (np.diff(np.array(model.moves)[:, 0]) <= 0).any():
-            entry.note("SIM044", "its times must ascend", *location, "moves")
+            entry.report_fault("SIM044", "its times must ascend", *location, "moves")
     carrier = None
-    for key in CARRIERS:
+    for key in CARRIER_KEYS:
         if getattr(model, key) is not None:
             _check_exclusive_keys(entry, location, model, key)
             carrier = parts[key]
@@ -241,45 +249,45 @@ def _carrier(
     return carrier
 
 
-def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
-    """Return pins and targets over time of a body at points ``(N, 3)`` [m]."""
-    ties: list[Pins | PointTargets] = []
-    for pin, frame in pins:
-        positions, model = frame.to_world(pin.inside(frame, points)), pin.model
+def constraints_of(pins: PinPoses, points: FloatArray) -> list[Pins | PointTargets]:
+    """Return pins and targets over time, of a body at points ``(N, 3)`` [m]."""
+    constraints: list[Pins | PointTargets] = []
+    for pin, poses in pins:
+        positions, model = poses.to_world(pin.local_positions(poses, points)), pin.model
         if model.stiffness is None:
-            ties.append(Pins(pin.particles, positions, frame.sample_times))
+            constraints.append(Pins(pin.particles, positions, poses.sample_times))
             continue
         ones = np.ones(len(pin.particles))
         stiffness, damping = model.stiffness * ones, model.damping * ones
-        ties.append(
+        constraints.append(
             PointTargets(
-                pin.particles, positions, stiffness, damping, frame.sample_times
+                pin.particles, positions, stiffness, damping, poses.sample_times
             )
         )
-    return ties
+    return constraints
 
 
-def moved_to_pins(pins: Framed, points: FloatArray, begin: float) -> FloatArray:
-    """Return points ``(N, 3)`` [m] moved rigidly to pins with an offset.
+def align_to_pins(pins: PinPoses, points: FloatArray, begin: float) -> FloatArray:
+    """Return points ``(N, 3)`` [m] moved rigidly to fit pins with an offset.
 
     It uses the smallest rotation that fits the pins at the start time [s].
     """
-    offset_pins = [(pin, frame) for pin, frame in pins if pin.offset is not None]
+    offset_pins = [(pin, poses) for pin, poses in pins if pin.offset is not None]
     if not offset_pins:
         return points
-    goal = np.concatenate(
-        [pin.start(frame, points, begin) for pin, frame in offset_pins]
+    goal_points = np.concatenate(
+        [pin.start(poses, points, begin) for pin, poses in offset_pins]
     )
-    current = np.concatenate([points[pin.particles] for pin, _ in offset_pins])
-    centre, centroid = goal.mean(axis=0), current.mean(axis=0)
-    covariance = (goal - centre).T @ (current - centroid)
+    pin_points = np.concatenate([points[pin.particles] for pin, _ in offset_pins])
+    goal_centre, pin_centre = goal_points.mean(axis=0), pin_points.mean(axis=0)
+    covariance = (goal_points - goal_centre).T @ (pin_points - pin_centre)
     rotation = polar_rotations(covariance, np.maximum(np.abs(covariance).max(), 1.0))
-    moved: FloatArray = centre + (points - centroid) @ rotation.T
-    return moved
+    aligned: FloatArray = goal_centre + (points - pin_centre) @ rotation.T
+    return aligned
 
 
 def air_of(wind: FaceWindModel) -> Air:
-    """Return wind that acts on faces."""
+    """Return the wind that acts on faces, over time."""
     velocity, gusts = np.array(wind.velocity), _gusts(wind)
     if not len(gusts):
         return record_of(Air, wind, wind=velocity)
@@ -287,23 +295,23 @@ def air_of(wind: FaceWindModel) -> Air:
 
 
 def _gusts(wind: WindModel) -> FloatArray:
-    """Return gusts: seconds and velocity ``(K, 4)`` [s, m/s]."""
+    """Return gusts as times and velocities ``(K, 4)`` [s, m/s]."""
     return np.array(wind.gusts).reshape(-1, 4)
 
 
-def wind_ties(
+def wind_targets(
     wind: WindModel, points: FloatArray, drags: FloatArray, span: tuple[float, float]
 ) -> PointTargets:
-    """Return wind on particles as targets with damping and no stiffness.
+    """Return wind on particles as targets with damping but no stiffness.
 
     Particles start at points ``(N, 3)`` [m]. Drags ``(N,)`` [N s/m] are force per speed
     in calm air. The span is the first and the last time [s].
     """
-    gusts, (first, last) = _gusts(wind), span
-    times = np.array([first, max(last, first + 1.0)])
+    gusts, (begin, end) = _gusts(wind), span
+    times = np.array([begin, max(end, begin + 1.0)])
     if len(gusts):
-        inner = gusts[(gusts[:, 0] > times[0]) & (gusts[:, 0] < times[1]), 0]
-        interval_ends = np.unique(np.concatenate([times, inner]))
+        inner_times = gusts[(gusts[:, 0] > times[0]) & (gusts[:, 0] < times[1]), 0]
+        interval_ends = np.unique(np.concatenate([times, inner_times]))
         fractions = np.arange(GUST_STEPS) / GUST_STEPS
         fine_times = (
             interval_ends[:-1, None] + np.diff(interval_ends)[:, None] * fractions
@@ -311,10 +319,12 @@ def wind_ties(
         times = np.append(fine_times.ravel(), interval_ends[-1])
     speeds = np.tile(np.array(wind.velocity), (len(times) - 1, 1))
     if len(gusts):
-        middle = (times[:-1] + times[1:]) / 2
-        gust_speeds = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
+        interval_middles = (times[:-1] + times[1:]) / 2
+        gust_speeds = [
+            np.interp(interval_middles, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)
+        ]
         speeds = speeds + np.stack(gust_speeds, axis=1)
     displacements = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
     displacements = np.concatenate([np.zeros((1, 3)), displacements])
-    numbers, positions = np.arange(len(points)), points + displacements[:, None]
-    return PointTargets(numbers, positions, np.zeros(len(points)), drags, times)
+    particles, positions = np.arange(len(points)), points + displacements[:, None]
+    return PointTargets(particles, positions, np.zeros(len(points)), drags, times)

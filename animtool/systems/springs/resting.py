@@ -11,22 +11,22 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.solvers import SAFE, explicit_limit
+from animtool.systems.springs.solvers import STEP_SAFETY_FACTOR, explicit_limit
 from animtool.systems.springs.system import SpringSystem
 
-# Residual force relative to the weight of a particle.
-SOLVED = 1e-9
-# Relative rounding error of an energy summed over some ten thousand springs.
-ROUNDED = 1e-12
+# Largest residual force of an equilibrium, relative to the weight of a particle [1].
+RESIDUAL_TOLERANCE = 1e-9
+# Relative rounding error of an energy, summed over ten thousand springs [1].
+ENERGY_ROUNDING = 1e-12
 MAX_STEPS = 400
-# Duration of the damped descent, as phase of a pendulum as long as the body [rad];
-# spring damping, relative to critical; largest springs times steps: about 1 s.
-SINKING, SWINGING, MAX_SINKING = 8.0, 0.1, 500_000_000
-MAX_SINKING_STEPS = 2_000_000
-# Factors that raise and lower the regularization of the stiffness.
-FIRMER, SOFTER = 4.0, 16.0
-# The matrices are symmetric and nearly always positive definite.
-SYMMETRIC: dict[str, Any] = {
+# Damped descent: duration as the phase of a pendulum as long as the body [rad], spring
+# damping relative to critical [1], and largest springs times steps, about 1 s of work.
+DESCENT_PHASE, DESCENT_DAMPING, MAX_DESCENT_WORK = 8.0, 0.1, 500_000_000
+MAX_DESCENT_STEPS = 2_000_000
+# Factors that raise and lower the regularization of the stiffness matrix.
+REGULARIZATION_INCREASE, REGULARIZATION_DECREASE = 4.0, 16.0
+# For matrices that are symmetric and nearly always positive definite.
+LU_OPTIONS: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.0,
     "options": {"SymmetricMode": True},
@@ -79,86 +79,89 @@ def find_rest(
     -1.1
     """
     start = system.settle(t, 1.0, system.state, system.state)[0]
-    frozen = system.halted(t, replace(system.body, positions=start))
+    frozen = system.frozen_at(t, replace(system.body, positions=start))
     current, has_descended = _Configuration(frozen, start), False
-    regularization, steps = current.typical, 0
+    regularization, steps = current.typical_stiffness, 0
     while not current.solved and steps < MAX_STEPS:
         steps += 1
-        candidate = current.moved(regularization)
+        candidate = current.newton_step(regularization)
         if (
             candidate is not None
             and candidate.energy <= current.energy + current.rounding
         ):
-            current, regularization = candidate, regularization / SOFTER
+            current, regularization = (
+                candidate,
+                regularization / REGULARIZATION_DECREASE,
+            )
         elif has_descended:
-            regularization *= FIRMER
+            regularization *= REGULARIZATION_INCREASE
         else:
-            current, has_descended = _descended(frozen, current), True
+            current, has_descended = _damped_descent(frozen, current), True
         if progress is not None:
-            progress(current.settled)
+            progress(current.progress)
     return Rest(current.x, current.residual, steps, current.solved)
 
 
-def _descended(system: SpringSystem, start: _Configuration) -> _Configuration:
-    """Return the state after damped descent; the start if that takes too many steps.
+def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configuration:
+    """Return the state after damped motion; the start if that takes too many steps.
 
     Sheets fold during the descent, where Newton's method needs many short steps.
     """
     body = replace(system.body, positions=start.x)
     size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))
-    pull = float(np.linalg.norm(system.gravity))
-    if not size * pull > 0 or not len(body.springs.rest):
+    gravity = float(np.linalg.norm(system.gravity))
+    if not size * gravity > 0 or not len(body.springs.rest):
         return start
-    swing_rate = float(np.sqrt(pull / size))
-    damped = system.halted(0.0, _with_damping(body), 2 * swing_rate)
-    step = SAFE * explicit_limit(damped, 0.0, damped.state)
-    step_count = SINKING / (swing_rate * step) if step > 0 else np.inf
-    if not step_count <= MAX_SINKING_STEPS:
+    pendulum_rate = float(np.sqrt(gravity / size))
+    damped = system.frozen_at(0.0, _with_damping(body), 2 * pendulum_rate)
+    step = STEP_SAFETY_FACTOR * explicit_limit(damped, 0.0, damped.state)
+    step_count = DESCENT_PHASE / (pendulum_rate * step) if step > 0 else np.inf
+    if not step_count <= MAX_DESCENT_STEPS:
         return start
-    if np.ceil(step_count) * len(body.springs.rest) > MAX_SINKING:
+    if np.ceil(step_count) * len(body.springs.rest) > MAX_DESCENT_WORK:
         return start
     steps = int(np.ceil(step_count))
-    steps_at_once = damped.native("symplectic_euler")
-    assert steps_at_once is not None
-    x = steps_at_once(0.0, damped.state, step, steps)[0]
+    native_steps = damped.native("symplectic_euler")
+    assert native_steps is not None
+    x = native_steps(0.0, damped.state, step, steps)[0]
     end = _Configuration(system, x) if np.isfinite(x).all() else start
     return end if end.energy < start.energy else start
 
 
 def _with_damping(body: Body) -> Body:
-    """Return the body with strongly damped springs."""
+    """Return a body with strongly damped springs."""
     springs = body.springs
     masses = body.masses[springs.ends].mean(axis=1)
-    damping = 2 * SWINGING * np.sqrt(springs.stiffness * masses)
+    damping = 2 * DESCENT_DAMPING * np.sqrt(springs.stiffness * masses)
     return replace(body, springs=replace(springs, damping=damping))
 
 
 class _Configuration:
-    """Positions with their forces and energy."""
+    """Positions of particles, with their forces and energy."""
 
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
-        self._at_rest = np.zeros_like(x)
+        self._zero_velocities = np.zeros_like(x)
         self._free = np.flatnonzero(~system.fixed)
         self._masses = system.free_masses
-        self.energy = system.energy(0.0, np.array((x, self._at_rest))).potential
+        self.energy = system.energy(0.0, np.array((x, self._zero_velocities))).potential
         self._forces = (
-            system.acceleration(0.0, x, self._at_rest) * self._masses[:, None]
+            system.acceleration(0.0, x, self._zero_velocities) * self._masses[:, None]
         )
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
-        pull = float(weights.max(initial=0.0))
-        self.solved = self.residual <= SOLVED * pull
-        orders = np.log10(max(self.residual, 1e-300) / max(pull, 1e-300))
+        max_weight = float(weights.max(initial=0.0))
+        self.solved = self.residual <= RESIDUAL_TOLERANCE * max_weight
+        decades = np.log10(max(self.residual, 1e-300) / max(max_weight, 1e-300))
         # Progress from the weight of a particle down to rounding level [1].
-        self.settled = float(np.clip(orders / np.log10(SOLVED), 0.0, 1.0))
-        self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
-        stiffest = np.append(
+        self.progress = float(np.clip(decades / np.log10(RESIDUAL_TOLERANCE), 0.0, 1.0))
+        self.rounding = ENERGY_ROUNDING * max(abs(self.energy), 1e-300)
+        stiffnesses = np.append(
             system.body.springs.stiffness, system.target_springs.stiffness
         )
-        self.typical = float(stiffest.max(initial=1.0))
+        self.typical_stiffness = float(stiffnesses.max(initial=1.0))
 
-    def moved(self, regularization: float) -> _Configuration | None:
+    def newton_step(self, regularization: float) -> _Configuration | None:
         """Return the result of one Newton step; None if it does not descend."""
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
@@ -167,7 +170,7 @@ class _Configuration:
         matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
         regularized = (matrix + diags_array(np.full(len(rows), regularization))).tocsc()
         try:
-            step = splu(regularized, **SYMMETRIC).solve(self._forces.ravel()[rows])
+            step = splu(regularized, **LU_OPTIONS).solve(self._forces.ravel()[rows])
         except RuntimeError:
             return None
         descent = step @ self._forces.ravel()[rows]

@@ -12,38 +12,38 @@ from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import SHORTEST_OF_AUTO, Choice, advance
+from animtool.systems.springs.solvers import MIN_AUTO_STEP, SolverChoice, advance
 from animtool.systems.springs.system import SpringSystem
 
 # Speed below which all particles count as at rest [m/s].
-RESTING = 1e-6
-# Largest number of cells, and of springs times steps: about five seconds of work.
+REST_SPEED = 1e-6
+# Largest number of cells, and of springs times steps, about five seconds of work.
 MAX_CELLS, MAX_WORK = 20_000, 500_000_000
-# Steps are halved as long as the gap falls below this fraction of the last.
-HELPS = 0.7
-# Largest unreported gap to the static equilibrium, relative to the system size.
-NEAR = 1e-3
+# Steps are halved while that reduces the gap to less than this fraction [1].
+GAP_REDUCTION = 0.7
+# Largest unreported gap to the static equilibrium, relative to the system size [1].
+MAX_RELATIVE_GAP = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class XpbdRest:
-    """Springs at rest under xpbd.
+    """Springs in the rest state of xpbd.
 
     Attributes:
         system: System that starts at rest.
-        choice: Solver with the steps that rest needs.
+        choice: Solver with the steps of the rest state.
         notices: Gap to the static equilibrium (SIM152, SIM179, SIM199).
     """
 
     system: SpringSystem
-    choice: Choice
+    choice: SolverChoice
     notices: tuple[Fault, ...]
 
 
-def rest_of_xpbd(
-    system: SpringSystem, options: SpringOptions, choice: Choice, t: float
+def find_xpbd_rest(
+    system: SpringSystem, options: SpringOptions, choice: SolverChoice, t: float
 ) -> XpbdRest:
-    """Return springs that start at the rest state of xpbd, near the equilibrium.
+    """Return springs that start in the rest state of xpbd, near the equilibrium.
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
     equilibrium and would fall at the start. They fall here instead, with velocities
@@ -56,52 +56,54 @@ def rest_of_xpbd(
         choice: Steps of xpbd.
         t: Time at which pins are sampled [s].
     """
-    frozen = system.halted(t, system.body)
-    tolerance = NEAR * float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
-    substeps, work, auto = choice.substeps, 0, options.solver == Solver.AUTO
+    frozen = system.frozen_at(t, system.body)
+    tolerance = MAX_RELATIVE_GAP * float(
+        np.linalg.norm(np.ptp(system.state[0], axis=0))
+    )
+    substeps, work, is_auto = choice.substeps, 0, options.solver == Solver.AUTO
     previous: _Descent | None = None
     while True:
         descent = _descend(frozen, options, replace(choice, substeps=substeps), work)
         work = descent.work
         if not np.isfinite(descent.speed):
             return XpbdRest(system, choice, (_no_rest_notice(descent.speed),))
-        improves = previous is None or descent.gap < HELPS * previous.gap
-        if not improves and previous is not None:
+        is_improving = previous is None or descent.gap < GAP_REDUCTION * previous.gap
+        if not is_improving and previous is not None:
             descent = previous
-        can_halve = choice.cell / (2 * descent.substeps) >= SHORTEST_OF_AUTO
+        can_halve = choice.cell / (2 * descent.substeps) >= MIN_AUTO_STEP
         if descent.gap <= tolerance or not (
-            auto and improves and can_halve and work < MAX_WORK
+            is_auto and is_improving and can_halve and work < MAX_WORK
         ):
             break
         previous, substeps = descent, 2 * descent.substeps
-    notices = [] if descent.speed <= RESTING else [_no_rest_notice(descent.speed)]
+    notices = [] if descent.speed <= REST_SPEED else [_no_rest_notice(descent.speed)]
     if descent.gap > tolerance:
-        notices.append(_gap_notice(descent.gap, auto=auto))
-    steps = replace(choice, substeps=descent.substeps)
-    return XpbdRest(system.starting_at(descent.rest), steps, tuple(notices))
+        notices.append(_gap_notice(descent.gap, is_auto=is_auto))
+    rest_choice = replace(choice, substeps=descent.substeps)
+    return XpbdRest(system.starting_at(descent.rest), rest_choice, tuple(notices))
 
 
 @dataclass(frozen=True, slots=True)
 class _Descent:
-    """Result of the descent with repeated stops."""
+    """Result of a descent that stops repeatedly."""
 
-    rest: FloatArray  # (N, 3) [m]
-    speed: float  # of the fastest [m/s]
-    substeps: int  # in a cell
+    rest: FloatArray  # final positions (N, 3) [m]
+    speed: float  # speed of the fastest particle [m/s]
+    substeps: int  # steps in a cell
     work: int  # springs times steps so far
     gap: float  # largest distance from the start [m]
 
 
 def _descend(
-    frozen: SpringSystem, options: SpringOptions, choice: Choice, work: int
+    frozen: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
 ) -> _Descent:
-    """Return the rest state of halted springs."""
+    """Return the rest state of springs with frozen pins."""
     motion = np.ascontiguousarray(frozen.state)
-    state = SpringState(motion, frozen.none_torn, choice.substeps, choice.substeps)
+    state = SpringState(motion, frozen.untorn_flags, choice.substeps, choice.substeps)
     grid = TimeGrid(choice.solver, 0.0, choice.cell, 0, state)
     masses, previous_energy, cells = frozen.free_masses, 0.0, 0
     speed, initial_work = np.inf, work
-    while speed > RESTING and cells < MAX_CELLS and work < MAX_WORK:
+    while speed > REST_SPEED and cells < MAX_CELLS and work < MAX_WORK:
         cells += 1
         with np.errstate(all="ignore"):
             grid = advance(frozen, options, grid, 1)
@@ -114,25 +116,25 @@ def _descend(
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
         if energy < previous_energy:
-            state, energy = replace(state, motion=_without_velocities(state)), 0.0
+            state, energy = replace(state, motion=_with_zero_velocities(state)), 0.0
         previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
     gap = float(np.linalg.norm(rest - frozen.state[0], axis=1).max(initial=0.0))
     return _Descent(rest, speed, grid.state.substeps, work, gap)
 
 
-def _without_velocities(state: SpringState) -> FloatArray:
-    """Return the motion with zero velocities."""
+def _with_zero_velocities(state: SpringState) -> FloatArray:
+    """Return the motion of a state with zero velocities."""
     motion = state.motion.copy()
     motion[1] = 0.0
     return motion
 
 
-def _gap_notice(gap: float, *, auto: bool) -> Fault:
+def _gap_notice(gap: float, *, is_auto: bool) -> Fault:
     """Return a notice of the gap to the static equilibrium [m]."""
     message = f"xpbd comes to rest {length_text(gap)} from where the forces on "
     message += "particles cancel out"
-    if not auto:
+    if not is_auto:
         return warning("SIM199", message, "use auto or bdf2", "settle")
     message += ", as close as shorter steps bring it"
     hint = "surfaces in contact keep it there, or its chains are long"
@@ -140,5 +142,6 @@ def _gap_notice(gap: float, *, auto: bool) -> Fault:
 
 
 def _no_rest_notice(speed: float) -> Fault:
+    """Return a warning that particles still move [m/s] (SIM152)."""
     message = f"xpbd found no rest state: particles still move at {speed:.2g} m/s"
     return warning("SIM152", message, "use auto or bdf2", "settle")

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, IntArray, as_floats
 from animtool.maths.faces import coincident_edges, distinct_pairs, edges, triangulated
-from animtool.systems.springs.body import Body, built
+from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
 
 
@@ -37,11 +37,16 @@ def rope(
     [0.0, 0.0, -0.5]
     """
     fractions = np.linspace(0.0, 1.0, count)[:, None]
-    first, last = (np.asarray(point, np.float64) for point in (start, end))
+    start_point, end_point = (np.asarray(point, np.float64) for point in (start, end))
     masses = np.full(count, float(mass))
     if tip_mass is not None:
         masses[-1] = tip_mass
-    return strand(first + fractions * (last - first), along, mass=masses, bend=bend)
+    return strand(
+        start_point + fractions * (end_point - start_point),
+        along,
+        mass=masses,
+        bend=bend,
+    )
 
 
 def strand(
@@ -62,7 +67,7 @@ def strand(
     positions = as_floats(points, ("N", 3), "points")
     line = np.arange(len(positions))
     families = [(_grid_pairs(line, 1), along), (_grid_pairs(line, 2), bend)]
-    return built(positions, mass, families)
+    return build_body(positions, mass, families)
 
 
 def sheet(
@@ -102,11 +107,11 @@ def sheet(
     """
     grid = np.arange(rows * columns).reshape(rows, columns)
     row_numbers, column_numbers = np.indices(grid.shape).reshape(2, -1, 1)
-    first, right, top = (
+    origin, across_vector, up_vector = (
         np.asarray(vector, np.float64) for vector in (corner, across, up)
     )
-    positions = first + column_numbers / max(columns - 1, 1) * right
-    positions = positions + row_numbers / max(rows - 1, 1) * top
+    positions = origin + column_numbers / max(columns - 1, 1) * across_vector
+    positions = positions + row_numbers / max(rows - 1, 1) * up_vector
     grid_edges, diagonal_pairs, bend_pairs = (
         np.concatenate([_grid_pairs(grid, *offset) for offset in offsets])
         for offsets in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
@@ -118,7 +123,7 @@ def sheet(
         (diagonal_pairs, diagonals),
         (bend_pairs, bend),
     ]
-    return built(positions, mass, families, _triangles(grid))
+    return build_body(positions, mass, families, _grid_triangles(grid))
 
 
 def surface(
@@ -150,17 +155,18 @@ def surface(
     [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3], [0, 3]]
     """
     positions = as_floats(points, ("N", 3), "points")
-    sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
-    triangles = triangulated(sizes, corners)
-    mesh_edges = edges(sizes, corners)
-    face_diagonals = _face_diagonals(sizes, corners)
+    face_sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
+    triangles = triangulated(face_sizes, corners)
+    mesh_edges = edges(face_sizes, corners)
+    face_diagonals = _face_diagonals(face_sizes, corners)
     # Inner edges of a fan are not mesh edges and get no bend springs.
     hinges = _hinges(triangles, mesh_edges)
     families = [(mesh_edges, structural), (face_diagonals, diagonals), (hinges, bend)]
-    return built(positions, mass, families, triangles)
+    return build_body(positions, mass, families, triangles)
 
 
 def _face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return pairs of non-adjacent corners of each face ``(D, 2)``."""
     pairs = [np.zeros((0, 2), np.int64)]
     for step in range(2, int(counts.max(initial=0)) // 2 + 1):
         has_diagonal = np.repeat(counts >= 2 * step, counts)
@@ -171,27 +177,30 @@ def _face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
 
 
 def _corner_pairs(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
-    """Return each corner with the corner some steps further around its face."""
+    """Return each corner with the one some steps further around its face ``(C, 2)``."""
     starts = np.repeat(np.cumsum(counts) - counts, counts)
-    corner_numbers, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
-    targets = starts + (corner_numbers + np.repeat(steps, counts)) % np.maximum(
+    corner_offsets, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
+    partners = starts + (corner_offsets + np.repeat(steps, counts)) % np.maximum(
         sizes, 1
     )
-    return np.stack([indices, indices[targets]], axis=1)
+    return np.stack([indices, indices[partners]], axis=1)
 
 
 def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
-    """Return the opposite corners of triangles that share a kept edge ``(B, 2)``."""
-    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    opposite = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    first, second = coincident_edges(sides)
-    is_mesh_edge = _is_in(np.sort(sides[first], axis=1), mesh_edges)
+    """Return opposite corners of triangles that share a mesh edge ``(B, 2)``."""
+    triangle_edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    opposite_corners = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
+    first, second = coincident_edges(triangle_edges)
+    is_mesh_edge = _contains_pairs(np.sort(triangle_edges[first], axis=1), mesh_edges)
     return distinct_pairs(
-        np.stack([opposite[first], opposite[second]], axis=1)[is_mesh_edge]
+        np.stack([opposite_corners[first], opposite_corners[second]], axis=1)[
+            is_mesh_edge
+        ]
     )
 
 
-def _is_in(pairs: IntArray, allowed: IntArray) -> BoolArray:
+def _contains_pairs(pairs: IntArray, allowed: IntArray) -> BoolArray:
+    """Return which pairs are among the allowed ones ``(P,)``."""
     size = int(max(pairs.max(initial=0), allowed.max(initial=0))) + 1
     return np.isin(pairs @ [size, 1], allowed @ [size, 1])
 
@@ -236,7 +245,7 @@ def block(
         for offset in offsets
         if sum(map(abs, offset)) == axes
     ]
-    return built(positions, mass, families, _skin(grid))
+    return build_body(positions, mass, families, _grid_surface(grid))
 
 
 def tetrahedra(
@@ -255,32 +264,34 @@ def tetrahedra(
     (6, 4)
     """
     corners = np.asarray(cells, np.int64).reshape(-1, 4)
-    pairs = np.concatenate(
+    cell_edges = np.concatenate(
         [corners[:, list(ends)] for ends in combinations(range(4), 2)]
     )
-    sides = np.concatenate(
+    faces = np.concatenate(
         [corners[:, side] for side in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])]
     )
-    _, first, counts = np.unique(
-        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
+    _, first_rows, counts = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
     )
     # A face shared by two cells is inside.
-    outside = sides[np.sort(first[counts == 1])]
-    unique = np.unique(np.sort(pairs, axis=1), axis=0)
-    return built(points, mass, [(unique, edges)], outside)
+    outer_faces = faces[np.sort(first_rows[counts == 1])]
+    unique_edges = np.unique(np.sort(cell_edges, axis=1), axis=0)
+    return build_body(points, mass, [(unique_edges, edges)], outer_faces)
 
 
 def _grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
-    """Return pairs of grid particles that differ by an offset along the axes."""
-    firsts = tuple(
+    """Return pairs of grid particles at a fixed offset along the axes ``(P, 2)``."""
+    first_slices = tuple(
         slice(max(-step, 0), -step if step > 0 else None) for step in offsets
     )
-    seconds = tuple(slice(max(step, 0), step if step < 0 else None) for step in offsets)
-    return np.stack([grid[firsts].ravel(), grid[seconds].ravel()], axis=1)
+    second_slices = tuple(
+        slice(max(step, 0), step if step < 0 else None) for step in offsets
+    )
+    return np.stack([grid[first_slices].ravel(), grid[second_slices].ravel()], axis=1)
 
 
-def _triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
-    """Return two triangles for each grid cell, optionally flipped ``(T, 3)``."""
+def _grid_triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
+    """Return two triangles for each cell of a grid ``(T, 3)``; flip reverses them."""
     a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
     c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
     if flip:
@@ -288,10 +299,10 @@ def _triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
-def _skin(grid: IntArray) -> IntArray:
-    """Return the outward-facing triangles around a grid."""
+def _grid_surface(grid: IntArray) -> IntArray:
+    """Return the outward-facing triangles around a grid of particles ``(T, 3)``."""
     sides = [
-        _triangles(np.take(grid, end, axis), flip=flip)
+        _grid_triangles(np.take(grid, end, axis), flip=flip)
         for axis in range(3)
         for end, flip in ((0, axis != 1), (-1, axis == 1))
     ]

@@ -18,22 +18,22 @@ from animtool.systems.framework.simulation import Progress, SimContext, StoppedE
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.motion import MAX_SUBSTEPS, SpringMotion, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.settling import rest_of_xpbd
+from animtool.systems.springs.settling import find_xpbd_rest
 from animtool.systems.springs.simulation import SpringPlan, SpringSimulation
-from animtool.systems.springs.solvers import Choice, choose, explicit_limit
+from animtool.systems.springs.solvers import SolverChoice, choose_solver, explicit_limit
 from animtool.systems.springs.system import SpringSystem
 
-# Most halvings of the step to reach an error.
+# Most halvings of the step to reach an error tolerance.
 MAX_HALVINGS = 8
 # Error of a step relative to that of half the step.
-GAIN = {
+HALVING_ERROR_RATIO = {
     Solver.SYMPLECTIC_EULER: 2.0,
     Solver.XPBD: 2.0,
     Solver.BDF2: 4.0,
     Solver.IMPLICIT_EULER: 2.0,
 }
-# Times at which a motion is compared with one in half steps.
-COMPARED = 64
+# Number of times at which a motion is compared with one in half steps.
+COMPARISON_TIMES = 64
 
 
 def simulate_springs(
@@ -74,11 +74,11 @@ def simulate_springs(
     """
     options = options or SpringOptions()
     solver = check_options(options)
-    knots = check_times(times, checkpoint)
+    sample_times = check_times(times, checkpoint)
     grid = checkpoint.memory if checkpoint is not None else None
     if isinstance(grid, TimeGrid):
         limit = explicit_limit(system, grid.time, grid.state.motion)
-        choice = Choice(
+        choice = SolverChoice(
             grid.solver, grid.cell, grid.state.substeps, "it was carried on", limit
         )
         # Start with zero counts.
@@ -86,25 +86,26 @@ def simulate_springs(
             grid.solver, grid.origin, grid.cell, grid.index, grid.state
         )
         plan = SpringPlan(system, options, choice, choice.reason)
-        return _motion(plan, start_grid, knots, progress)
-    t = float(knots[0])
+        return _run_plan(plan, start_grid, sample_times, progress)
+    t = float(sample_times[0])
     state = np.ascontiguousarray(
         system.state if checkpoint is None else checkpoint.state
     )
     _check_start(system, state)
-    choice = choose(system, options, solver, t, state)
+    choice = choose_solver(system, options, solver, t, state)
 
     def simulate_with(substeps: int) -> SpringMotion:
         fine = replace(choice, substeps=substeps)
         plan = SpringPlan(system, options, fine, fine.reason)
-        return _motion(plan, plan.start(t, state), knots, progress)
+        return _run_plan(plan, plan.start(t, state), sample_times, progress)
 
     if options.error is None:
         return simulate_with(choice.substeps)
-    return _within_error(simulate_with, choice, options.error)
+    return _refine_until(simulate_with, choice, options.error)
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
+    """Raise SIM003 if a state is not finite or has another shape."""
     shape, message = system.state.shape, ""
     if state.shape != shape:
         message = f"the start must have shape {shape}, not {state.shape}"
@@ -115,12 +116,12 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
         raise OptionError(Fault("SIM003", message, where="state"))
 
 
-def _within_error(
-    simulate_with: Callable[[int], SpringMotion], choice: Choice, error: float
+def _refine_until(
+    simulate_with: Callable[[int], SpringMotion], choice: SolverChoice, error: float
 ) -> SpringMotion:
     """Return the motion in the longest steps whose estimated error is in bounds."""
     coarse = simulate_with(choice.substeps)
-    factor = 1 / (GAIN[choice.solver] - 1)
+    factor = 1 / (HALVING_ERROR_RATIO[choice.solver] - 1)
     substeps, estimate = choice.substeps, np.inf
     for _ in range(MAX_HALVINGS):
         substeps *= 2
@@ -142,21 +143,21 @@ def _within_error(
     return replace(coarse, notices=(*coarse.notices, notice))
 
 
-def _motion(
+def _run_plan(
     plan: SpringPlan, start_grid: TimeGrid, times: FloatArray, progress: Progress
 ) -> SpringMotion:
-    """Return the motion at times, until the simulation stops."""
+    """Return the motion at some times, until the simulation stops."""
     simulation = SpringSimulation(plan, start_grid, float(times[-1]), progress)
-    simulation.forgets = False
+    simulation.releases_states = False
     start = ReachedState(start_grid.index, start_grid.state)
-    run = SimulationRun(
+    simulation_run = SimulationRun(
         "springs", simulation, start_grid.origin, start_grid.cell, start
     )
-    run.collide_with(plan.system.colliders.bodies)
+    simulation_run.collide_with(plan.system.colliders.bodies)
     last_grid, states, energies = start_grid, [], []
     for t in times.tolist():
         try:
-            state = run.reach(t)[0].motion
+            state = simulation_run.reach(t)[0].motion
         except StoppedError:
             break
         last_grid = simulation.grid
@@ -174,27 +175,31 @@ def _motion(
         second_order=True,
         solver=plan.choice.solver,
         reason=plan.choice.reason,
-        step=simulation.shortest,
+        step=simulation.shortest_step,
         stretch=grid.stretch,
         torn=plan.system.torn(grid.state.torn),
         unresolved=grid.unresolved,
-        passed=grid.through.passed,
-        cut=grid.through.cut,
+        passed=grid.piercing.passed,
+        cut=grid.piercing.cut,
     )
 
 
 def plan_springs(
-    system: SpringSystem, options: SpringOptions, context: SimContext, *, settled: bool
+    system: SpringSystem,
+    options: SpringOptions,
+    context: SimContext,
+    *,
+    starts_at_rest: bool,
 ) -> SpringPlan:
-    """Return the springs and steps that meet a requested error.
+    """Return springs with a solver and steps that meet the requested error.
 
-    With ``settled``, xpbd starts in its rest state.
+    With ``starts_at_rest``, xpbd starts in its own rest state.
     """
     begin, reason, error = context.begin, "", None
     notices: list[Fault] = []
     if options.error is not None:
-        times = np.linspace(begin, max(context.last, begin), COMPARED)
-        progress = _by_motions(context.phase, begin, float(times[-1]))
+        times = np.linspace(begin, max(context.last, begin), COMPARISON_TIMES)
+        progress = _progress_by_motion(context.phase, begin, float(times[-1]))
         motion = simulate_springs(system, times, options, progress=progress)
         if motion.stats.status is not Status.OK:
             faults = [
@@ -204,26 +209,26 @@ def plan_springs(
         notices += motion.notices
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
-    choice = choose(system, options, check_options(options), begin, system.state)
-    if settled and choice.solver is Solver.XPBD:
-        rest = rest_of_xpbd(system, options, choice, begin)
-        system, choice = rest.system, rest.choice
-        notices += rest.notices
+    choice = choose_solver(system, options, check_options(options), begin, system.state)
+    if starts_at_rest and choice.solver is Solver.XPBD:
+        xpbd_rest = find_xpbd_rest(system, options, choice, begin)
+        system, choice = xpbd_rest.system, xpbd_rest.choice
+        notices += xpbd_rest.notices
     return SpringPlan(system, options, choice, reason or choice.reason, error, notices)
 
 
-def _by_motions(
+def _progress_by_motion(
     phase: Callable[[], Progress], begin: float, last: float
 ) -> Callable[[float], None]:
-    """Return a progress callback; a time that falls starts a new phase."""
-    span, before, tell = max(last - begin, 1e-9), math.inf, None
+    """Return a progress callback; a time that decreases starts a new phase."""
+    span, previous_time, report = max(last - begin, 1e-9), math.inf, None
 
-    def show(t: float) -> None:
-        nonlocal before, tell
-        if t < before:
-            tell = phase()
-        before = t
-        if tell is not None:
-            tell((t - begin) / span)
+    def report_time(t: float) -> None:
+        nonlocal previous_time, report
+        if t < previous_time:
+            report = phase()
+        previous_time = t
+        if report is not None:
+            report((t - begin) / span)
 
-    return show
+    return report_time

@@ -1,4 +1,4 @@
-"""Derivatives of spring accelerations, and bounds of their frequencies."""
+"""Jacobians of spring accelerations, and bounds of their frequencies."""
 
 from __future__ import annotations
 
@@ -12,92 +12,95 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.sim.system import Matrix
 from animtool.systems.springs.body import Paths, SpringForces, Springs
 
-# Step of finite differences of air forces, relative to lengths or speeds.
-NUDGE = 1e-5
+# Finite difference step of air forces, relative to lengths or speeds [1].
+DIFFERENCE_STEP = 1e-5
 # Derivative blocks of forces: row and column particles ``(B,)``, by positions and by
 # velocities ``(B, 3, 3)``.
 _Blocks: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
-def fastest(loads: SpringForces) -> FloatArray | None:
-    """Return bounds of the fastest modes (ω, ζ) ``(2, 2)``; None without springs.
+def mode_bounds(forces: SpringForces) -> FloatArray | None:
+    """Return upper bounds of the fastest modes (ω, ζ) ``(2, 2)``; None without springs.
 
     By Gershgorin, eigenvalues of the stiffness over √(m m') are at most the largest row
     sum, with all springs of a particle taken as parallel; likewise for the damping. The
     first mode has all of the damping, the second only the drag.
     """
-    stiffest = _largest_row_sum(
-        loads, loads.springs.stiffness, loads.target_springs.stiffness
+    max_stiffness = _largest_row_sum(
+        forces, forces.springs.stiffness, forces.target_springs.stiffness
     )
-    if stiffest == 0:
+    if max_stiffness == 0:
         return None
     damping = _largest_row_sum(
-        loads, loads.springs.damping, loads.target_springs.damping
+        forces, forces.springs.damping, forces.target_springs.damping
     )
-    damping += float(loads.drags.max(initial=0.0))
-    omega = float(np.sqrt(stiffest))
-    min_drag = float(loads.drags.min(initial=0.0))
+    damping += float(forces.drags.max(initial=0.0))
+    omega = float(np.sqrt(max_stiffness))
+    min_drag = float(forces.drags.min(initial=0.0))
     return np.array([[omega, damping / (2 * omega)], [omega, min_drag / (2 * omega)]])
 
 
 def _largest_row_sum(
-    loads: SpringForces, spring_values: FloatArray, target_values: FloatArray
+    forces: SpringForces, spring_values: FloatArray, target_values: FloatArray
 ) -> float:
-    weights = loads.inverse_masses
-    first, second = loads.springs.ends.T
+    """Return the largest row sum of a mass-weighted spring matrix."""
+    weights = forces.inverse_masses
+    first, second = forces.springs.ends.T
     geometric_means = np.sqrt(weights[first] * weights[second])
     rows = np.zeros(len(weights))
     np.add.at(rows, first, spring_values * (weights[first] + geometric_means))
     np.add.at(rows, second, spring_values * (weights[second] + geometric_means))
-    targets = loads.target_springs.particles
+    targets = forces.target_springs.particles
     np.add.at(rows, targets, target_values * weights[targets])
     return float(rows.max(initial=0.0))
 
 
-def slopes(
-    loads: SpringForces,
+def acceleration_jacobians(
+    forces: SpringForces,
     masses: FloatArray,
     wind: FloatArray,
     x: FloatArray,
     v: FloatArray,
 ) -> Iterator[Matrix]:
-    """Yield derivatives of accelerations by positions, then by velocities, sparse.
+    """Yield sparse Jacobians of accelerations by positions, then by velocities.
 
     Derivatives of springs, targets and drag are exact, those of air are differences.
     Masses ``(N,)`` [kg] are 0 for pinned particles; the wind is ``(1, 3)`` [m/s].
     """
     from scipy.sparse import coo_array
 
-    per_block = zip(*_blocks(loads, masses, wind, x, v), strict=True)
-    rows, columns, by_x, by_v = map(np.concatenate, per_block)
+    columns_of_blocks = zip(*_blocks(forces, masses, wind, x, v), strict=True)
+    rows, columns, by_x, by_v = map(np.concatenate, columns_of_blocks)
     i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
                         (len(rows), 3, 3))  # fmt: skip
     j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
     for blocks in (by_x, by_v):
-        values = loads.inverse_masses[rows][:, None, None] * blocks
+        values = forces.inverse_masses[rows][:, None, None] * blocks
         indices = (i.ravel(), j.ravel())
         yield coo_array((values.ravel(), indices), shape=(x.size, x.size)).tocsc()
 
 
 def _blocks(
-    loads: SpringForces,
+    forces: SpringForces,
     masses: FloatArray,
     wind: FloatArray,
     x: FloatArray,
     v: FloatArray,
 ) -> Iterator[_Blocks]:
+    """Yield Jacobian blocks of springs, targets, drag and air."""
     eye, particles = np.eye(3), np.arange(len(x))
-    yield from _spring_blocks(loads.springs, x, v)
-    targets, *numbers = loads.target_springs
+    yield from _spring_blocks(forces.springs, x, v)
+    targets, *numbers = forces.target_springs
     stiffness, damping = (values[:, None, None] for values in numbers)
     yield targets, targets, -stiffness * eye, -damping * eye
-    drags = (loads.drags * masses)[:, None, None]
+    drags = (forces.drags * masses)[:, None, None]
     yield particles, particles, np.zeros((len(x), 3, 3)), -drags * eye
-    if any(loads.pressures):
-        yield from _air_blocks(loads, wind, x, v)
+    if any(forces.air_coefficients):
+        yield from _air_blocks(forces, wind, x, v)
 
 
 def _spring_blocks(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blocks]:
+    """Yield Jacobian blocks of springs."""
     first, second = springs.ends.T
     d, e = x[second] - x[first], v[second] - v[first]
     square = (d * d).sum(axis=1)
@@ -119,13 +122,19 @@ def _spring_blocks(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_
 
 
 def _air_blocks(
-    loads: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
+    forces: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
 ) -> Iterator[_Blocks]:
-    triangles, no_paths = loads.triangles, np.zeros((1, 0, 3))
-    ones, zeros = np.ones(triangles.size), np.zeros(triangles.size)
+    """Yield Jacobian blocks of air forces, by finite differences."""
+    triangles, no_paths = forces.triangles, np.zeros((1, 0, 3))
+    unit_masses, no_drags = np.ones(triangles.size), np.zeros(triangles.size)
     faces = np.arange(triangles.size).reshape(-1, 3)
     separate_forces = SpringForces(
-        ones, zeros, Springs.none(), faces, np.zeros(3), loads.pressures
+        unit_masses,
+        no_drags,
+        Springs.none(),
+        faces,
+        np.zeros(3),
+        forces.air_coefficients,
     )
     network = separate_forces.network(
         Paths(np.zeros(1), no_paths, no_paths, wind[None])
@@ -144,20 +153,22 @@ def _air_blocks(
 def _finite_differences(
     network: _kernels.SpringNetwork, state: FloatArray, variable: int, corner: int
 ) -> FloatArray:
-    """Return derivatives of corner forces by one corner's position or velocity.
+    """Return derivatives of corner forces by the position or velocity of a corner.
 
     ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
     """
-    untorn = np.zeros(0, np.uint8)
-    increment = NUDGE * max(float(np.abs(state[variable]).max(initial=0.0)), 1e-3)
+    untorn_flags = np.zeros(0, np.uint8)
+    increment = DIFFERENCE_STEP * max(
+        float(np.abs(state[variable]).max(initial=0.0)), 1e-3
+    )
     columns = []
     for k in range(3):
         values = []
         for sign in (1.0, -1.0):
-            nudged = state.copy()
-            nudged[variable, corner::3, k] += sign * increment
+            shifted = state.copy()
+            shifted[variable, corner::3, k] += sign * increment
             values.append(
-                _kernels.spring_accelerations(network, 0.0, 1.0, nudged, untorn)
+                _kernels.spring_accelerations(network, 0.0, 1.0, shifted, untorn_flags)
             )
         columns.append((values[0] - values[1]) / (2 * increment))
     return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)

@@ -1,4 +1,4 @@
-"""Choice of a solver, and its advance over cells of time."""
+"""Solvers of springs: their choice, and their advance over cells of time."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.ties import BodyTies, TiedCell
 
-# Shortest step of xpbd [s], and of xpbd chosen by auto, which also has to limit strain
-# with self-contact.
-SHORTEST, SHORTEST_OF_AUTO = 1 / 61440, 1 / 983040
-# Largest number of steps in a long cell.
-LONG_CELL = 131072
+# Shortest step of xpbd [s], and of xpbd chosen by auto, which must also limit strain
+# with self-contact [s].
+MIN_STEP, MIN_AUTO_STEP = 1 / 61440, 1 / 983040
+# Largest number of xpbd steps in a cell.
+MAX_CELL_STEPS = 131072
 # Newton tolerance of implicit steps, relative to the mean spring length.
-SOLVED = 1e-6
-# The same with pins on bodies, which feel the residual times a stiffness [1].
-TIED = 1e-11
-# Rotation of bodies per part of a cell [rad], and most parts of a cell.
-MAX_ANGLE, MAX_PARTS = 0.125, 16
+NEWTON_TOLERANCE = 1e-6
+# The same with pins on bodies: a residual times a stiffness acts on the body [1].
+TIED_TOLERANCE = 1e-11
+# Largest rotation of bodies in a subcell [rad], and most subcells of a cell.
+MAX_ANGLE, MAX_SUBCELLS = 0.125, 16
 # Refinement factors tried for an unsolved cell, and the safety factor of the proposed
 # step.
-SHORTER, ROOM = (2, 4, 8, 16), 4
+REFINEMENTS, STEP_SAFETY = (2, 4, 8, 16), 4
 # Default cell [s]: frames at 24, 30, 48, 60 and 120 per second are multiples of it.
 CELL = 1 / 240
 # Safety factor of the explicit step limit.
-SAFE = 0.8
-# Compute time per second of motion below which explicit steps are always chosen [s].
-LITTLE = 0.03
-# Explicit step rate above which implicit solves lose precision in float64.
-SOLVABLE = 1e9
-# Initial steps per cell.
-FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
+STEP_SAFETY_FACTOR = 0.8
+# Compute time per second of motion below which explicit steps are always used [s].
+CHEAP_TIME = 0.03
+# Explicit step rate above which implicit solves lose precision in float64 [1/s].
+MAX_SOLVABLE_RATE = 1e9
+# Initial steps per cell of time.
+INITIAL_SUBSTEPS = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 # Time of a step per spring of a 20 by 20 sheet [s], on one core of a server of 2024
 # (tests/bench/results/sim_springs.csv). With few springs the cost per spring is higher
 # in all solvers alike; only the ratio matters.
-COSTS = {
+STEP_COSTS = {
     # Forces of neighbouring springs are computed four at a time.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
     # Newton corrections of about ten matrix products each; more for stiff systems, see
@@ -65,18 +65,18 @@ COSTS = {
 # The same for chains, which are solved directly [s].
 CHAIN_COST = 500e-9
 # Largest index distance of spring ends in a chain; the kernels use the same limit.
-WIDEST_CHAIN = 4
+MAX_CHAIN_BANDWIDTH = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """A solver and its steps."""
+class SolverChoice:
+    """A solver with its cells and steps."""
 
     solver: Solver  # not `Solver.AUTO`
-    cell: float  # of time [s]
+    cell: float  # length of a cell of time [s]
     substeps: int  # steps in a cell
-    reason: str  # why, in words
-    limit: float  # the largest stable step of semi-implicit Euler [s]
+    reason: str  # why this solver, in words
+    limit: float  # largest stable step of semi-implicit Euler [s]
 
 
 def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
@@ -88,30 +88,30 @@ def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
     return math.inf if limit is None else limit
 
 
-def choose(
+def choose_solver(
     system: SpringSystem,
     options: SpringOptions,
     requested: Solver,
     t: float,
     state: FloatArray,
-) -> Choice:
-    """Return the requested solver, or the one expected to be fastest."""
+) -> SolverChoice:
+    """Return the requested solver with its steps; for ``auto``, the fastest."""
     limit = explicit_limit(system, t, state)
-    rate = 1 / (SAFE * limit) if limit > 0 else math.inf
+    rate = 1 / (STEP_SAFETY_FACTOR * limit) if limit > 0 else math.inf
     solver, reason = requested, "it was requested"
     if system.self_contact is not None:
         check_supports_self_contact(requested)
         if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it has self-contact"
     elif system.ties is not None:
-        return tied_choice(system.ties, options, requested, t, limit)
+        return choose_tied_solver(system.ties, options, requested, t, limit)
     elif requested is Solver.AUTO:
-        solver, reason = _cheapest(system, options, rate)
+        solver, reason = _choose_cheapest(system, options, rate)
     if options.step is not None:
         steps = 1
         if requested is Solver.AUTO and solver is Solver.SYMPLECTIC_EULER:
             steps = max(1, math.ceil(options.step * rate))
-        return Choice(solver, options.step, steps, reason, limit)
+        return SolverChoice(solver, options.step, steps, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
         max_rate = MAX_SUBSTEPS / CELL
         if rate > max_rate:
@@ -123,35 +123,37 @@ def choose(
             fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
             raise OptionError(fault)
         steps = max(1, math.ceil(CELL * rate))
-        return Choice(solver, CELL, steps, reason, limit)
-    return Choice(solver, CELL, FIRST[solver], reason, limit)
+        return SolverChoice(solver, CELL, steps, reason, limit)
+    return SolverChoice(solver, CELL, INITIAL_SUBSTEPS[solver], reason, limit)
 
 
-def tied_choice(
+def choose_tied_solver(
     ties: BodyTies,
     options: SpringOptions,
     requested: Solver,
     begin: float,
     limit: float,
-) -> Choice:
-    """Return a solver whose cells align with the steps of the pins' bodies."""
+) -> SolverChoice:
+    """Return a solver whose cells align with the steps of bodies that carry pins."""
     solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
         solver, reason = Solver.BDF2, "rigid bodies hold its pins"
     lengths = sorted({carrier.step for carrier in ties.carriers})
-    longest = lengths[-1]
-    cell = longest
-    substeps = max(FIRST[solver], math.ceil(cell / CELL * FIRST[solver]))
+    max_length = lengths[-1]
+    cell = max_length
+    substeps = max(
+        INITIAL_SUBSTEPS[solver], math.ceil(cell / CELL * INITIAL_SUBSTEPS[solver])
+    )
     if options.step is not None:
-        cell = max(options.step, longest)
+        cell = max(options.step, max_length)
         substeps = max(1, round(cell / options.step))
-    fits = all(_is_integer(cell / length) for length in lengths)
-    fits &= options.step is None or _is_integer(cell / options.step)
-    if not fits:
-        bodies = " and ".join(f"{length:g}" for length in lengths)
+    is_aligned = all(_is_integer(cell / length) for length in lengths)
+    is_aligned &= options.step is None or _is_integer(cell / options.step)
+    if not is_aligned:
+        lengths_text = " and ".join(f"{length:g}" for length in lengths)
         message = f"steps of {options.step or cell:g} s and those of the bodies that "
-        message += f"hold its pins, of {bodies} s, do not end together"
-        hint = f"use step: {longest:g}, a multiple of it, or a fraction"
+        message += f"hold its pins, of {lengths_text} s, do not end together"
+        hint = f"use step: {max_length:g}, a multiple of it, or a fraction"
         raise OptionError(Fault("SIM164", message, where="step", hint=hint))
     for carrier in ties.carriers:
         if carrier.begin > begin or not _is_integer((begin - carrier.begin) / cell):
@@ -159,7 +161,7 @@ def tied_choice(
             message += f"at {carrier.begin:g} s"
             hint = "give both the same preroll"
             raise OptionError(Fault("SIM164", message, where="preroll", hint=hint))
-    return Choice(solver, cell, substeps, reason, limit)
+    return SolverChoice(solver, cell, substeps, reason, limit)
 
 
 def _is_integer(ratio: float) -> bool:
@@ -167,19 +169,19 @@ def _is_integer(ratio: float) -> bool:
     return abs(ratio - round(ratio)) <= 1e-9 * max(1.0, abs(ratio))
 
 
-def implicit_cost(system: SpringSystem, ratio: float) -> float:
-    """Return the time of a bdf2 step per spring [s].
+def bdf2_step_cost(system: SpringSystem, ratio: float) -> float:
+    """Return the compute time of a bdf2 step per spring [s].
 
     The ratio is the number of semi-implicit Euler steps that one step replaces: matrix
     products grow with its square root.
     """
     bandwidth = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
-    if bandwidth <= WIDEST_CHAIN:
+    if bandwidth <= MAX_CHAIN_BANDWIDTH:
         return CHAIN_COST
-    return COSTS[Solver.BDF2] * math.sqrt(max(ratio, 1.0))
+    return STEP_COSTS[Solver.BDF2] * math.sqrt(max(ratio, 1.0))
 
 
-def _cheapest(
+def _choose_cheapest(
     system: SpringSystem, options: SpringOptions, rate: float
 ) -> tuple[Solver, str]:
     """Return the second-order solver that is expected to be fastest, and why.
@@ -189,28 +191,31 @@ def _cheapest(
     as stability needs. With an error tolerance, bdf2 steps count at their lowest cost.
     """
     step = options.step
-    limits = f"symplectic_euler is stable from {rate:.0f} steps per second"
+    stability_text = f"symplectic_euler is stable from {rate:.0f} steps per second"
     cell = CELL if step is None else step
-    steps = FIRST[Solver.BDF2] / CELL if step is None else 1 / step
-    if rate > SOLVABLE:
-        return Solver.XPBD, f"{limits}, and bdf2 converges with no step"
+    steps = INITIAL_SUBSTEPS[Solver.BDF2] / CELL if step is None else 1 / step
+    if rate > MAX_SOLVABLE_RATE:
+        return Solver.XPBD, f"{stability_text}, and bdf2 converges with no step"
     if math.ceil(cell * rate) > MAX_SUBSTEPS:
-        return Solver.BDF2, f"{limits}, which are too many"
-    explicit = max(rate, 1 / cell) * COSTS[Solver.SYMPLECTIC_EULER]
+        return Solver.BDF2, f"{stability_text}, which are too many"
+    explicit_cost = max(rate, 1 / cell) * STEP_COSTS[Solver.SYMPLECTIC_EULER]
     ratio = rate / steps if options.error is None else 1.0
-    implicit = steps * implicit_cost(system, ratio)
+    implicit_cost = steps * bdf2_step_cost(system, ratio)
     alternative = f"about {steps:.0f} of {Solver.BDF2}"
-    if explicit * len(system.body.springs.rest) <= LITTLE:
+    if explicit_cost * len(system.body.springs.rest) <= CHEAP_TIME:
         cost_text = "little time"
-    elif explicit <= implicit:
+    elif explicit_cost <= implicit_cost:
         cost_text = f"less time than {alternative}"
     else:
-        comparison = f"{alternative} takes {implicit / explicit:.0%} of their time"
-        return Solver.BDF2, f"{limits}, and {comparison}"
-    return Solver.SYMPLECTIC_EULER, f"{limits}, which take {cost_text}"
+        comparison = (
+            f"{alternative} takes {implicit_cost / explicit_cost:.0%} of their time"
+        )
+        return Solver.BDF2, f"{stability_text}, and {comparison}"
+    return Solver.SYMPLECTIC_EULER, f"{stability_text}, which take {cost_text}"
 
 
-def _colliders_over(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
+def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
+    """Return kernel arguments of colliders over the next cells."""
     cells = Cells(grid.origin, grid.cell, grid.index, count)
     return cell_colliders(system.colliders, system.radius, cells)
 
@@ -218,201 +223,226 @@ def _colliders_over(system: SpringSystem, grid: TimeGrid, count: int) -> CellCol
 def advance(
     system: SpringSystem, options: SpringOptions, grid: TimeGrid, cells: int
 ) -> TimeGrid:
-    """Advance a motion by some cells."""
+    """Advance a motion by some cells with the solver of the grid."""
     if system.ties is not None and cells:
         return _advance_tied(system, grid, system.ties)
-    network = system.network(system.jumps.stage_of(grid))
-    colliders = _colliders_over(system, grid, cells)
+    network = system.network(system.teleports.cell_stage(grid))
+    colliders = _cell_colliders(system, grid, cells)
     if grid.solver is Solver.SYMPLECTIC_EULER:
-        return _explicit(network, grid, cells, colliders)
+        return _advance_explicit(network, grid, cells, colliders)
     if grid.solver is Solver.XPBD:
-        shortest = SHORTEST_OF_AUTO if options.solver == Solver.AUTO else SHORTEST
-        max_steps = int(min(grid.cell / shortest, LONG_CELL))
-        return projected(
-            network, grid, cells, colliders, system.layers, options.stretch, max_steps
+        shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
+        max_steps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
+        return advance_xpbd(
+            network,
+            grid,
+            cells,
+            colliders,
+            system.kernel_self_contact,
+            options.stretch,
+            max_steps,
         )
-    return _implicit(network, grid, cells, colliders, SOLVED * system.spacing)
+    return _advance_implicit(
+        network, grid, cells, colliders, NEWTON_TOLERANCE * system.spacing
+    )
 
 
-def _explicit(
+def _advance_explicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
     cells: int,
     colliders: CellColliders,
 ) -> TimeGrid:
+    """Advance a motion by some cells of semi-implicit Euler."""
     state = grid.state
     motion, torn, inside, pushes = _kernels.step_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
         state.substeps, colliders,
     )  # fmt: skip
     after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
-    return grid.crossed(cells, after, steps, steps, inside, pushes)
+    return grid.advanced(cells, after, steps, steps, inside, pushes)
 
 
-def projected(
+def advance_xpbd(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
     cells: int,
-    met: CellColliders,
+    colliders: CellColliders,
     layers: _kernels.SpringLayers | None,
     stretch: float,
-    most: int,
+    max_substeps: int,
     limit: float = 0.0,
 ) -> TimeGrid:
     """Advance a motion by some cells in steps of xpbd.
 
     A cell whose springs are strained beyond the stretch [1] and their compliance is
-    repeated with more steps, up to ``most``. A ``limit`` above 0 clamps the strain of
-    stiff springs in each step [1].
+    repeated with more steps, up to ``max_substeps``. A ``limit`` above 0 clamps the
+    strain of stiff springs in each step [1].
     """
     state = grid.state
     (
-        motion, torn, substeps, calm, longest, steps, touched, inside, passages,
-        through, pushes,
+        motion, torn, substeps, calm, excess_strain, steps, contact_count, inside,
+        passages, piercing, pushes,
     ) = _kernels.project_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, state.calm, state.least, max(state.least, most), stretch, met,
-        layers, state.passages, limit,
+        state.substeps, state.calm, state.least, max(state.least, max_substeps),
+        stretch, colliders, layers, state.passages, limit,
     )  # fmt: skip
     after = SpringState(
         motion, torn, substeps, state.least, calm, state.before, passages
     )
     return replace(
-        grid.crossed(cells, after, steps, steps, inside, pushes),
-        through=grid.through.with_more(Piercing(*through)),
-        stretch=max(grid.stretch, longest),
-        touching=max(grid.touching, touched),
+        grid.advanced(cells, after, steps, steps, inside, pushes),
+        piercing=grid.piercing.maximum(Piercing(*piercing)),
+        stretch=max(grid.stretch, excess_strain),
+        max_contacts=max(grid.max_contacts, contact_count),
     )
 
 
-def followed(
+def advance_strands(
     strands: _kernels.SpringStrands,
     grid: TimeGrid,
     path: FloatArray,
     span: float,
-    met: CellColliders,
-    own: tuple[int, int],
+    colliders: CellColliders,
+    character_colliders: tuple[int, int],
     threads: int,
 ) -> TimeGrid:
     """Advance strands of equal masses by a span [s], each solved directly.
 
     They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
-    collide with rigid colliders too, except ``own``: first index and count.
+    collide with rigid colliders too, except ``character_colliders``: first index and
+    count.
     """
     state, cells = grid.state, len(path) - 1
-    motion, touched, inside, strain = _kernels.follow_strands(
-        strands, path, state.motion, span, state.substeps, met, threads, own
+    motion, contact_count, inside, strain = _kernels.follow_strands(
+        strands,
+        path,
+        state.motion,
+        span,
+        state.substeps,
+        colliders,
+        threads,
+        character_colliders,
     )
     steps, after = cells * state.substeps, replace(state, motion=motion)
     return replace(
-        grid.crossed(cells, after, steps, steps, inside, grid.pushes),
+        grid.advanced(cells, after, steps, steps, inside, grid.pushes),
         stretch=max(grid.stretch, strain),
-        touching=max(grid.touching, touched),
+        max_contacts=max(grid.max_contacts, contact_count),
     )
 
 
 def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
     """Advance a motion by a cell together with the bodies that carry its pins.
 
-    The cell is split into parts if bodies rotate fast or no solution is found.
+    The cell is split into subcells if bodies rotate fast or no solution is found.
     """
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    steps = [carrier.over(t0, t1) for carrier in ties.carriers]
-    angle, parts = max(step.angle for step in steps), 1
-    while parts < MAX_PARTS and angle > MAX_ANGLE * parts:
-        parts *= 2
+    steps = [carrier.step_over(t0, t1) for carrier in ties.carriers]
+    angle, subcells = max(step.max_angle for step in steps), 1
+    while subcells < MAX_SUBCELLS and angle > MAX_ANGLE * subcells:
+        subcells *= 2
     while True:
-        after = _advance_in_parts(system, grid, ties, steps, parts)
-        if not after.lost or parts >= MAX_PARTS:
+        after = _advance_in_subcells(system, grid, ties, steps, subcells)
+        if not after.lost or subcells >= MAX_SUBCELLS:
             return replace(after, origin=grid.origin, cell=grid.cell,
                            index=grid.index + 1)  # fmt: skip
-        parts *= 2
+        subcells *= 2
 
 
-def working_step(system: SpringSystem, grid: TimeGrid) -> float | None:
-    """Return a step that solves a failed cell with a safety factor, or None [s].
+def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
+    """Return a step that solves a failed cell, with a safety factor [s]; None if none.
 
     With pins on bodies it is a step of the bodies.
     """
     ties, state = system.ties, grid.state
     if ties is not None:
         t1 = grid.origin + (grid.index + 1) * grid.cell
-        steps = [carrier.over(grid.time, t1) for carrier in ties.carriers]
-        for k in SHORTER:
-            if not _advance_in_parts(system, grid, ties, steps, k * MAX_PARTS).lost:
-                return min(carrier.step for carrier in ties.carriers) / (ROOM * k)
+        steps = [carrier.step_over(grid.time, t1) for carrier in ties.carriers]
+        for k in REFINEMENTS:
+            if not _advance_in_subcells(
+                system, grid, ties, steps, k * MAX_SUBCELLS
+            ).lost:
+                return min(carrier.step for carrier in ties.carriers) / (
+                    STEP_SAFETY * k
+                )
         return None
-    colliders = _colliders_over(system, grid, 1)
-    network, size = system.network(system.jumps.stage_of(grid)), system.spacing
-    for k in SHORTER:
+    colliders = _cell_colliders(system, grid, 1)
+    network, spacing = system.network(system.teleports.cell_stage(grid)), system.spacing
+    for k in REFINEMENTS:
         fine_state = replace(state, substeps=k * state.substeps, before=None)
         trial = replace(grid, state=fine_state)
-        if not _implicit(network, trial, 1, colliders, SOLVED * size).lost:
-            return grid.cell / (ROOM * fine_state.substeps)
+        if not _advance_implicit(
+            network, trial, 1, colliders, NEWTON_TOLERANCE * spacing
+        ).lost:
+            return grid.cell / (STEP_SAFETY * fine_state.substeps)
     return None
 
 
-def _advance_in_parts(
+def _advance_in_subcells(
     system: SpringSystem,
     grid: TimeGrid,
     ties: BodyTies,
     steps: Sequence[TiedStep],
-    parts: int,
+    subcells: int,
 ) -> TimeGrid:
-    """Advance a motion by a cell in parts, with the bodies after each part."""
-    if parts == 1:
-        return _advance_part(system, grid, ties, steps)[0]
-    start_state, count = grid.state, -(-grid.state.substeps // parts)
-    if count * parts != start_state.substeps:
+    """Advance a motion by a cell in subcells, with the bodies after each of them."""
+    if subcells == 1:
+        return _advance_subcell(system, grid, ties, steps)[0]
+    start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
+    if substeps * subcells != start_state.substeps:
         start_state = replace(start_state, before=None)
-    state = replace(start_state, substeps=count)
+    state = replace(start_state, substeps=substeps)
     current = replace(
-        grid, origin=grid.time, cell=grid.cell / parts, index=0, state=state
+        grid, origin=grid.time, cell=grid.cell / subcells, index=0, state=state
     )
-    bodies, pushes = [step.begun for step in steps], []
-    for _ in range(parts):
-        part_steps = [
-            step.part(state, current.time, current.cell)
+    bodies, pushes = [step.start_state for step in steps], []
+    for _ in range(subcells):
+        subcell_steps = [
+            step.subcell(state, current.time, current.cell)
             for step, state in zip(steps, bodies, strict=True)
         ]
-        current, bodies = _advance_part(system, current, ties, part_steps)
+        current, bodies = _advance_subcell(system, current, ties, subcell_steps)
         pushes.append(current.pushes)
         if current.lost:
             break
     body_results = [
-        step.leading_to(state) for step, state in zip(steps, bodies, strict=True)
+        step.push_to(state) for step, state in zip(steps, bodies, strict=True)
     ]
     total_push = np.sum(pushes, axis=0)
     total_push[:, 6] = np.max(pushes, axis=0)[:, 6]
     end_state = replace(current.state, substeps=grid.state.substeps)
-    if count * parts != end_state.substeps:
+    if substeps * subcells != end_state.substeps:
         end_state = replace(end_state, before=None)
     return replace(
         current, state=end_state, tied=tuple(body_results), pushes=total_push
     )
 
 
-def _advance_part(
+def _advance_subcell(
     system: SpringSystem, grid: TimeGrid, ties: BodyTies, steps: Sequence[TiedStep]
 ) -> tuple[TimeGrid, list[Any]]:
-    """Return the grid a cell later, and the states of the bodies."""
+    """Advance springs and bodies by a cell; return the grid and body states."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
-    stage = system.jumps.stage_of(grid)
+    stage = system.teleports.cell_stage(grid)
     network, pinned, targets = system.cell_network(stage, t0, t1)
-    colliders = _colliders_over(system, grid, 1)
+    colliders = _cell_colliders(system, grid, 1)
     columns = np.concatenate([tie.columns for tie in ties.ties])
     fraction = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
 
-    def cross(begins: FloatArray, ends: FloatArray) -> Pulled:
+    def solve_springs(begins: FloatArray, ends: FloatArray) -> PulledGrid:
         pinned[:, columns] = begins + fraction * (ends - begins)
         network.set_paths(pinned, targets)
-        return _solve_with_pulls(network, grid, colliders, TIED * ties.size)
+        return _solve_with_pulls(
+            network, grid, colliders, TIED_TOLERANCE * ties.spring_length
+        )
 
-    solution = TiedCell(ties, steps).cross(cross, grid.state.known)
-    result: Pulled = solution.crossed
-    state = replace(result.grid.state, known=solution.known)
+    solution = TiedCell(ties, steps).solve(solve_springs, grid.state.known)
+    result: PulledGrid = solution.springs_result
+    state = replace(result.grid.state, known=solution.warm_start)
     bodies = [
-        step.pulled(wrenches)[0]
+        step.pushed(wrenches)[0]
         for step, wrenches in zip(steps, solution.wrenches, strict=True)
     ]
     end_grid = replace(
@@ -422,8 +452,8 @@ def _advance_part(
 
 
 @dataclass(slots=True)
-class Pulled:
-    """A grid after a cell, and impulses on pinned particles."""
+class PulledGrid:
+    """A grid after a cell, with impulses on pinned particles."""
 
     grid: TimeGrid
     pulls: FloatArray  # impulses and moments about the origin ``(H, 6)``
@@ -435,7 +465,8 @@ def _solve_with_pulls(
     grid: TimeGrid,
     colliders: CellColliders,
     tolerance: float,
-) -> Pulled:
+) -> PulledGrid:
+    """Return the grid a cell later, and impulses on pinned particles."""
     state = grid.state
     (
         motion, before, has_previous, torn, steps, corrections, unsolved, inside,
@@ -449,20 +480,22 @@ def _solve_with_pulls(
         state, motion=motion, before=before if has_previous else None,
         torn=torn, pulls=pulls[1],
     )  # fmt: skip
-    end_grid = grid.crossed(1, after, steps, corrections, inside, pushes)
-    return Pulled(end_grid, pulls[0], unsolved > 0)
+    end_grid = grid.advanced(1, after, steps, corrections, inside, pushes)
+    return PulledGrid(end_grid, pulls[0], unsolved > 0)
 
 
-def _implicit(
+def _advance_implicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
     cells: int,
     colliders: CellColliders,
     tolerance: float,
 ) -> TimeGrid:
+    """Advance a motion by some cells of bdf2 or implicit Euler."""
     state = grid.state
     (
-        motion, before, has_previous, torn, steps, corrections, lost, inside, pushes, _,
+        motion, before, has_previous, torn, steps, corrections, unsolved, inside,
+        pushes, _,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
         grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance,
@@ -471,5 +504,5 @@ def _implicit(
     after = replace(
         state, motion=motion, before=before if has_previous else None, torn=torn
     )
-    end_grid = grid.crossed(cells, after, steps, corrections, inside, pushes)
-    return replace(end_grid, lost=lost > 0)
+    end_grid = grid.advanced(cells, after, steps, corrections, inside, pushes)
+    return replace(end_grid, lost=unsolved > 0)

@@ -1,4 +1,4 @@
-"""The keys of ropes, strands, cloth and volumes in a scene file, as models."""
+"""Models of the scene keys of ropes, strands, cloth and volumes."""
 
 from __future__ import annotations
 
@@ -35,10 +35,17 @@ from animtool.systems.framework.fields import (
 from animtool.systems.framework.spec import CollidingSpec
 from animtool.systems.springs import Air, Family, SelfContact, SpringOptions
 
-# Keys that joined systems share.
-_OPTIONS = ("solver", "step", "error", "stretch")
-_OTHERS = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
-_SHARED = (*_OPTIONS, *_OTHERS, "save_at", "resume")
+# Keys that apply to all systems of a joined group.
+_SOLVER_KEYS = ("solver", "step", "error", "stretch")
+_SIMULATION_KEYS = (
+    "gravity",
+    "radius",
+    "speed_limit",
+    "self_contact",
+    "preroll",
+    "settle",
+)
+_SHARED_KEYS = (*_SOLVER_KEYS, *_SIMULATION_KEYS, "save_at", "resume")
 
 
 @with_fields(SelfContact, "thickness", "friction", "speed", ranges="schema")
@@ -213,7 +220,7 @@ FaceWindField = Annotated[
 ]
 
 
-@with_fields(SpringOptions, *_OPTIONS)
+@with_fields(SpringOptions, *_SOLVER_KEYS)
 class SolvedModel(CollidingSpec):
     """Keys of systems with a solver."""
 
@@ -258,30 +265,30 @@ class SpringsModel(SolvedModel):
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
         """Return particles, springs and pins, and all faults."""
         # Loaded by name, as the module imports these models.
-        read: Any = load_object("animtool.systems.springs.entry:read_entry")
-        built: tuple[Any, Sequence[Fault]] = read(self, parts)
-        return built
+        read_record: Any = load_object("animtool.systems.springs.entry:read_entry")
+        result: tuple[Any, Sequence[Fault]] = read_record(self, parts)
+        return result
 
     def shared(self, *, meets: bool = True) -> Mapping[str, Any]:
-        """Return keys that apply to all joined systems; the radius if any collides."""
+        """Return the keys that apply to all joined systems."""
         wind = ("wind",) if isinstance(self.air, FaceWindModel) else ()
-        stated = self.model_fields_set - (set() if meets else {"radius"})
-        names = [name for name in (*_SHARED, *wind) if name in stated]
+        specified_keys = self.model_fields_set - (set() if meets else {"radius"})
+        names = [name for name in (*_SHARED_KEYS, *wind) if name in specified_keys]
         return {name: getattr(self, name) for name in names}
 
     @property
     def options(self) -> SpringOptions:
-        """The solver and its steps."""
+        """Solver and steps."""
         return record_of(SpringOptions, self)
 
     @property
     def air(self) -> WindModel | None:
-        """Air that acts on particles or faces; None is calm air."""
+        """Wind on particles or faces; None without."""
         return getattr(self, "wind", None)
 
     @property
     def contact(self) -> SelfContact | None:
-        """Self-contact of the surface; None turns it off."""
+        """Settings of self-contact; None if it is off."""
         model: SelfContactModel | None = getattr(self, "self_contact", None)
         return None if model is None else record_of(SelfContact, model)
 

@@ -28,7 +28,7 @@ from animtool.systems.springs.body import (
     Paths,
     SpringForces,
     TargetSprings,
-    spring_layers,
+    kernel_self_contact,
 )
 from animtool.systems.springs.checks import (
     check_body,
@@ -42,22 +42,22 @@ from animtool.systems.springs.paths import (
     Pins,
     PointTargets,
     Teleports,
-    over_knots,
+    max_speed_and_travel,
     position_at,
-    reach_of,
+    resample_to_shared_times,
 )
 from animtool.systems.springs.records import Air, SelfContact
-from animtool.systems.springs.slopes import fastest, slopes
+from animtool.systems.springs.slopes import acceleration_jacobians, mode_bounds
 from animtool.systems.springs.ties import BodyTies
 
 # Interval for estimating target velocities when no step is given [s].
-EPSILON_TIME = 1e-6
+TARGET_SPEED_INTERVAL = 1e-6
 # Most steps in one kernel call.
-AT_ONCE = 1 << 20
+MAX_STEPS_PER_CALL = 1 << 20
 
 
 class _Stage(NamedTuple):
-    """Pins and targets between two teleports."""
+    """Paths of pins and targets between two teleports, and the kernel network."""
 
     pins: Path
     targets: Path
@@ -71,8 +71,7 @@ class SpringSystem(SecondOrder):
     not at all if its ends coincide. Only `simulate_springs` tears springs.
 
     Attributes:
-        contacts: Contacts of the last step that `integrate` settled; None if there was
-            no such step.
+        contacts: Contacts of the last step of `integrate`; None before it.
 
     Args:
         body: Particles, springs and triangles.
@@ -122,10 +121,11 @@ class SpringSystem(SecondOrder):
     ) -> None:
         pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
         targets = targets or PointTargets((), np.zeros((0, 3)), 0.0)
-        self.pinned, pulled = (
-            np.asarray(ties.particles, np.int64).reshape(-1) for ties in (pins, targets)
+        self.pinned, target_particles = (
+            np.asarray(constraints.particles, np.int64).reshape(-1)
+            for constraints in (pins, targets)
         )
-        check_body(body, self.pinned, pulled)
+        check_body(body, self.pinned, target_particles)
         if not speed_limit > 0:
             message = f"speed_limit must be above 0, not {speed_limit:g}"
             raise OptionError(Fault("SIM004", message, where="speed_limit"))
@@ -137,39 +137,44 @@ class SpringSystem(SecondOrder):
         self.drag = float(drag)
         self.resistance = np.broadcast_to(np.asarray(resistance, np.float64), count)
         # Air drag and lift per area and squared speed.
-        self.pressures = 0.5 * air.density * air.drag, 0.5 * air.density * air.lift
-        winds = np.asarray(air.wind, np.float64)[..., None, :]
-        self._wind_path = check_path("air", winds, air.times, 1)
+        self.air_coefficients = (
+            0.5 * air.density * air.drag,
+            0.5 * air.density * air.lift,
+        )
+        wind_velocities = np.asarray(air.wind, np.float64)[..., None, :]
+        self._wind_path = check_path("air", wind_velocities, air.times, 1)
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
         pinned_positions = (
             body.positions[self.pinned] if pins.positions is None else pins.positions
         )
         pin_path = check_path("pins", pinned_positions, pins.times, len(self.pinned))
         target_path = check_path(
-            "targets", targets.positions, targets.times, len(pulled)
+            "targets", targets.positions, targets.times, len(target_particles)
         )
         stiffness, damping = (
-            np.array(np.broadcast_to(value, pulled.shape), np.float64)
+            np.array(np.broadcast_to(value, target_particles.shape), np.float64)
             for value in (targets.stiffness, targets.damping)
         )
-        self.target_springs = TargetSprings(pulled, stiffness, damping)
-        holders = np.append(self.pinned, pulled)
+        self.target_springs = TargetSprings(target_particles, stiffness, damping)
+        driven_particles = np.append(self.pinned, target_particles)
         self._paths = (pin_path, target_path)
-        self.jumps = Teleports(body, holders, self._paths, speed_limit)
-        self._staged: tuple[int, _Stage] | None = None
+        self.teleports = Teleports(body, driven_particles, self._paths, speed_limit)
+        self._cached_stage: tuple[int, _Stage] | None = None
         self.contacts: Contacts | None = None
-        self.ties: BodyTies | None = None  # rigid bodies that carry pins
+        self.ties: BodyTies | None = None  # pins on rigid bodies
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
         self.radius, self.speed_limit = float(radius), float(speed_limit)
-        self._pins_move = len(pin_path[0]) > 1
+        self._has_moving_pins = len(pin_path[0]) > 1
         self.self_contact = self_contact
-        contact_rest = None if self_contact is None else self_contact.rest
-        rest_positions = body.positions if contact_rest is None else contact_rest
+        requested_rest = None if self_contact is None else self_contact.rest
+        rest_positions = body.positions if requested_rest is None else requested_rest
         self._rest = np.ascontiguousarray(rest_positions, np.float64)
-        self._collides = self.colliders.active or self_contact is not None
-        self.settles = self._pins_move or self._collides or len(self.jumps) > 0
+        self._has_contacts = self.colliders.active or self_contact is not None
+        self.settles = (
+            self._has_moving_pins or self._has_contacts or len(self.teleports) > 0
+        )
         speeds = np.zeros((count, 3)) if velocities is None else velocities
         self._state = np.stack(
             [body.positions, as_floats(speeds, (count, 3), "velocities")]
@@ -186,32 +191,40 @@ class SpringSystem(SecondOrder):
         """Return the kernel network of a stage between teleports."""
         return self._stage(stage).network
 
-    def lead(self, span: float, path: FloatArray) -> None:
-        """Set the paths of pins and targets over a span [s], linear between even times.
+    def set_paths(self, span: float, path: FloatArray) -> None:
+        """Replace the paths of pins and targets over a span [s].
 
-        ``path`` has the positions of all particles at these times ``(K, N, 3)`` [m].
+        ``path`` has positions of all particles at even times ``(K, N, 3)`` [m], between
+        which they are linear.
         """
         knots = np.linspace(0.0, span, len(path))
         pins, targets = (
-            (knots, np.ascontiguousarray(path[:, rows]))
-            for rows in (self.pinned, self.target_springs.particles)
+            (knots, np.ascontiguousarray(path[:, particles]))
+            for particles in (self.pinned, self.target_springs.particles)
         )
-        previous, self._paths = self._paths, (pins, targets)
-        if self._staged is None or not np.array_equal(previous[0][0], knots):
-            self._staged = None
+        previous_paths, self._paths = self._paths, (pins, targets)
+        if self._cached_stage is None or not np.array_equal(
+            previous_paths[0][0], knots
+        ):
+            self._cached_stage = None
             return
-        network = self._staged[1].network
+        network = self._cached_stage[1].network
         network.set_paths(pins[1], targets[1])
-        self._staged = 0, _Stage(pins, targets, network)
+        self._cached_stage = 0, _Stage(pins, targets, network)
 
-    def _stage(self, number: int) -> _Stage:
-        if self._staged is None or self._staged[0] != number:
-            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._paths
-            knots, paths = over_knots([pins, targets, self._wind_path])
-            springs = self.body.springs.select(self.order)
-            network = replace(self.loads, springs=springs).network(Paths(knots, *paths))
-            self._staged = number, _Stage(pins, targets, network)
-        return self._staged[1]
+    def _stage(self, index: int) -> _Stage:
+        """Return the paths and the kernel network of a stage, cached."""
+        if self._cached_stage is None or self._cached_stage[0] != index:
+            pins, targets = (
+                self.teleports.paths(index) if len(self.teleports) else self._paths
+            )
+            knots, paths = resample_to_shared_times([pins, targets, self._wind_path])
+            springs = self.body.springs.select(self.spring_order)
+            network = replace(self.forces, springs=springs).network(
+                Paths(knots, *paths)
+            )
+            self._cached_stage = index, _Stage(pins, targets, network)
+        return self._cached_stage[1]
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
         """Return both ends of a cell, and the path knots within it [s]."""
@@ -236,45 +249,45 @@ class SpringSystem(SecondOrder):
             np.array([position_at(path, t) for t in knots.tolist()])
             for path in (stage_paths.pins, stage_paths.targets, self._wind_path)
         )
-        springs = self.body.springs.select(self.order)
+        springs = self.body.springs.select(self.spring_order)
         paths = Paths(knots, pinned, targets, wind)
-        return replace(self.loads, springs=springs).network(paths), pinned, targets
+        return replace(self.forces, springs=springs).network(paths), pinned, targets
 
-    def faces_of(self, particles: IntArray) -> bool:
-        """Return whether particles have faces, which collide too."""
+    def has_faces(self, particles: IntArray) -> bool:
+        """Return whether any particles are corners of faces, which collide too."""
         return bool(np.isin(self.body.triangles, particles).any())
 
     @property
-    def loads(self) -> SpringForces:
-        """Forces on particles, with springs in body order."""
+    def forces(self) -> SpringForces:
+        """Properties that give the forces, with springs in body order."""
         return SpringForces(
             self.inverse_masses, self.drags, self.body.springs, self.body.triangles,
-            self.gravity, self.pressures, self.pinned, self.target_springs,
+            self.gravity, self.air_coefficients, self.pinned, self.target_springs,
         )  # fmt: skip
 
     @cached_property
-    def layers(self) -> _kernels.SpringLayers | None:
-        """Kernel self-contact of the surface; None without."""
+    def kernel_self_contact(self) -> _kernels.SpringLayers | None:
+        """Kernel self-contact of the surface; None if it is off."""
         contact = self.self_contact
         if contact is None:
             return None
-        return spring_layers(self.network(0), contact, self._rest)
+        return kernel_self_contact(self.network(0), contact, self._rest)
 
     @cached_property
-    def order(self) -> IntArray:
-        """Order in which kernels visit springs ``(S,)``."""
+    def spring_order(self) -> IntArray:
+        """Spring indices in kernel order ``(S,)``."""
         count = len(self.body.positions)
         return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
-    def none_torn(self) -> Flags:
-        """Torn flags with no spring torn, in kernel order ``(S,)``."""
+    def untorn_flags(self) -> Flags:
+        """Flags of intact springs, in kernel order ``(S,)``."""
         return np.zeros(len(self.body.springs.rest), np.uint8)
 
     def torn(self, flags: Flags) -> BoolArray:
-        """Return torn flags in body order ``(S,)``, from kernel order."""
+        """Return torn flags in body order ``(S,)``, from those in kernel order."""
         torn = np.zeros(len(flags), np.bool_)
-        torn[self.order] = flags.astype(np.bool_)
+        torn[self.spring_order] = flags.astype(np.bool_)
         return torn
 
     @cached_property
@@ -290,7 +303,7 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def drags(self) -> FloatArray:
-        """Drag of each particle per mass and speed ``(N,)`` [1/s]."""
+        """Drag of each particle over mass and speed ``(N,)`` [1/s]."""
         return self.drag + self.resistance * self.inverse_masses
 
     @property
@@ -300,16 +313,18 @@ class SpringSystem(SecondOrder):
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²], 0 for pinned particles."""
-        network = self.network(self.jumps.stage(t))
+        network = self.network(self.teleports.stage(t))
         return _kernels.spring_accelerations(
-            network, t, EPSILON_TIME, np.array((x, v)), self.none_torn
+            network, t, TARGET_SPEED_INTERVAL, np.array((x, v)), self.untorn_flags
         )
 
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
         """Return the derivatives of accelerations by positions and velocities."""
-        by_x, by_v = slopes(self.loads, self.free_masses, self.wind(t), x, v)
+        by_x, by_v = acceleration_jacobians(
+            self.forces, self.free_masses, self.wind(t), x, v
+        )
         return by_x, by_v
 
     def stiffness(self, t: float, x: FloatArray) -> Matrix:
@@ -320,18 +335,18 @@ class SpringSystem(SecondOrder):
         from scipy.sparse import diags_array
 
         masses, v = self.free_masses, np.zeros_like(x)
-        by_x = next(slopes(self.loads, masses, self.wind(t), x, v))
+        by_x = next(acceleration_jacobians(self.forces, masses, self.wind(t), x, v))
         return diags_array(np.repeat(-masses, 3)) @ by_x
 
-    def halted(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
-        """Return the springs with pins and targets frozen at a time, without air.
+    def frozen_at(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
+        """Return the system with pins and targets frozen at a time, without air.
 
         Args:
             t: The time [s].
             body: Positions and springs.
             drag: Drag per mass and speed [1/s].
         """
-        stage = self._stage(self.jumps.stage(t))
+        stage = self._stage(self.teleports.stage(t))
         target_positions, springs = position_at(stage.targets, t), self.target_springs
         return SpringSystem(
             body,
@@ -343,12 +358,12 @@ class SpringSystem(SecondOrder):
             drag=drag,
         )
 
-    def without_springs(self, gone: BoolArray) -> SpringSystem:
-        """Return the system without some springs ``(S,)``."""
+    def without_springs(self, is_removed: BoolArray) -> SpringSystem:
+        """Return the system without some springs, by a mask ``(S,)``."""
         result = copy(self)
-        result.body = replace(self.body, springs=self.body.springs.select(~gone))
-        result._staged = None
-        for name in ("order", "whole"):
+        result.body = replace(self.body, springs=self.body.springs.select(~is_removed))
+        result._cached_stage = None
+        for name in ("spring_order", "whole"):
             result.__dict__.pop(name, None)
         return result
 
@@ -379,8 +394,9 @@ class SpringSystem(SecondOrder):
     def _energy_of(
         self, t: float, x: FloatArray, v: FloatArray, masses: FloatArray
     ) -> Energy:
+        """Return the energy of positions and velocities; masses ``(N,)`` [kg]."""
         kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
-        stage = self._stage(self.jumps.stage(t))
+        stage = self._stage(self.teleports.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
         springs = self.target_springs
@@ -393,13 +409,19 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def _supply(self) -> tuple[float, float, float]:
-        """Moving mass, squared speed supplied by wind and paths, and path speed."""
+        """Moving mass, squared speed from wind and gravity, and speed of paths."""
         mass = float(self.body.masses[~self.fixed].sum())
-        wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        speed, travel = map(max, zip(*map(reach_of, self._paths), strict=True))
+        wind_speed = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
+        max_speed, max_travel = map(
+            max, zip(*map(max_speed_and_travel, self._paths), strict=True)
+        )
         gravity = float(np.linalg.norm(self.gravity))
         # Teleports supply no speed.
-        return mass, wind**2 + gravity * travel, min(speed, self.speed_limit)
+        return (
+            mass,
+            wind_speed**2 + gravity * max_travel,
+            min(max_speed, self.speed_limit),
+        )
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
@@ -408,24 +430,26 @@ class SpringSystem(SecondOrder):
     def stretch(self, t: float, state: FloatArray) -> float | None:
         """Return the largest ratio of spring length to rest length [1]."""
         points = np.ascontiguousarray(state[0])
-        network = self.network(self.jumps.stage(t))
-        longest = _kernels.spring_energy(network, points)[1]
-        return longest if (self.body.springs.rest > 0).any() else None
+        network = self.network(self.teleports.stage(t))
+        max_ratio = _kernels.spring_energy(network, points)[1]
+        return max_ratio if (self.body.springs.rest > 0).any() else None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
-        """Return bounds of the fastest modes ``(M, 2)``, for any positions."""
-        return fastest(self.loads)
+        """Return upper bounds of the fastest modes ``(M, 2)``, at any positions."""
+        return mode_bounds(self.forces)
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return the state after a step with pins and contacts applied."""
+        """Return the state after a step, with pins and contacts applied."""
         if not self.settles:
             return after
         result = after.copy()
-        if self.layers is not None:
-            network = self.network(self.jumps.stage(t))
-            result = _kernels.part_springs(network, self.layers, before[0], result, h)
+        if self.kernel_self_contact is not None:
+            network = self.network(self.teleports.stage(t))
+            result = _kernels.part_springs(
+                network, self.kernel_self_contact, before[0], result, h
+            )
         if self.colliders.active:
             collision = collide(
                 result[0], result[1], before, self.colliders, t - h, t, self.radius
@@ -433,43 +457,43 @@ class SpringSystem(SecondOrder):
             result = np.stack([collision.points, collision.velocities])
             self.contacts = collision.contacts
         result[:, self.pinned] = after[:, self.pinned]
-        if not self._pins_move and not len(self.jumps):
+        if not self._has_moving_pins and not len(self.teleports):
             return result
-        begin, end = self.jumps.stage(t - h), self.jumps.stage(t)
-        result = self.jumps.across(result, begin, end)
-        previous = self.jumps.across(before, begin, end)[0, self.pinned]
+        begin, end = self.teleports.stage(t - h), self.teleports.stage(t)
+        result = self.teleports.apply(result, begin, end)
+        previous = self.teleports.apply(before, begin, end)[0, self.pinned]
         result[0, self.pinned] = position_at(self._stage(end).pins, t)
         result[1, self.pinned] = (result[0, self.pinned] - previous) / h
         return result
 
     def native(self, method: str) -> Native | None:
-        """Return a native stepper of symplectic_euler, or None."""
-        if method != "symplectic_euler" or self._collides or len(self.jumps):
+        """Return a compiled loop of symplectic_euler, or None if it does not apply."""
+        if method != "symplectic_euler" or self._has_contacts or len(self.teleports):
             return None
 
-        def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
+        def take_steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
             motion = np.ascontiguousarray(state)
-            for first in range(0, count, AT_ONCE):
+            for first in range(0, count, MAX_STEPS_PER_CALL):
                 motion = _kernels.step_springs(
-                    self.network(0), motion, self.none_torn, t, first, h,
-                    min(AT_ONCE, count - first), 1, None,
+                    self.network(0), motion, self.untorn_flags, t, first, h,
+                    min(MAX_STEPS_PER_CALL, count - first), 1, None,
                 )[0]  # fmt: skip
             return motion
 
-        return steps
+        return take_steps
 
     def notices(self) -> list[Fault]:
-        """Return warnings about the start and teleports."""
+        """Return warnings about the initial state and teleports."""
         notices = start_notices(self.body) + self.colliders.notices()
         if self.self_contact is not None:
             notices += tangle_notices(self.body.positions, self.body.triangles)
-        return notices + self.jumps.notices()
+        return notices + self.teleports.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return which spring has the largest strain."""
+        """Return which spring has the largest strain, as text."""
         springs = self.body.springs
         if not len(springs.rest):
             return ""
-        longest = int(np.argmax(springs.lengths(state[0]) - springs.rest))
-        first, second = springs.ends[longest].tolist()
+        most_strained = int(np.argmax(springs.lengths(state[0]) - springs.rest))
+        first, second = springs.ends[most_strained].tolist()
         return f"the spring of particles {first} and {second} has the largest strain"

@@ -10,27 +10,29 @@ from animtool.core.errors import OptionError
 from animtool.sim.trials.trial import REFERENCE_FACTORS, Setting, step_settings
 from animtool.systems.framework.simulation import TrialSettings
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import choose
+from animtool.systems.springs.solvers import choose_solver
 from animtool.systems.springs.system import SpringSystem
 
-# Reference method of a table: second order and stable.
-EXACT = Solver.BDF2
-# Reference for springs too stiff for implicit steps.
-EXPLICIT = Solver.SYMPLECTIC_EULER
+# Reference solver of a table, of second order and stable.
+REFERENCE_SOLVER = Solver.BDF2
+# Reference solver for springs too stiff for implicit steps.
+STIFF_REFERENCE_SOLVER = Solver.SYMPLECTIC_EULER
 
 
 def trial_settings(
-    system: SpringSystem, configured: SpringOptions, begin: float
+    system: SpringSystem, options: SpringOptions, begin: float
 ) -> TrialSettings:
     """Return solvers with several step lengths around their defaults."""
-    defaults = replace(configured, step=None)
+    defaults = replace(options, step=None)
 
-    def default_setting(solver: Solver, options: SpringOptions = defaults) -> Setting:
+    def default_setting(
+        solver: Solver, solver_options: SpringOptions = defaults
+    ) -> Setting:
         """Return a solver with its default step."""
-        choice = choose(system, options, solver, begin, system.state)
+        choice = choose_solver(system, solver_options, solver, begin, system.state)
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
-    chosen = default_setting(Solver(configured.solver), configured)
+    configured_setting = default_setting(Solver(options.solver), options)
 
     def default_settings(solver: Solver) -> list[Setting]:
         """Return the setting of a solver; empty if it cannot simulate the springs."""
@@ -47,7 +49,9 @@ def trial_settings(
             for setting in default_settings(s)
         ]
         solver_settings = [
-            chosen if setting.method == chosen.method else setting
+            configured_setting
+            if setting.method == configured_setting.method
+            else setting
             for setting in solver_settings
         ]
         return [
@@ -58,23 +62,31 @@ def trial_settings(
 
     def references() -> list[list[Setting]]:
         """Return finer steps of bdf2, of explicit Euler, and of the chosen solver."""
-        exact = [
-            min(chosen["step"], setting["step"]) for setting in default_settings(EXACT)
+        reference_steps = [
+            min(configured_setting["step"], setting["step"])
+            for setting in default_settings(REFERENCE_SOLVER)
         ]
-        groups = [step_settings(EXACT, step, REFERENCE_FACTORS) for step in exact]
-        groups += [
-            step_settings(EXPLICIT, setting["step"], REFERENCE_FACTORS)
-            for setting in default_settings(EXPLICIT)
+        setting_groups = [
+            step_settings(REFERENCE_SOLVER, step, REFERENCE_FACTORS)
+            for step in reference_steps
         ]
-        if chosen.method not in {EXACT, EXPLICIT}:
-            groups.append(
-                step_settings(chosen.method, chosen["step"], REFERENCE_FACTORS)
+        setting_groups += [
+            step_settings(STIFF_REFERENCE_SOLVER, setting["step"], REFERENCE_FACTORS)
+            for setting in default_settings(STIFF_REFERENCE_SOLVER)
+        ]
+        if configured_setting.method not in {REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER}:
+            setting_groups.append(
+                step_settings(
+                    configured_setting.method,
+                    configured_setting["step"],
+                    REFERENCE_FACTORS,
+                )
             )
-        return groups
+        return setting_groups
 
-    def changes(setting: Setting) -> Mapping[str, Any]:
-        if setting == chosen:
-            return {"error": None, "solver": configured.solver, "step": configured.step}
+    def changed_keys(setting: Setting) -> Mapping[str, Any]:
+        if setting == configured_setting:
+            return {"error": None, "solver": options.solver, "step": options.step}
         return {"error": None, "solver": setting.method, "step": setting["step"]}
 
-    return TrialSettings(chosen, settings, references, changes)
+    return TrialSettings(configured_setting, settings, references, changed_keys)

@@ -31,62 +31,64 @@ from animtool.systems.springs.simulation import SpringSimulation
 
 @dataclass
 class SpringView:
-    """Shows one entry of a spring simulation."""
+    """Frames and diagnostics of one entry of a spring simulation."""
 
     simulation: SpringSimulation
-    member: Member  # its entry
-    rows: IntArray  # its particle indices in the simulation ``(N,)``
-    springs: slice  # its springs there
+    member: Member  # the scene entry
+    rows: IntArray  # particle indices in the simulation ``(N,)``
+    springs: slice  # spring indices in the simulation
     member_notices: Sequence[Fault]  # warnings about this entry alone
-    first: bool  # whether it reports for all joined entries
+    is_first: bool  # whether it reports for all joined entries
     _torn_mesh: Tearing | FaceShape | None = None
     # Number of torn springs, and the intact faces at that number.
     _intact: tuple[int, IntArray, IntArray] | None = None
-    _crossings: SelfCrossings | None = None
+    _self_crossings: SelfCrossings | None = None
     # Measured sides and peaks of a surface in contact.
-    _sides: MeasuredSurface | None = None
+    _measured_surface: MeasuredSurface | None = None
     _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
 
     @property
     def body(self) -> Any:
-        """Its particles, springs and drawn shape."""
+        """Its particles, springs and shape to draw."""
         return self.member.record.body
 
     @property
-    def tears(self) -> bool:
-        """Whether it is a surface that can tear."""
-        return isinstance(self.body.shape, FaceShape) and self.body.shape.tears
+    def can_tear(self) -> bool:
+        """Whether it is a surface whose springs can tear."""
+        return isinstance(self.body.shape, FaceShape) and self.body.shape.can_tear
 
     def torn(self, state: SpringState) -> BoolArray:
-        """Return torn flags of its springs ``(S,)``."""
+        """Return the torn flags of its springs ``(S,)``."""
         return self.simulation.system.torn(state.torn)[self.springs]
 
-    def part(self, last: SpringState) -> None:
-        """Prepare the split topology for the torn springs of the final state."""
+    def prepare_tears(self, last: SpringState) -> None:
+        """Split the surface along the springs that are torn in the final state."""
         shape = cast(FaceShape, self.body.shape)
         self._torn_mesh = shape.torn_shape(self.torn(last), self.body.body.positions)
 
     def frame(self, state: SpringState, t: float) -> Frame:
-        """Return its frame."""
+        """Return its curves or mesh."""
         self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
-        self._look(points, t)
+        self._count_crossings(points, t)
         self._measure(points, t, state)
         shape = self._torn_mesh or self.body.shape
         frame: Frame = shape.row(points, velocities, self.torn(state))
         return frame
 
-    def _look(self, points: FloatArray, t: float) -> None:
+    def _count_crossings(self, points: FloatArray, t: float) -> None:
         """Count self-intersections of a surface without self-contact."""
         simulation, shape = self.simulation, self.body.shape
         if simulation.system.self_contact is not None or not isinstance(
             shape, FaceShape
         ):
             return
-        if self._crossings is None:
+        if self._self_crossings is None:
             corners = self.body.body.triangles
-            self._crossings = SelfCrossings(corners, simulation.begin, simulation.last)
-        self._crossings.look(t, points)
+            self._self_crossings = SelfCrossings(
+                corners, simulation.begin, simulation.last
+            )
+        self._self_crossings.count_if_due(t, points)
 
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
         """Measure depth, piercing and strain of a surface in contact."""
@@ -96,27 +98,31 @@ class SpringView:
             colliders.active or has_self_contact
         ):
             return
-        if self._sides is None:
-            self._sides = _sides_of(
+        if self._measured_surface is None:
+            self._measured_surface = _surface_to_measure(
                 shape, system.fixed[self.rows], body, has_self_contact
             )
         solids, depths = closed_surfaces(colliders, t), depths_of(colliders, points, t)
-        sides, torn = self._sides, self.torn(state)
+        surface, torn = self._measured_surface, self.torn(state)
         if torn.any():
-            sides = _sides_of(
+            surface = _surface_to_measure(
                 shape, system.fixed[self.rows], body, has_self_contact, torn
             )
-        self._meter.measure(t, points, sides, solids, depths)
+        self._meter.measure(t, points, surface, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
-        """Return warnings: self-intersection and thin colliders (SIM194, SIM195)."""
+        """Return warnings of self-intersection and thin colliders (SIM194, SIM195)."""
         simulation, body, name = self.simulation, self.body, self.member.name
-        notices = self._crossings.notices(name) if self._crossings is not None else []
-        has_faces = simulation.system.faces_of(self.rows)
+        notices = (
+            self._self_crossings.notices(name)
+            if self._self_crossings is not None
+            else []
+        )
+        has_faces = simulation.system.has_faces(self.rows)
         if has_faces and not notices:
             return notices
         # Edges of ropes and strands collide too, but not with balls.
-        edges = not len(simulation.system.body.triangles)
+        has_edges = not len(simulation.system.body.triangles)
         gap = widest_gap(body.shape, body.body.positions)
         colliders, radius = list(simulation.system.colliders), simulation.system.radius
         return notices + thin_notices(
@@ -125,8 +131,8 @@ class SpringView:
             radius,
             gap,
             simulation.stretch,
-            faces=has_faces,
-            edges=edges,
+            has_faces=has_faces,
+            has_edges=has_edges,
         )
 
     @property
@@ -137,11 +143,11 @@ class SpringView:
 
     @property
     def closed(self) -> bool:
-        """Whether others collide with its outside only."""
+        """Whether others collide only with its outside."""
         return getattr(self.body.shape, "closed", False)
 
     def surface(self, state: SpringState, t: float) -> MeshFrame:
-        """Return its intact faces."""
+        """Return its intact faces, as a collider of others."""
         self.simulation.measure(state, t)
         shape, torn = cast(FaceShape, self.body.shape), self.torn(state)
         torn_count = int(torn.sum())
@@ -164,7 +170,7 @@ class SpringView:
             "springs": len(body.springs.rest),
             "solver": str(simulation.choice.solver),
             "reason": simulation.reason,
-            "step": simulation.shortest,
+            "step": simulation.shortest_step,
             "steps": simulation.grid.steps,
             "stretch": simulation.stretch,
             "torn": int(self.torn(state).sum()),
@@ -174,16 +180,16 @@ class SpringView:
             values["error"] = (
                 simulation.error if math.isfinite(simulation.error) else None
             )
-        if self._sides is not None:
+        if self._measured_surface is not None:
             values |= self._meter.values
         notices = [
             *self.member_notices,
             *self._crossing_notices(),
             *self._meter.notices(name),
         ]
-        if self.first:
+        if self.is_first:
             notices += simulation.notices
-            if simulation.long:
+            if simulation.is_overlong:
                 strain = percent_text(simulation.stretch)
                 message = f"{name}: springs stretch {strain} beyond their length "
                 hint = "raise the stiffness [N/m] of each spring, or "
@@ -192,41 +198,42 @@ class SpringView:
             notices.append(self._note(int(state.torn.sum())))
         return Diagnostics(values=values, notices=notices)
 
-    def _note(self, torn: int) -> Fault:
+    def _note(self, torn_count: int) -> Fault:
+        """Return a note about the solver, strain and contact (SIM130)."""
         simulation = self.simulation
         phrases = [
             f"{simulation.choice.solver} ({simulation.reason})",
-            f"shortest step {plain_number(simulation.shortest)} s",
+            f"shortest step {plain_number(simulation.shortest_step)} s",
             f"springs stretch by up to {percent_text(simulation.stretch)}",
         ]
         if simulation.error is not None and math.isfinite(simulation.error):
             phrases.append(f"error {length_text(simulation.error)}")
-        if torn:
-            phrases.append(f"{counted(torn, 'spring')} torn")
+        if torn_count:
+            phrases.append(f"{counted(torn_count, 'spring')} torn")
         if self._meter.text:
             phrases.append(self._meter.text)
         message = f"{self.member.name}: {', '.join(phrases)}"
         return Fault("SIM130", message, severity=Severity.NOTE)
 
 
-def _sides_of(
+def _surface_to_measure(
     shape: FaceShape,
-    fixed: BoolArray,
+    is_fixed: BoolArray,
     body: Body,
     has_self_contact: bool,
-    torn: BoolArray | None = None,
+    is_torn: BoolArray | None = None,
 ) -> MeasuredSurface:
-    """Return the sides to measure, without torn springs ``(S,)``.
+    """Return the edges to measure, without torn springs.
 
     Triangles are included only with self-contact.
     """
     side_springs = shape.side_springs
-    is_measured = (body.springs.rest[side_springs] > 0) & ~fixed[
+    is_measured = (body.springs.rest[side_springs] > 0) & ~is_fixed[
         body.springs.ends[side_springs]
     ].all(axis=1)
-    is_measured &= True if torn is None else ~torn[side_springs]
+    is_measured &= True if is_torn is None else ~is_torn[side_springs]
     triangles = body.triangles if has_self_contact else body.triangles[:0]
     springs = body.springs.select(side_springs[is_measured])
     return MeasuredSurface(
-        np.flatnonzero(~fixed), triangles, springs.ends, springs.rest
+        np.flatnonzero(~is_fixed), triangles, springs.ends, springs.rest
     )

@@ -14,9 +14,9 @@ from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Plane, Sphere
 from animtool.systems.springs import Family, rope, sheet
 from animtool.systems.springs.crossings import (
-    LOOKS,
+    CHECKS_PER_MOTION,
     SelfCrossings,
-    thickness,
+    collider_thickness,
     thin_notices,
     widest_gap,
 )
@@ -67,14 +67,14 @@ def test_pairs_beyond_those_at_the_start_are_counted() -> None:
     through = points.copy()
     through[3:, 2] -= 2.5
     for t, now in [(0, points), (0.5, through), (1, points)]:
-        seen.look(t, now)
-    assert (seen.most, seen.when) == (2, 0.5)
+        seen.count_if_due(t, now)
+    assert (seen.max_crossings, seen.time_of_max) == (2, 0.5)
     (notice,) = seen.notices("sail")
     assert notice.code == "SIM194"
     assert "2 pairs" in notice.message
     tangled = SelfCrossings(seen.triangles, 0.0, 1.0)
     for t in (0, 1):
-        tangled.look(t, through)
+        tangled.count_if_due(t, through)
     assert tangled.notices("sail") == []
 
 
@@ -83,10 +83,10 @@ def test_looks_are_as_many_however_many_frames() -> None:
     points = np.zeros((3, 3))
     waits = []
     for t in np.linspace(0, 2, 1001):
-        before = seen._next
-        seen.look(float(t), points)
-        waits.append(seen._next != before)
-    assert sum(waits) <= LOOKS + 2
+        before = seen._next_time
+        seen.count_if_due(float(t), points)
+        waits.append(seen._next_time != before)
+    assert sum(waits) <= CHECKS_PER_MOTION + 2
     assert waits[-1]
 
 
@@ -136,7 +136,7 @@ def test_gaps_are_diagonals_of_faces_and_lengths_of_segments() -> None:
     ],
 )
 def test_how_thick_colliders_are(shape: object, thick: float) -> None:
-    assert thickness(Collider(shape)) == pytest.approx(thick)
+    assert collider_thickness(Collider(shape)) == pytest.approx(thick)
 
 
 def test_radius_and_stretch_count() -> None:

@@ -80,7 +80,7 @@ def knows_its_turn(found: Tearing) -> bool:
     """Return whether every particle at a tear has neighbours in two directions."""
     turning = found.rotations
     ways = [
-        turning.rest_offsets[turning.owners == i] for i in range(len(turning.which))
+        turning.rest_offsets[turning.owners == i] for i in range(len(turning.particles))
     ]
     return all(np.linalg.matrix_rank(own) == 2 for own in ways)
 

@@ -15,7 +15,7 @@ from fuzz.targets.springs import _SYSTEMS as SYSTEMS
 from animtool.core.errors import AnimtoolError
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.springs.motion import Piercing, through_notices
+from animtool.systems.springs.motion import Piercing, piercing_notices
 
 
 def last_points(folder: Path, kind: str, changes: dict[str, Any]) -> np.ndarray:
@@ -91,6 +91,6 @@ def test_numbers_within_bounds_come_to_numbers(
 
 
 def test_surfaces_that_went_on_without_end_have_a_hint() -> None:
-    (notice,) = through_notices(Piercing(rate=float("inf")))
+    (notice,) = piercing_notices(Piercing(rate=float("inf")))
     assert notice.code == "SIM165"
     assert "shorter" in (notice.hint or "")

@@ -151,7 +151,7 @@ def test_what_faces_gain_the_collider_loses() -> None:
     poses[:, 0, 1, 2] = poses[:, 0, 0, 2] + speed * cell
     met = Colliders([Collider(Sphere(0.004))]).arrays(0.0, 0.0), poses, 0.0, None, 1e-6
     state, _, inside, pushes = _kernels.step_springs(
-        system.network(0), system.state, system.none_torn, 0.0, 0, cell, cells, 8,
+        system.network(0), system.state, system.untorn_flags, 0.0, 0, cell, cells, 8,
         (*met, []),
     )  # fmt: skip
     gained = (system.body.masses[:, None] * state[1]).sum(axis=0)

@@ -11,7 +11,11 @@ from animtool import BakeOptions, bake
 from animtool.core.shot import FrameRange
 from animtool.scene.file.read import load_scene
 from animtool.sim.system import Energy
-from animtool.systems.springs.losses import REPORTED, RESTING, Losses
+from animtool.systems.springs.losses import (
+    MIN_REPORTED_FRACTION,
+    REST_SPEED,
+    EnergyLoss,
+)
 from animtool.systems.springs.records import Solver
 
 SWING = """\
@@ -66,20 +70,20 @@ def test_what_is_slowed_or_at_rest_is_not_said(tmp_path: Path, keys: str) -> Non
 
 
 def test_the_share_is_of_the_energy_that_moves() -> None:
-    losses = Losses(mass=2.0)
+    losses = EnergyLoss(mass=2.0)
     for t, kinetic, potential in [(0, 0, 5), (1, 4, 1), (2, 0, 4.5)]:
-        losses.look(t, Energy(kinetic, potential))
+        losses.record(t, Energy(kinetic, potential))
     assert losses.fraction == pytest.approx(0.5 / 4)
     (notice,) = losses.notices(Solver.XPBD)
     assert notice.code == "SIM196"
-    losses.look(3, Energy(0.0, 5 - 0.9 * REPORTED * 4))
+    losses.record(3, Energy(0.0, 5 - 0.9 * MIN_REPORTED_FRACTION * 4))
     assert losses.notices(Solver.XPBD) == []
 
 
 def test_what_hardly_moves_loses_nothing() -> None:
-    losses = Losses(mass=2.0)
-    losses.look(0, Energy(0.9 * RESTING**2, 1.0))
-    losses.look(1, Energy(0.0, 0.0))
+    losses = EnergyLoss(mass=2.0)
+    losses.record(0, Energy(0.9 * REST_SPEED**2, 1.0))
+    losses.record(1, Energy(0.0, 0.0))
     assert losses.fraction == 0.0
     assert np.isfinite(losses.fraction)
 
@@ -89,7 +93,7 @@ def test_what_goes_slower_than_a_millimetre_a_second_rests(
     kinetic: float, share: float
 ) -> None:
     """Of 2 kg that is a millionth of a joule."""
-    losses = Losses(mass=2.0)
-    losses.look(0.0, Energy(0.0, 1.0))
-    losses.look(1.0, Energy(kinetic, 1.0 - 1.2 * kinetic))
+    losses = EnergyLoss(mass=2.0)
+    losses.record(0.0, Energy(0.0, 1.0))
+    losses.record(1.0, Energy(kinetic, 1.0 - 1.2 * kinetic))
     assert losses.fraction == pytest.approx(share, rel=1e-6)

@@ -73,7 +73,7 @@ def test_what_is_at_rest_stays(gravity: tuple[float, ...]) -> None:
     line = rope([0, 0, 0], [0, 0, -1], 4, Family(1e3), mass=0.1)
     system = SpringSystem(line, pins=Pins([0]), gravity=gravity)
     rest = find_rest(system)
-    again = find_rest(system.halted(0.0, replace(line, positions=rest.positions)))
+    again = find_rest(system.frozen_at(0.0, replace(line, positions=rest.positions)))
     assert again.steps == 0
     assert_allclose(again.positions, rest.positions, atol=0)
 

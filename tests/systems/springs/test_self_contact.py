@@ -277,7 +277,7 @@ class Reference:
         edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
         self.edges = np.unique(np.sort(edges, axis=1), axis=0)
 
-    def part(self, before: FloatArray, x: FloatArray, h: float) -> FloatArray:
+    def separate(self, before: FloatArray, x: FloatArray, h: float) -> FloatArray:
         """Return where particles are; none is near another at rest."""
         shifted, start, x = before.copy(), x, x.copy()
         for corners in self.body.triangles:
@@ -397,11 +397,13 @@ def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
     edges = Reference(body, body.masses, contact).edges
     assume(min(apart_of_edges(points, edges)) > 5e-3)
     x = points + rng.uniform(-1, 1, (count, 3)) * 1e-3
-    assert system.layers is not None
+    assert system.kernel_self_contact is not None
     state = np.stack([x, np.zeros_like(x)])
-    made = _kernels.part_springs(system.network(0), system.layers, points, state, h)
+    made = _kernels.part_springs(
+        system.network(0), system.kernel_self_contact, points, state, h
+    )
     weights = system.inverse_masses
-    expected = Reference(body, weights, contact).part(points, x, h)
+    expected = Reference(body, weights, contact).separate(points, x, h)
     np.testing.assert_allclose(made[0], expected, atol=1e-12)
 
 
@@ -423,9 +425,11 @@ def test_any_start_stays_finite_and_keeps_its_momentum(seed: int, flat: bool) ->
     system = SpringSystem(body, self_contact=contact)
     x = points + rng.integers(-2, 3, (count, 3)) * 0.01
     state = np.stack([x, rng.normal(size=(count, 3))])
-    assert system.layers is not None
+    assert system.kernel_self_contact is not None
     network = system.network(0)
-    made = _kernels.part_springs(network, system.layers, points, state, 0.01)
+    made = _kernels.part_springs(
+        network, system.kernel_self_contact, points, state, 0.01
+    )
     assert np.isfinite(made).all()
     np.testing.assert_allclose(masses @ made[0], masses @ x, atol=1e-12)
     np.testing.assert_allclose(masses @ made[1], masses @ state[1], atol=1e-9)
@@ -438,7 +442,7 @@ def test_no_distance_is_more_than_springs_leave_room_for() -> None:
     )
     thickness = 0.5 * EDGE
     system = SpringSystem(body, self_contact=SelfContact(thickness))
-    found = system.layers
+    found = system.kernel_self_contact
     assert found is not None
     x, triangles = body.positions, body.triangles
     apart = distances(x, x[triangles])
@@ -523,9 +527,11 @@ def test_nothing_is_thrown_off_by_a_corner_that_hardly_counts(share: float) -> N
     contact = SelfContact(0.02, rest=body.positions * 100)
     system = SpringSystem(body, pins=Pins([0, 1, 3]), self_contact=contact)
     before = body.positions + np.array([0, 0, 0.02]) * [[0], [0], [0], [1]]
-    assert system.layers is not None
+    assert system.kernel_self_contact is not None
     state = np.stack([body.positions, np.zeros_like(body.positions)])
-    made = _kernels.part_springs(system.network(0), system.layers, before, state, 0.01)
+    made = _kernels.part_springs(
+        system.network(0), system.kernel_self_contact, before, state, 0.01
+    )
     moved = np.linalg.norm(made[0] - body.positions, axis=1)
     missing = 0.02 - 0.005
     assert moved.max() <= 10 * missing * (1 + 1e-9)

@@ -84,8 +84,10 @@ def parted(system: SpringSystem, way: FloatArray, h: float = 0.01) -> FloatArray
     """Return the state after a step along ways ``(N, 3)``."""
     x = system.body.positions
     state = np.stack([x + way, way / h])
-    assert system.layers is not None
-    return _kernels.part_springs(system.network(0), system.layers, x, state, h)
+    assert system.kernel_self_contact is not None
+    return _kernels.part_springs(
+        system.network(0), system.kernel_self_contact, x, state, h
+    )
 
 
 shares = st.floats(-1, 1)

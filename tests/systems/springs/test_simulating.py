@@ -28,7 +28,7 @@ from animtool.systems.springs import (
     sheet,
     simulate_springs,
 )
-from animtool.systems.springs.solvers import SHORTEST
+from animtool.systems.springs.solvers import MIN_STEP
 
 SOLVERS = [solver for solver in Solver if solver is not Solver.AUTO]
 FRAMES = np.arange(13) / 24
@@ -282,7 +282,7 @@ def test_a_stretch_that_cannot_be_kept_is_said() -> None:
     system = SpringSystem(line, pins=Pins([0]))
     motion = simulate_springs(system, [0, 1], SpringOptions("xpbd"))
     assert [notice.code for notice in motion.notices] == ["SIM131"]
-    assert motion.step == SHORTEST
+    assert motion.step == MIN_STEP
 
 
 def test_the_damping_of_a_soft_spring_asks_for_no_more_steps() -> None:
@@ -291,7 +291,7 @@ def test_the_damping_of_a_soft_spring_asks_for_no_more_steps() -> None:
     system = SpringSystem(body, pins=Pins([0, 11]))
     motion = simulate_springs(system, [0, 1], SpringOptions("xpbd"))
     assert motion.stretch <= 0.01
-    assert motion.step > 8 * SHORTEST
+    assert motion.step > 8 * MIN_STEP
     assert [notice.code for notice in motion.notices] == ["SIM161"]
     assert motion.notices[0].severity is Severity.NOTE
 

@@ -18,18 +18,18 @@ from animtool.systems.springs import (
 )
 from animtool.systems.springs.solvers import (
     CELL,
-    COSTS,
-    FIRST,
-    LITTLE,
-    SAFE,
-    Choice,
-    choose,
+    CHEAP_TIME,
+    INITIAL_SUBSTEPS,
+    STEP_COSTS,
+    STEP_SAFETY_FACTOR,
+    SolverChoice,
+    bdf2_step_cost,
+    choose_solver,
     explicit_limit,
-    implicit_cost,
 )
 
 # Steps of bdf2 a second where none is asked for.
-FINE = FIRST[Solver.BDF2] / CELL
+FINE = INITIAL_SUBSTEPS[Solver.BDF2] / CELL
 
 
 def cloth(
@@ -41,18 +41,20 @@ def cloth(
     return SpringSystem(body, pins=Pins(range(0, size, (size - 1) // (pins - 1))))
 
 
-def chosen(system: SpringSystem, **options: float) -> Choice:
+def chosen(system: SpringSystem, **options: float) -> SolverChoice:
     """Return what is taken."""
-    return choose(system, SpringOptions(**options), Solver.AUTO, 0.0, system.state)
+    return choose_solver(
+        system, SpringOptions(**options), Solver.AUTO, 0.0, system.state
+    )
 
 
 def times(system: SpringSystem) -> tuple[float, float]:
     """Return what a second of explicit steps and of bdf2 is expected to take [s]."""
     springs = len(system.body.springs.rest)
-    rate = 1 / (SAFE * explicit_limit(system, 0.0, system.state))
+    rate = 1 / (STEP_SAFETY_FACTOR * explicit_limit(system, 0.0, system.state))
     return (
-        rate * COSTS[Solver.SYMPLECTIC_EULER] * springs,
-        FINE * implicit_cost(system, rate / FINE) * springs,
+        rate * STEP_COSTS[Solver.SYMPLECTIC_EULER] * springs,
+        FINE * bdf2_step_cost(system, rate / FINE) * springs,
     )
 
 
@@ -61,7 +63,7 @@ def times(system: SpringSystem) -> tuple[float, float]:
 def test_the_time_that_is_expected_decides(size: int, stiffness: float) -> None:
     system = cloth(size, stiffness)
     explicit, implicit = times(system)
-    quick = explicit <= max(LITTLE, implicit)
+    quick = explicit <= max(CHEAP_TIME, implicit)
     wanted = Solver.SYMPLECTIC_EULER if quick else Solver.BDF2
     assert chosen(system).solver is wanted
 
@@ -104,7 +106,7 @@ def test_xpbd_is_taken_for_what_nothing_else_does(
 ) -> None:
     system = cloth(size, stiffness)
     options = SpringOptions(step=step, stretch=stretch)
-    found = choose(system, options, Solver.AUTO, 0.0, system.state)
+    found = choose_solver(system, options, Solver.AUTO, 0.0, system.state)
     assert found.solver in {Solver.SYMPLECTIC_EULER, Solver.BDF2}
     if found.solver is Solver.SYMPLECTIC_EULER:
         assert found.cell / found.substeps <= found.limit
@@ -114,10 +116,10 @@ def test_an_error_comes_before_time() -> None:
     system = cloth(30, 1e6)
     assert chosen(system, stretch=0.1, error=1e-3).solver is Solver.BDF2
     # Explicit steps for half as long as the fewest implicit ones.
-    rate = COSTS[Solver.BDF2] * FIRST[Solver.BDF2] / CELL
+    rate = STEP_COSTS[Solver.BDF2] * INITIAL_SUBSTEPS[Solver.BDF2] / CELL
     soft = cloth(30, 1.0)
-    found = 1 / (SAFE * explicit_limit(soft, 0.0, soft.state))
-    stiffness = (0.5 * rate / (found * COSTS[Solver.SYMPLECTIC_EULER])) ** 2
+    found = 1 / (STEP_SAFETY_FACTOR * explicit_limit(soft, 0.0, soft.state))
+    stiffness = (0.5 * rate / (found * STEP_COSTS[Solver.SYMPLECTIC_EULER])) ** 2
     near = chosen(cloth(30, stiffness), error=1e-3)
     assert near.solver is Solver.SYMPLECTIC_EULER
     assert "of bdf2" in near.reason
@@ -145,7 +147,7 @@ def test_a_smaller_step_never_takes_a_solver_of_longer_ones() -> None:
 
 
 def test_an_explicit_step_is_the_cheapest_and_an_implicit_one_the_dearest() -> None:
-    explicit, implicit = COSTS[Solver.SYMPLECTIC_EULER], COSTS[Solver.BDF2]
+    explicit, implicit = STEP_COSTS[Solver.SYMPLECTIC_EULER], STEP_COSTS[Solver.BDF2]
     assert explicit < implicit
 
 
